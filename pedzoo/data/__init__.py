@@ -1,0 +1,1 @@
+"""From recorded tracks to scene batches: files, windows, goals, augmentation, the LightningDataModule."""

@@ -1,0 +1,18 @@
+"""Errors that a person can act on: what was given, what was expected, and what fixes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class UserError(ValueError):
+    """The caller's mistake; the command line prints it as one line and exits with code 2."""
+
+
+def unknown(kind: str, given: str, known: Iterable[str]) -> UserError:
+    """Return the error for a name that does not exist, with the nearest spelling and all that do."""
+    names = sorted(known)
+    near = get_close_matches(given, names, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return UserError(f"unknown {kind} {given!r}: {hint}known: {', '.join(names) or 'none'}")

@@ -1,0 +1,57 @@
+"""Small pure functions on positions and poses, all batched and differentiable."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def rotate(vectors: Tensor, direction: Tensor) -> Tensor:
+    """Turn ``vectors`` (..., 2) by the angle of the unit vectors ``direction`` (..., 2)."""
+    c, s = direction.unbind(-1)
+    x, y = vectors.unbind(-1)
+    return torch.stack((c * x - s * y, s * x + c * y), dim=-1)
+
+
+def unrotate(vectors: Tensor, direction: Tensor) -> Tensor:
+    """Turn ``vectors`` (..., 2) back by the angle of ``direction`` (..., 2): the inverse of `rotate`."""
+    c, s = direction.unbind(-1)
+    x, y = vectors.unbind(-1)
+    return torch.stack((c * x + s * y, c * y - s * x), dim=-1)
+
+
+def identity_pose(scenes: int, device: torch.device | None = None) -> Tensor:
+    """Return the scene poses (B, 4) that leave every scene where its floor plan is."""
+    return torch.tensor([0.0, 1.0, 0.0, 0.0], device=device).repeat(scenes, 1)
+
+
+def turn_to_scene(vectors: Tensor, pose: Tensor) -> Tensor:
+    """Mirror, then rotate map-frame directions (B, ..., 2) into the scene of ``pose`` (B, 4)."""
+    pose = _align(pose, vectors)
+    mirrored = torch.stack((vectors[..., 0], vectors[..., 1] * pose[..., 1]), dim=-1)
+    return rotate(mirrored, _direction(pose))
+
+
+def turn_to_map(vectors: Tensor, pose: Tensor) -> Tensor:
+    """Rotate, then mirror scene directions (B, ..., 2) back into the map's frame: inverse of `turn_to_scene`."""
+    pose = _align(pose, vectors)
+    turned = unrotate(vectors, _direction(pose))
+    return torch.stack((turned[..., 0], turned[..., 1] * pose[..., 1]), dim=-1)
+
+
+def move_to_scene(points: Tensor, pose: Tensor) -> Tensor:
+    """Move map-frame positions (B, ..., 2) into the scene of ``pose`` (B, 4)."""
+    return turn_to_scene(points, pose) + _align(pose, points)[..., 2:]
+
+
+def move_to_map(points: Tensor, pose: Tensor) -> Tensor:
+    """Move scene positions (B, ..., 2) to where they are on the floor plan: inverse of `move_to_scene`."""
+    return turn_to_map(points - _align(pose, points)[..., 2:], pose)
+
+
+def _direction(pose: Tensor) -> Tensor:
+    return torch.stack((pose[..., 0].cos(), pose[..., 0].sin()), dim=-1)
+
+
+def _align(pose: Tensor, like: Tensor) -> Tensor:
+    return pose.view(pose.shape[0], *[1] * (like.dim() - 2), 4)

@@ -1,0 +1,1 @@
+"""What a prediction or a walk is worth: pure functions and their torchmetrics classes."""

@@ -1,0 +1,1 @@
+"""Forecasters: shared blocks, one file per architecture, and the zoo that loads them by name."""

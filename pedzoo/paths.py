@@ -1,0 +1,56 @@
+"""Where things are: shipped configs and checkpoints, the user's data and cache."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pedzoo.errors import UserError, unknown
+
+_PACKAGE = Path(__file__).parent
+
+
+def shipped(folder: str) -> Path:
+    """Return ``configs`` or ``checkpoints``: beside the package in a checkout, inside it in a wheel."""
+    inside = _PACKAGE / folder
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def config_names() -> list[str]:
+    """Return the names that ``--config`` accepts without a path."""
+    folder = shipped("configs")
+    return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
+
+
+def find_config(name: str) -> Path:
+    """Return the file of a shipped config's name or of a path.
+
+    Raises:
+        UserError: Neither exists.
+    """
+    for path in (Path(name), shipped("configs") / f"{name}.yaml"):
+        if path.is_file():
+            return path
+    raise unknown("config", name, config_names())
+
+
+def data_root(root: str | None) -> Path:
+    """Return the folder with recordings: ``root``, or the variable ``PEDZOO_DATA``.
+
+    Raises:
+        UserError: Neither is given, or the folder does not exist.
+    """
+    given = root or os.environ.get("PEDZOO_DATA")
+    how = "give its folder as --data.root or in the environment variable PEDZOO_DATA"
+    if not given:
+        raise UserError(f"no recordings found: {how}; `--data.fold embedded` needs none")
+    path = Path(given).expanduser()
+    if not path.is_dir():
+        raise UserError(f"data root {given!r} is not a folder: {how}; `--data.fold embedded` needs none")
+    return path
+
+
+def cache_home() -> Path:
+    """Return the folder for downloads: ``PEDZOO_HOME``, or the user's cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo").expanduser()

@@ -1,0 +1,98 @@
+"""Finds drop-ins by walking their folder: a new model or dataset is one file, and there is no list to edit.
+
+A file ``constant_velocity.py`` holds a class ``ConstantVelocity`` (the file's name without underscores,
+any capitals). Names and one-line descriptions are read without importing anything, so that ``--help``
+never waits for torch. People who installed the wheel write ``path/to/file.py:Class`` wherever a name is
+accepted, or publish an entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import sys
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from pedzoo.errors import UserError, unknown
+
+
+class Registry:
+    """The drop-ins of one folder, by file name."""
+
+    def __init__(self, kind: str, package: str) -> None:
+        """Serve the files of ``package``; ``kind`` is the word for one of them in messages."""
+        self.kind = kind
+        self.package = package
+        self.folder = Path(__file__).parent.joinpath(*package.split(".")[1:])
+
+    def names(self) -> list[str]:
+        """Return all names in alphabetical order, without importing any of them."""
+        files = {path.stem for path in self.folder.glob("*.py") if not path.stem.startswith("_")}
+        return sorted(files | set(self._plugins()))
+
+    def describe(self, name: str) -> str:
+        """Return the first line of the drop-in's docstring, without importing it."""
+        path = self.folder / f"{name}.py"
+        if not path.is_file():
+            return "plugin"
+        return (ast.get_docstring(ast.parse(path.read_text())) or "").partition("\n")[0]
+
+    def constant(self, name: str, variable: str) -> Any:
+        """Return a literal module-level ``variable`` of a drop-in without importing it, None where it has none."""
+        path = self.folder / f"{name}.py"
+        body = ast.parse(path.read_text()).body if path.is_file() else []
+        for node in body:
+            targets = node.targets if isinstance(node, ast.Assign) else []
+            if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
+                return ast.literal_eval(node.value)  # type: ignore[union-attr]
+        return None
+
+    def get(self, name: str) -> type:
+        """Return the class behind a name, a plugin or ``path/to/file.py:Class``.
+
+        Raises:
+            UserError: No such name, file or class; the message has the nearest spelling.
+        """
+        if ".py:" in name:
+            return _class_in_file(name)
+        if (plugins := self._plugins()).get(name):
+            return plugins[name].load()
+        if name not in self.names():
+            raise unknown(self.kind, name, self.names())
+        module = importlib.import_module(f"{self.package}.{name}")
+        wanted = name.replace("_", "")
+        for attribute, value in vars(module).items():
+            if isinstance(value, type) and attribute.lower() == wanted:
+                return value
+        raise UserError(f"{self.kind} file {name}.py has no class named like it (any capitals): {wanted}")
+
+    def _plugins(self) -> dict[str, Any]:
+        prefix = f"{self.kind}."
+        found = entry_points(group="pedzoo.plugins")
+        return {point.name.removeprefix(prefix): point for point in found if point.name.startswith(prefix)}
+
+
+@cache
+def _class_in_file(spec: str) -> type:
+    file, _, name = spec.rpartition(":")
+    path = Path(file).expanduser().resolve()
+    if not path.is_file():
+        raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:Class")
+    module_name = f"pedzoo_user_{path.stem}"
+    module_spec = importlib.util.spec_from_file_location(module_name, path)
+    assert module_spec and module_spec.loader
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules[module_name] = module
+    module_spec.loader.exec_module(module)
+    classes = {key: value for key, value in vars(module).items() if isinstance(value, type)}
+    if name not in classes:
+        raise unknown(f"class in {file}", name, classes)
+    return classes[name]
+
+
+MODELS = Registry("model", "pedzoo.models.architectures")
+DATASETS = Registry("dataset", "pedzoo.data.datasets")

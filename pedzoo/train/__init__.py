@@ -1,0 +1,1 @@
+"""LightningModules and callbacks: how the models of the zoo are trained."""
