@@ -72,8 +72,12 @@ class Registry:
 
     def _plugins(self) -> dict[str, Any]:
         prefix = f"{self.kind}."
-        found = entry_points(group="pedzoo.plugins")
-        return {point.name.removeprefix(prefix): point for point in found if point.name.startswith(prefix)}
+        return {point.name.removeprefix(prefix): point for point in _entry_points() if point.name.startswith(prefix)}
+
+
+@cache  # reading the metadata of everything installed takes 30 ms
+def _entry_points() -> list[Any]:
+    return list(entry_points(group="pedzoo.plugins"))
 
 
 @cache

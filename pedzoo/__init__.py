@@ -1,0 +1,28 @@
+"""Train, share and evaluate learned pedestrian controllers.
+
+The public names below are imported on first use, so that ``import pedzoo`` and the command line's help
+never wait for torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pedzoo.models.zoo import list_models as list_models
+    from pedzoo.models.zoo import load as load
+
+__version__ = "0.1.0"
+
+_HOME = {"load": "pedzoo.models.zoo", "list_models": "pedzoo.models.zoo"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

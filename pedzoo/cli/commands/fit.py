@@ -1,0 +1,13 @@
+"""``pedzoo fit``."""
+
+from __future__ import annotations
+
+HELP = "train a model; ends by printing the next command"
+EXAMPLE = "pedzoo fit --config sgan_goal --data.fold zara1 --model.lr 1e-3"
+
+
+def run(argv: list[str]) -> int:
+    """Run the command; returns the exit code."""
+    from pedzoo.cli.training import train
+
+    return train("fit", argv, HELP, EXAMPLE)

@@ -1,0 +1,77 @@
+"""The root of the command line: finds commands, prints the overview, turns errors into exit codes.
+
+Nothing heavy is imported here: the overview is read from files, and a command is imported when it is run.
+Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one line); 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+from pedzoo import __version__
+from pedzoo.errors import UserError
+from pedzoo.paths import config_names, shipped
+from pedzoo.registry import DATASETS, MODELS, Registry
+
+COMMANDS = Registry("command", "pedzoo.cli.commands")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command and return the exit code."""
+    argv = sys.argv[1:] if argv is None else argv
+    try:
+        return _dispatch(argv)
+    except UserError as error:
+        print(f"pedzoo: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("pedzoo: interrupted", file=sys.stderr)
+        return 130
+
+
+def _dispatch(argv: list[str]) -> int:
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(overview())
+        return 0
+    if argv[0] in ("-V", "--version"):
+        print(f"pedzoo {__version__}")
+        return 0
+    name, rest = argv[0], argv[1:]
+    if name.isidentifier() and name[0] != "_" and (COMMANDS.folder / f"{name}.py").is_file():
+        return import_module(f"{COMMANDS.package}.{name}").run(rest)
+    return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
+
+
+
+def overview() -> str:
+    """Return the text of ``pedzoo --help``: every command with an example, and what there is to use."""
+    names = COMMANDS.names()
+    width = max(map(len, names))
+    lines = ["pedzoo: train, share and evaluate learned pedestrian controllers", "", "commands:"]
+    for name in names:
+        lines.append(f"  {name:<{width}}  {COMMANDS.constant(name, 'HELP') or 'plugin'}")
+        if example := COMMANDS.constant(name, "EXAMPLE"):
+            lines.append(f"  {'':<{width}}    $ {example}")
+    weights = sorted(path.stem for path in shipped("checkpoints").glob("*.safetensors"))
+    for title, found in (
+        ("models", MODELS.names()),
+        ("weights", weights),
+        ("datasets", DATASETS.names()),
+        ("configs", config_names()),
+    ):
+        lines += ["", f"{title}:", *_columns(found)]
+    return "\n".join([*lines, "", "`pedzoo COMMAND --help` lists a command's options."])
+
+
+def _columns(names: list[str], width: int = 96) -> list[str]:
+    rows = [""]
+    for name in names or ["none yet"]:
+        if len(rows[-1]) + len(name) + 2 > width:
+            rows.append("")
+        rows[-1] += f"  {name}"
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())
