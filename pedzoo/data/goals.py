@@ -1,0 +1,42 @@
+"""Goal protocols for recorded people: what a forecaster is told about where they go.
+
+``window_end`` is the answer's own last position and leaks it: untrained interpolation to it scores
+FDE 0. It is the paper's Table I. ``destination`` is where the person was last recorded, which is what a
+planner knows; ``random_future`` is any later point of the same track, for training only.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pedzoo.types import GoalProtocol
+
+TIMED = frozenset({"window_end"})
+"""Protocols whose goal is reached exactly at the last predicted step."""
+
+
+def recorded_goals(
+    protocol: GoalProtocol,
+    xy: Tensor,
+    last: Tensor,
+    end: Tensor,
+    window_end: Tensor,
+    generator: torch.Generator | None,
+) -> Tensor:
+    """Return goals (B, A, 2).
+
+    Args:
+        protocol: Any but ``none``.
+        xy: Positions of the recordings (N, 2).
+        last: Row of everybody's last observed position (B, A).
+        end: Row of their last recorded position (B, A).
+        window_end: Their last known position in the window (B, A, 2).
+        generator: Draws ``random_future``.
+    """
+    if protocol == "window_end":
+        return window_end
+    if protocol == "destination":
+        return xy[end]
+    later = torch.rand(last.shape, generator=generator) * (end - last)
+    return xy[torch.minimum(last + 1 + later.long(), end)]

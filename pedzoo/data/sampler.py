@@ -1,0 +1,73 @@
+"""Which scenes go into a batch together, and with which seed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class Draw(NamedTuple):
+    """One batch to come: its scenes (B,) and the seed of everything random about it."""
+
+    scenes: Tensor
+    seed: int
+
+
+class BucketSampler(torch.utils.data.Sampler[Draw]):
+    """Batches of scenes of similar crowd size, so that padding is small and pooling runs over few groups.
+
+    Scenes are ordered by size with ties in random order and cut into batches of at most ``batch_size``
+    scenes and ``max_pairs`` ordered pairs of people; the batches come in random order. An epoch depends
+    on nothing but ``seed`` and its number, so a resumed run sees what an uninterrupted one would.
+    """
+
+    def __init__(
+        self,
+        sizes: Tensor,
+        batch_size: int,
+        max_pairs: int,
+        shuffle: bool,
+        seed: int = 0,
+        rank: int = 0,
+        replicas: int = 1,
+    ) -> None:
+        """Cut the batches; ``sizes`` (S,) are people per scene, ``rank`` of ``replicas`` gets its share."""
+        self.sizes = sizes.numpy()
+        self.shuffle, self.seed, self.rank, self.replicas = shuffle, seed, rank, replicas
+        self.epoch = 0
+        self.cuts = _cuts(np.sort(self.sizes), batch_size, max_pairs)
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch; Lightning calls this."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        """Return the number of batches, the same in every epoch and for every rank."""
+        return -(-len(self.cuts) // self.replicas)
+
+    def __iter__(self) -> Iterator[Draw]:
+        """Yield the batches of the current epoch."""
+        random = np.random.default_rng((self.seed, self.epoch))
+        tie = random.permutation(len(self.sizes)) if self.shuffle else np.arange(len(self.sizes))
+        order = np.lexsort((tie, self.sizes))
+        batches = random.permutation(len(self.cuts)) if self.shuffle else np.arange(len(self.cuts))
+        seeds = random.integers(2**62, size=len(self.cuts))
+        for i in np.resize(batches, len(self) * self.replicas)[self.rank :: self.replicas]:
+            start, stop = self.cuts[i]
+            yield Draw(torch.from_numpy(order[start:stop]), int(seeds[i]))
+
+
+def _cuts(sizes: np.ndarray, batch_size: int, max_pairs: int) -> list[tuple[int, int]]:
+    """Return where to cut ascending ``sizes``; a scene with more than ``max_pairs`` pairs stands alone."""
+    pairs = np.concatenate(([0], np.cumsum(sizes.astype(np.int64) ** 2)))
+    cuts, start = [], 0
+    while start < len(sizes):
+        most = int(np.searchsorted(pairs, pairs[start] + max_pairs, side="right")) - 1
+        stop = min(max(most, start + 1), start + batch_size, len(sizes))
+        cuts.append((start, stop))
+        start = stop
+    return cuts

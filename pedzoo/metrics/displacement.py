@@ -1,0 +1,181 @@
+"""Displacement errors of forecasts, metres: pure functions and their torchmetrics classes.
+
+``error`` is always the distance to the truth (B, K, A, T), ``valid`` (B, A, T) bool says which of the
+truth is known. Minima over samples come in two forms that must never share a column: *per scene*, one
+sample for all people of a window together (Gupta et al., "Social GAN", CVPR 2018), and *per agent*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+
+def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> Tensor:
+    """Return distances (B, K, A, T) between predicted and true positions.
+
+    Args:
+        prediction: Displacements per step (B, K, A, T, 2).
+        history: Observed positions (B, A, 8, 2).
+        future: True positions (B, A, T, 2).
+    """
+    position = history[:, None, :, -1:, :] + prediction.cumsum(-2)
+    return (position - future.unsqueeze(1)).norm(dim=-1)
+
+
+def average(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Return per-agent means over the known steps (B, K, A) and whether there is any (B, A)."""
+    known = valid.unsqueeze(1)
+    count = known.sum(-1)
+    return (error * known).sum(-1) / count.clamp(min=1), (count > 0).squeeze(1)
+
+
+def final(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the error (B, K, A) at the last step and whether it is known (B, A)."""
+    return error[..., -1], valid[..., -1]
+
+
+def next_step(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the error (B, K, A) at the first step, the only one that a simulation walks."""
+    return error[..., 0], valid[..., 0]
+
+
+def min_per_scene(per_agent: Tensor, there: Tensor) -> Tensor:
+    """Return each agent's error (B, A) in the one sample that is best for their whole scene."""
+    total = (per_agent * there.unsqueeze(1)).sum(-1)
+    best = total.argmin(1)
+    return per_agent[torch.arange(len(best), device=best.device), best]
+
+
+def min_per_agent(per_agent: Tensor, there: Tensor) -> Tensor:
+    """Return each agent's smallest error (B, A) over their own samples."""
+    return per_agent.amin(1)
+
+
+def mean_over_samples(per_agent: Tensor, there: Tensor) -> Tensor:
+    """Return each agent's mean error (B, A) over the samples: what one random sample costs."""
+    return per_agent.mean(1)
+
+
+class AgentMean(Metric):
+    """Mean over agents of an error, reduced over samples; state in float64, summed over processes."""
+
+    higher_is_better = False
+    full_state_update = False
+    total: Tensor
+    count: Tensor
+
+    def __init__(
+        self,
+        of: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
+        over_samples: Callable[[Tensor, Tensor], Tensor] = mean_over_samples,
+    ) -> None:
+        """Combine ``of`` (average, final, next_step) with a reduction ``over_samples``."""
+        super().__init__()
+        self.of, self.over_samples = of, over_samples
+        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(self, error: Tensor, valid: Tensor) -> None:
+        """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
+        per_agent, there = self.of(error, valid)
+        value = self.over_samples(per_agent, there)
+        self.total += (value * there).sum(dtype=torch.float64)
+        self.count += there.sum()
+
+    def compute(self) -> Tensor:
+        """Return the mean, metres; NaN before any agent."""
+        return self.total / self.count
+
+
+class ADE(AgentMean):
+    """Average displacement error: mean over agents and steps (and samples)."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__(average)
+
+
+class FDE(AgentMean):
+    """Final displacement error: at the last predicted step."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__(final)
+
+
+class NextStepError(AgentMean):
+    """Displacement error of the first predicted step."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__(next_step)
+
+
+class MinADEScene(AgentMean):
+    """ADE of the sample that is best for all people of a scene together (Social GAN's best-of-K)."""
+
+    def __init__(self) -> None:
+        """Nothing to set; K is the number of samples that it is shown."""
+        super().__init__(average, min_per_scene)
+
+
+class MinFDEScene(AgentMean):
+    """FDE likewise; its best sample is chosen by FDE and may be another one."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__(final, min_per_scene)
+
+
+class MinADEAgent(AgentMean):
+    """ADE of each person's own best sample."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__(average, min_per_agent)
+
+
+class MinFDEAgent(AgentMean):
+    """FDE of each person's own best sample."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__(final, min_per_agent)
+
+
+class SampleDistance(Metric):
+    """Mean distance between the positions of two samples of the same person at the same step.
+
+    It shows whether samples differ: 0 for a deterministic model.
+    """
+
+    full_state_update = False
+    total: Tensor
+    count: Tensor
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__()
+        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(self, prediction: Tensor, mask: Tensor) -> None:
+        """Add a batch: ``prediction`` displacements (B, K, A, T, 2), ``mask`` (B, A)."""
+        samples = prediction.shape[1]
+        if samples < 2:
+            return
+        position = prediction.cumsum(-2)
+        first, second = torch.triu_indices(samples, samples, 1)
+        people = position.movedim(1, -2)[mask]  # (P, T, K, 2)
+        # a few people at a time: all pairs of all people at once would not fit a cache
+        for some in people.split(256):
+            self.total += (some[..., first, :] - some[..., second, :]).norm(dim=-1).mean(-1).sum(dtype=torch.float64)
+        self.count += people.shape[0] * people.shape[1]
+
+    def compute(self) -> Tensor:
+        """Return the mean distance, metres; NaN where nothing with two samples was added."""
+        return self.total / self.count

@@ -1,0 +1,12 @@
+"""Baseline: everybody starts with their last velocity and bends to where the straight walk ends."""
+
+from __future__ import annotations
+
+from pedzoo.models.architectures.straight_line import StraightLine
+from pedzoo.models.blocks import lines
+
+
+class BentLine(StraightLine):
+    """The quadratic through the last velocity and the goal; under ``window_end`` it beats most networks."""
+
+    path = staticmethod(lines.bent_line)

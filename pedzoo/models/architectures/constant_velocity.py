@@ -1,0 +1,29 @@
+"""Baseline: everybody repeats their last displacement."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.models.base import Forecaster
+from pedzoo.models.blocks import lines
+
+
+class ConstantVelocity(Forecaster):
+    """p8 + k v: the baseline without a goal that one sample of any model has to beat."""
+
+    stochastic = False
+
+    def __init__(self) -> None:
+        """Nothing to set, nothing to train."""
+        super().__init__()
+        self.config = {}
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the same future (B, K, A, T, 2) for every sample."""
+        history = batch["agents", "history"]
+        path = lines.constant_velocity(history[..., -1, :] - history[..., -2, :], steps)
+        return path.unsqueeze(1).expand(-1, samples, *path.shape[1:])

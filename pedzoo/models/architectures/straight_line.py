@@ -1,0 +1,36 @@
+"""Baseline: everybody walks straight to their goal."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.data.goals import TIMED
+from pedzoo.models.base import Forecaster, goals_of
+from pedzoo.models.blocks import lines
+from pedzoo.types import GoalProtocol
+
+
+class StraightLine(Forecaster):
+    """Straight to the goal: at even speed to arrive at the window's end, else at the last speed."""
+
+    needs = frozenset({"goal"})
+    stochastic = False
+    path = staticmethod(lines.straight_line)
+
+    def __init__(self, goal_protocol: GoalProtocol = "window_end") -> None:
+        """``window_end`` goals are reached at the last step; others are walked to at the last speed."""
+        super().__init__()
+        self.config = {"goal_protocol": goal_protocol}
+        self.goal_protocol = goal_protocol
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the same future (B, K, A, T, 2) for every sample."""
+        history = batch["agents", "history"]
+        goal, _ = goals_of(batch, type(self).__name__)
+        last = history[..., -1, :]
+        path = self.path(last - history[..., -2, :], goal - last, steps, self.goal_protocol in TIMED)
+        return path.unsqueeze(1).expand(-1, samples, *path.shape[1:])

@@ -1,0 +1,64 @@
+"""What every forecaster is: something that turns a scene batch into displacements."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.types import GoalProtocol
+
+
+class Forecaster(nn.Module):
+    """A model of the zoo.
+
+    Attributes:
+        needs: What it reads besides histories: ``goal``, ``map``.
+        goal_protocol: The goal protocol that it was trained on; None where it does not matter.
+        config: The arguments that it was built with, as plain values: with the weights, all of the model.
+    """
+
+    needs: frozenset[str] = frozenset()
+    stochastic: ClassVar[bool] = True
+    goal_protocol: GoalProtocol | None = None
+    config: dict[str, Any]
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return ``samples`` random futures (B, K, A, T, 2): displacements per step, metres; zero for padding."""
+        raise NotImplementedError
+
+    def mode(self, batch: TensorDict, steps: int) -> Tensor:
+        """Return the one most likely future (B, 1, A, T, 2)."""
+        return self.sample(batch, 1, steps)
+
+    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+        """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
+        raise UserError(f"{type(self).__name__} has nothing to train")
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans that ``map_id`` speaks of; only map-conditioned models use them."""
+
+
+def goals_of(batch: TensorDict, who: str) -> tuple[Tensor, Tensor]:
+    """Return goal and desired velocity (B, A, 2) of a batch.
+
+    Raises:
+        UserError: The batch has none.
+    """
+    agents = cast("TensorDict", batch["agents"])
+    if "goal" not in agents.keys():
+        raise UserError(
+            f"{who} needs a goal, but the data have none: set --data.goal to window_end, destination or random_future"
+        )
+    return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
+
+
+def arguments(scope: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of an ``__init__`` from its ``locals()``, to be kept as ``config``."""
+    return {key: value for key, value in scope.items() if key not in ("self", "__class__")}

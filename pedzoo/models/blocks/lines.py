@@ -1,0 +1,48 @@
+"""The trivial continuations: what a forecaster must beat, and what a residual model starts from.
+
+Notation: p8 last observed position, v last displacement, g goal, k = 1..T.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def constant_velocity(last_step: Tensor, steps: int) -> Tensor:
+    """Return displacements (..., T, 2) that repeat the last one (..., 2): p8 + k v."""
+    return last_step.unsqueeze(-2).expand(*last_step.shape[:-1], steps, 2)
+
+
+def line_end(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -> Tensor:
+    """Return where a straight walk ends (..., 2), relative to p8.
+
+    A timed goal is reached exactly at the last step. To any other goal people walk at their last speed
+    and stop there: min(T |v|, |g - p8|) along the unit vector to the goal.
+    """
+    if timed:
+        return to_goal
+    distance = to_goal.norm(dim=-1, keepdim=True)
+    reach = torch.minimum(last_step.norm(dim=-1, keepdim=True) * steps, distance)
+    return to_goal * (reach / distance.clamp(min=1e-9))
+
+
+def straight_line(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -> Tensor:
+    """Return displacements (..., T, 2) of a straight walk to a goal at ``to_goal`` (..., 2) from p8."""
+    if timed:
+        return (to_goal / steps).unsqueeze(-2).expand(*to_goal.shape[:-1], steps, 2)
+    distance = to_goal.norm(dim=-1, keepdim=True)
+    k = torch.arange(steps + 1, device=to_goal.device)
+    walked = torch.minimum(last_step.norm(dim=-1, keepdim=True) * k, distance).diff(dim=-1)
+    return walked.unsqueeze(-1) * (to_goal / distance.clamp(min=1e-9)).unsqueeze(-2)
+
+
+def bent_line(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -> Tensor:
+    """Return displacements (..., T, 2) that start with v and bend to the straight walk's end e.
+
+    The quadratic p8 + k v + (k / T)^2 (e - p8 - T v).
+    """
+    bend = line_end(last_step, to_goal, steps, timed) - steps * last_step
+    k = torch.arange(1, steps + 1, device=to_goal.device, dtype=to_goal.dtype)
+    weight = (2 * k - 1) / steps**2
+    return last_step.unsqueeze(-2) + weight.unsqueeze(-1) * bend.unsqueeze(-2)
