@@ -1,0 +1,113 @@
+"""The floor plans of a datamodule or an environment, and distances to their walls for everybody at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from pedzoo.errors import UserError, unknown
+from pedzoo.maps.atlas import Atlas
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+
+MAX_DISTANCE = 5.0
+"""Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
+
+
+class MapBank:
+    """Floor plans and one atlas of their signed distances.
+
+    A ``map_id`` says which floor plan a scene is on, -1 for none; being a hash of the content, it is the same
+    in every bank and never mistaken for a map of another one.
+
+    Attributes:
+        grids: The floor plans, in the given order without repetitions: row r of the bank is ``grids[r]``.
+        unknown: What their unknown cells count as.
+        max_distance: Signed distances are clipped to plus and minus this, metres.
+    """
+
+    def __init__(
+        self, grids: Sequence[OccupancyGrid] = (), unknown: Unknown = "free", max_distance: float = MAX_DISTANCE
+    ) -> None:
+        """Compute the atlas; an empty bank serves scenes without maps.
+
+        Raises:
+            UserError: Two different maps have the same name.
+        """
+        self._ids: dict[str, int] = {}
+        by_id: dict[int, OccupancyGrid] = {}
+        for grid in grids:
+            identity = grid.map_id
+            if self._ids.setdefault(grid.name, identity) != identity:
+                raise UserError(f"two different maps are named {grid.name!r}: give one another name")
+            by_id.setdefault(identity, grid)
+        self.grids = tuple(by_id.values())
+        self.unknown: Unknown = unknown
+        self.max_distance = max_distance
+
+        # -1 is an ordinary entry of the look-up table, so scenes without a map need no branch.
+        order = sorted((identity, row) for row, identity in enumerate([*by_id, -1]))
+        rows = [row if identity >= 0 else -1 for identity, row in order]
+        self._sorted_ids = torch.tensor([identity for identity, _ in order])
+        self._rows = torch.tensor(rows)
+        fields = [torch.from_numpy(grid.signed_distance(unknown)) for grid in self.grids]
+        self._atlas = Atlas.stack(
+            [field.clamp(-max_distance, max_distance)[None] for field in fields],
+            [grid.map_to_cell() for grid in self.grids],
+            nowhere=torch.tensor([max_distance]),
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names that ``id_of`` knows."""
+        return tuple(self._ids)
+
+    def id_of(self, name: str) -> int:
+        """Return the ``map_id`` of a map in this bank.
+
+        Raises:
+            UserError: There is none of this name.
+        """
+        if name not in self._ids:
+            raise unknown("map", name, self._ids)
+        return self._ids[name]
+
+    def to(self, device: torch.device | str) -> MapBank:
+        """Return the bank on a device: itself where it is there already, so that owners on others are not moved."""
+        if self._atlas.image.device == torch.device(device):
+            return self
+        moved = object.__new__(MapBank)
+        moved.__dict__.update(self.__dict__)
+        moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
+        moved._atlas = self._atlas.to(device)
+        return moved
+
+    def index(self, map_id: Tensor) -> Tensor:
+        """Return the row in this bank of each ``map_id`` (N,) long; -1 stays -1.
+
+        Raises:
+            UserError: An id is of a map that is not in this bank.
+        """
+        place = torch.searchsorted(self._sorted_ids, map_id.contiguous()).clamp_max(len(self._sorted_ids) - 1)
+        foreign = self._sorted_ids[place] != map_id
+        if foreign.any():
+            raise UserError(
+                f"map_id {int(map_id[foreign][0])} is not of this bank, which holds "
+                f"{', '.join(f'{name} ({identity})' for name, identity in self._ids.items()) or 'no map'}: "
+                "bind the model to the bank that the batch comes from, model.bind(bank)"
+            )
+        return self._rows[place]
+
+    def signed_distance(self, points: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+        """Return the distances (N, ...) from scene positions to the nearest wall, metres, negative inside it.
+
+        Read bilinearly between cell centres and differentiable with respect to ``points``. Without a map it is
+        plus ``max_distance``; outside the map it is the value at its border, with gradient zero.
+
+        Args:
+            points: Scene positions (N, ..., 2), metres.
+            map_id: Floor plan of each entry (N,) long, -1 for none.
+            pose: Scene poses (N, 4).
+        """
+        return self._atlas.sample(points, self.index(map_id), pose)[..., 0]

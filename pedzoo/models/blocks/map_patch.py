@@ -1,0 +1,59 @@
+"""Map encoder: a patch of distances to walls around each person, turned to the heading, and a small CNN."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from pedzoo.models.blocks.map_encoder import MapEncoder
+
+CLIP = 1.5
+"""Metres: distances are cut off here, so that the range that matters for walking fills the input's."""
+
+
+class PatchEncoder(MapEncoder):
+    """Trained from scratch, a few thousand weights, and equivariant: turning the whole world changes nothing."""
+
+    def __init__(self, size: float = 6.0, cells: int = 16, dim: int = 32) -> None:
+        """Encode a square patch.
+
+        Args:
+            size: Its side in metres; the person stands in its centre.
+            cells: Samples along a side. Distances are read bilinearly, so a wall's place is known finer than this.
+            dim: Features per person.
+        """
+        super().__init__(dim)
+        steps = (torch.arange(cells, dtype=torch.float32) + 0.5) * (size / cells) - size / 2
+        left, ahead = torch.meshgrid(steps, steps, indexing="ij")
+        self._cells = cells
+        self.register_buffer("offsets", torch.stack((ahead, left)).flatten(1), persistent=False)  # (2, cells²)
+        self.net = nn.Sequential(
+            nn.Conv2d(1, 16, 4, stride=4),  # no overlap: a third of the time of a padded 3 x 3 at stride 2
+            nn.ReLU(),
+            nn.Conv2d(16, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(32, 32, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.LazyLinear(dim),
+        )
+        self.net(torch.zeros(1, 1, cells, cells))  # gives the lazy layer its size here and now
+
+    def patch(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+        """Return distances to walls in units of ``CLIP`` (P, 1, cells, cells), in [-1, 1], negative inside walls.
+
+        Columns go ahead (the last one is in front of the person), rows go left (the last one is to the left).
+        Arguments as in `MapEncoder.forward`.
+        """
+        with torch.autocast(position.device.type, enabled=False):
+            ahead = heading.float()
+            left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
+            axes = torch.stack((ahead, left), dim=-1)
+            offsets = self.get_buffer("offsets").expand(len(position), 2, -1)
+            points = torch.baddbmm(position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
+            distance = self.bank(position.device).signed_distance(points, map_id, pose)
+        return (distance.clamp(-CLIP, CLIP) / CLIP).view(-1, 1, self._cells, self._cells)
+
+    def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+        """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
+        return self.net(self.patch(position, heading, map_id, pose))
