@@ -1,0 +1,153 @@
+"""Social GAN's pooling module (Gupta et al., CVPR 2018, eq. 2), exact and without its n x n x 512 tensor.
+
+For person i, every j of the same scene (i too) gives an embedded relative position beside its hidden state:
+
+    pool_i = max_j ReLU(W_2 ReLU(W_1 [W_e (p_j - p_i) + b_e; h_j] + b_1) + b_2).
+
+No activation stands between W_e and W_1, so the inner vector is u_j - v_i with one u and one v per person.
+Then ReLU(u_j - v_i) = max(u_j, v_i) - v_i, which leaves one maximum and one product with W_2 per pair.
+Backwards, only the winning pair of each person and channel has a gradient.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.mlp import mlp
+
+_CPU_FLOATS = 2**20
+"""Size of the buffer of pairs on a CPU: 4 MB of float32, near enough to the cache (measured)."""
+
+_GPU_FLOATS = 2**26
+"""The same on an accelerator, where only memory limits it."""
+
+
+class SocialPooling(nn.Module):
+    """Max-pools what everybody in the scene is to each person."""
+
+    def __init__(
+        self, hidden_dim: int, embedding_dim: int = 16, mlp_dim: int = 512, bottleneck_dim: int = 8
+    ) -> None:
+        """Create the parameters.
+
+        Args:
+            hidden_dim: Width of the hidden states that are pooled.
+            embedding_dim: Width of the embedded relative position.
+            mlp_dim: Width of the layer per pair.
+            bottleneck_dim: Width of the pooled vector.
+        """
+        super().__init__()
+        self.embedding = nn.Linear(2, embedding_dim)
+        self.mlp = mlp(embedding_dim + hidden_dim, mlp_dim, bottleneck_dim)
+
+    def forward(self, hidden: Tensor, position: Tensor, crowd: Crowd) -> Tensor:
+        """Return the pooled vectors (P, bottleneck_dim).
+
+        Args:
+            hidden: Hidden states (P, hidden_dim).
+            position: World positions (P, 2), metres.
+            crowd: Who shares a scene with whom.
+        """
+        inner, outer = self.mlp[0], self.mlp[2]
+        width = self.embedding.out_features
+        to_what, to_away = inner.weight[:, width:].t(), inner.weight[:, :width] @ self.embedding.weight
+        bias = torch.addmv(inner.bias, inner.weight[:, :width], self.embedding.bias)
+        # Differences of large coordinates lose digits: positions count from the first person of the scene.
+        first = torch.searchsorted(crowd.scene, crowd.scene)
+        away = (position - position.detach()[first]) @ to_away.t()
+        what = torch.addmm(bias, hidden, to_what) + away
+        if torch.is_grad_enabled():
+            best = _MaxOverPairs.apply(what, away, outer.weight, crowd.groups, first)
+        else:
+            best, _ = _max_over_pairs(what, away, outer.weight, crowd.groups)
+        return torch.relu(best + outer.bias)
+
+
+class _MaxOverPairs(torch.autograd.Function):
+    """The maxima of :func:`_max_over_pairs` with a gradient that visits the winning pairs only."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...], first: Tensor
+    ) -> Tensor:
+        """Return the maxima (P, C); ``first`` (P,) is the first person of each person's scene."""
+        best, winner = _max_over_pairs(u, v, weight, groups)
+        ctx.save_for_backward(u, v, weight, winner.add_(first.unsqueeze(1)))
+        return best
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the gradients of ``u``, ``v`` and ``weight`` from that of the maxima (P, C)."""
+        u, v, weight, winner = ctx.saved_tensors
+        to_people = ctx.needs_input_grad[0] or ctx.needs_input_grad[1]
+        channels, width = weight.shape
+        grad_u, grad_v, grad_w = torch.zeros_like(u), torch.empty_like(v), torch.zeros_like(weight)
+        rows = max(1, _buffer_size(u) // (2 * channels * width))
+        buffer = u.new_empty(2, min(rows, len(u)), channels, width)
+        for start in range(0, len(u), rows):
+            part = slice(start, start + rows)
+            who, g = winner[part].flatten(), grads[0][part]
+            inner, back = buffer[:, : len(g)]
+            torch.index_select(u, 0, who, out=inner.view(-1, width))
+            inner.sub_(v[part].unsqueeze(1)).clamp_(min=0)
+            if ctx.needs_input_grad[2]:
+                grad_w += torch.bmm(g.t().unsqueeze(1), inner.transpose(0, 1)).squeeze(1)
+            if to_people:
+                torch.mul(g.unsqueeze(2), weight, out=back)
+                torch.ops.aten.threshold_backward.grad_input(back, inner, 0, grad_input=back)
+                grad_u.index_add_(0, who, back.view(-1, width))
+                torch.sum(back, 1, out=grad_v[part])
+        return grad_u, grad_v.neg_(), grad_w, None, None
+
+
+def _max_over_pairs(
+    u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...]
+) -> tuple[Tensor, Tensor]:
+    """Return max_j W ReLU(u_j - v_i) over the scene of i (P, C), and which of its people won (P, C) long.
+
+    Args:
+        u: What each person is to others (P, D).
+        v: What is subtracted from it for each person who looks (P, D).
+        weight: The last layer's W (C, D).
+        groups: The people (G, n) of the scenes of each size n.
+    """
+    if not groups:
+        return v @ weight.t(), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
+    width, pairs = u.shape[1], max(1, _buffer_size(u) // u.shape[1])
+    pieces = [_piece(group, pairs) for group in groups]
+    buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
+    tops, winners = [], []
+    for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
+        # A single group is everybody, in order.
+        seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
+        for seen_part, looking_part in zip(seen.split(scenes), looking.split(scenes), strict=True):
+            for some in looking_part.split(rows, 1):
+                shape = (some.shape[0], some.shape[1], n)
+                cells = buffer[: some.shape[0] * some.shape[1] * n]
+                torch.maximum(seen_part.unsqueeze(1), some.unsqueeze(2), out=cells.view(*shape, width))
+                # With the few channels first this product is four times as fast: (C, G', rows, n).
+                top, winner = (weight @ cells.t()).view(-1, *shape).max(3)
+                tops.append(top.flatten(1))
+                winners.append(winner.flatten(1))
+    top, winner = torch.cat(tops, 1).t(), torch.cat(winners, 1).t()
+    if len(groups) > 1:
+        back = torch.argsort(torch.cat([group.flatten() for group in groups]))
+        top, winner = top[back], winner[back]
+    return top - v @ weight.t(), winner
+
+
+def _piece(group: Tensor, pairs: int) -> tuple[int, int, int]:
+    """Return how many scenes of a group (G, n), and how many rows of them, fit in ``pairs`` pairs; and n."""
+    scenes, n = group.shape
+    return min(scenes, max(1, pairs // (n * n))), min(n, max(1, pairs // n)), n
+
+
+def _buffer_size(like: Tensor) -> int:
+    """Return how many numbers of the pairs are held at once on the device of ``like``."""
+    return _CPU_FLOATS if like.device.type == "cpu" else _GPU_FLOATS

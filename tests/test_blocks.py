@@ -1,0 +1,229 @@
+"""The fast blocks equal the literal formulas of Social GAN (Gupta et al., CVPR 2018)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from pedzoo.models.blocks import pooling
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.mlp import init_like_sgan, mlp
+from pedzoo.models.blocks.pooling import SocialPooling
+from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
+
+
+def crowd_of(sizes: Sequence[int]) -> Crowd:
+    """Return the packing of scenes of these sizes."""
+    return Crowd.of(torch.arange(max(sizes)) < torch.tensor(sizes).unsqueeze(1))
+
+
+def plain_lstm(lstm: nn.LSTM, inputs: list[Tensor], hidden: Tensor, cell: Tensor) -> tuple[Tensor, Tensor]:
+    """Return hidden and cell state after ``inputs``, gate by gate."""
+    for x in inputs:
+        gates = x @ lstm.weight_ih_l0.T + lstm.bias_ih_l0 + hidden @ lstm.weight_hh_l0.T + lstm.bias_hh_l0
+        i, f, g, o = gates.chunk(4, 1)
+        cell = f.sigmoid() * cell + i.sigmoid() * g.tanh()
+        hidden = o.sigmoid() * cell.tanh()
+    return hidden, cell
+
+
+def plain_encoder(encoder: DisplacementEncoder, displacements: Tensor) -> Tensor:
+    """Return what ``encoder`` should, step by step."""
+    zero = displacements.new_zeros(len(displacements), encoder.lstm.hidden_size)
+    return plain_lstm(encoder.lstm, [encoder.embedding(d) for d in displacements.unbind(1)], zero, zero)[0]
+
+
+def plain_decoder(decoder: DisplacementDecoder, hidden: Tensor, first: Tensor, steps: int) -> Tensor:
+    """Return what ``decoder`` should, feeding back each displacement."""
+    cell, displacement, answer = torch.zeros_like(hidden), first, []
+    for _ in range(steps):
+        hidden, cell = plain_lstm(decoder.lstm, [decoder.embedding(displacement)], hidden, cell)
+        displacement = decoder.output(hidden)
+        answer.append(displacement)
+    return torch.stack(answer, 1)
+
+
+def plain_pooling(pool: SocialPooling, hidden: Tensor, position: Tensor, crowd: Crowd) -> Tensor:
+    """Return what ``pool`` should, pair by pair."""
+    rows = []
+    for i, scene in enumerate(crowd.scene):
+        others = (crowd.scene == scene).nonzero().flatten()
+        seen = [torch.cat([pool.embedding(position[j] - position[i]), hidden[j]]) for j in others]
+        rows.append(pool.mlp(torch.stack(seen)).amax(0))
+    return torch.stack(rows)
+
+
+def assert_same(
+    fast: Callable[..., Tensor], plain: Callable[..., Tensor], module: nn.Module, inputs: Sequence[Tensor]
+) -> None:
+    """Check values, and the gradients of inputs and parameters, of two formulations."""
+    leaves = [x.requires_grad_() for x in inputs] + list(module.parameters())
+    results = []
+    for function in (fast, plain):
+        value = function(*inputs)
+        weight = torch.linspace(-1, 2, value.numel(), dtype=value.dtype).view_as(value)
+        results.append((value, torch.autograd.grad((weight * value.square()).sum(), leaves)))
+    close = {"rtol": 1e-9, "atol": 1e-9} if inputs[0].dtype == torch.float64 else {"rtol": 4e-6, "atol": 4e-6}
+    torch.testing.assert_close(results[0][0], results[1][0], **close)
+    for got, wanted in zip(results[0][1], results[1][1], strict=True):
+        scale = wanted.abs().max().clamp(min=1)
+        torch.testing.assert_close(got / scale, wanted / scale, **close)
+
+
+@pytest.fixture(autouse=True)
+def _seed() -> None:
+    torch.manual_seed(0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("people", [1, 5])
+def test_encoder_is_the_step_by_step_one(dtype: torch.dtype, people: int) -> None:
+    encoder = DisplacementEncoder(6, 7).to(dtype)
+    displacements = torch.randn(people, 8, 2, dtype=dtype)
+    assert_same(encoder, lambda d: plain_encoder(encoder, d), encoder, [displacements])
+    with torch.no_grad():
+        torch.testing.assert_close(encoder(displacements), plain_encoder(encoder, displacements))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("people", [1, 5])
+@pytest.mark.parametrize("steps", [1, 8])
+def test_decoder_is_the_step_by_step_one(dtype: torch.dtype, people: int, steps: int) -> None:
+    decoder = DisplacementDecoder(6, 7).to(dtype)
+    hidden, first = torch.randn(people, 7, dtype=dtype), torch.randn(people, 2, dtype=dtype)
+    assert_same(
+        lambda h, d: decoder(h, d, steps),
+        lambda h, d: plain_decoder(decoder, h, d, steps),
+        decoder,
+        [hidden, first],
+    )
+
+
+def test_decoder_in_pieces_is_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    decoder = DisplacementDecoder(6, 7)
+    hidden, first = torch.randn(11, 7), torch.randn(11, 2)
+    whole = decoder(hidden, first, 3)
+    monkeypatch.setattr("pedzoo.models.blocks.recurrent._ROWS", 4)
+    torch.testing.assert_close(decoder(hidden, first, 3), whole)
+
+
+def test_decoder_trains_through_its_own_output() -> None:
+    """Two calls in a row, as in closed-loop training, equal one plain chain."""
+    decoder = DisplacementDecoder(6, 7).double()
+    hidden, first = torch.randn(3, 7).double(), torch.randn(3, 2).double()
+    assert_same(
+        lambda h, d: decoder(h, decoder(h, d, 2)[:, -1], 2),
+        lambda h, d: plain_decoder(decoder, h, plain_decoder(decoder, h, d, 2)[:, -1], 2),
+        decoder,
+        [hidden, first],
+    )
+
+
+SIZES = [(1,), (4,), (3, 3, 3), (2, 5, 1, 5, 3), (1, 1, 9)]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("buffer", [1, 200, 2**20])
+def test_pooling_is_the_pair_by_pair_one(
+    dtype: torch.dtype, sizes: tuple[int, ...], buffer: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pooling, "_CPU_FLOATS", buffer)
+    pool = SocialPooling(5, 4, 9, 6).to(dtype)
+    init_like_sgan(pool)
+    crowd = crowd_of(sizes)
+    hidden, position = torch.randn(sum(sizes), 5, dtype=dtype), 3 * torch.randn(sum(sizes), 2, dtype=dtype)
+    assert_same(
+        lambda h, p: pool(h, p, crowd),
+        lambda h, p: plain_pooling(pool, h, p, crowd),
+        pool,
+        [hidden, position],
+    )
+    with torch.no_grad():
+        torch.testing.assert_close(
+            pool(hidden, position, crowd), plain_pooling(pool, hidden, position, crowd)
+        )
+
+
+def test_pooling_with_frozen_weights_still_reaches_the_people() -> None:
+    pool = SocialPooling(5, 4, 9, 6).double().requires_grad_(False)
+    crowd = crowd_of((2, 4))
+    hidden, position = (
+        torch.randn(6, 5).double().requires_grad_(),
+        torch.randn(6, 2).double().requires_grad_(),
+    )
+    got = torch.autograd.grad(pool(hidden, position, crowd).sum(), [hidden, position])
+    wanted = torch.autograd.grad(plain_pooling(pool, hidden, position, crowd).sum(), [hidden, position])
+    torch.testing.assert_close(got, wanted)
+
+
+def test_pooling_permutes_with_people_and_ignores_other_scenes() -> None:
+    pool = SocialPooling(5)
+    crowd = crowd_of((4, 3, 4))
+    hidden, position = torch.randn(11, 5), torch.randn(11, 2)
+    order = torch.tensor([2, 0, 3, 1, *range(4, 11)])
+    pooled = pool(hidden, position, crowd)
+    torch.testing.assert_close(pool(hidden[order], position[order], crowd), pooled[order])
+    hidden[:4], position[:4] = 7.0, -9.0
+    torch.testing.assert_close(pool(hidden, position, crowd)[4:], pooled[4:])
+
+
+def test_pooling_far_from_the_origin() -> None:
+    """Map coordinates of a city do not cost digits."""
+    pool, crowd = SocialPooling(5), crowd_of((4, 2))
+    hidden, position = torch.randn(6, 5), torch.randint(-8, 8, (6, 2)).float()
+    torch.testing.assert_close(pool(hidden, position + 2**20, crowd), pool(hidden, position, crowd))
+
+
+def test_pooling_of_nobody_is_empty() -> None:
+    crowd = Crowd.of(torch.zeros(2, 3, dtype=torch.bool))
+    pool = SocialPooling(5)
+    assert pool(torch.zeros(0, 5), torch.zeros(0, 2), crowd).shape == (0, 8)
+
+
+def test_pooling_by_hand() -> None:
+    """Two people 3 m apart; one inner unit looks at dx + h, the other at -dx."""
+    pool = SocialPooling(hidden_dim=1, embedding_dim=2, mlp_dim=2, bottleneck_dim=1)
+    inner, outer = pool.mlp[0], pool.mlp[2]
+    assert isinstance(inner, nn.Linear) and isinstance(outer, nn.Linear)
+    with torch.no_grad():
+        pool.embedding.weight.copy_(torch.eye(2))
+        pool.embedding.bias.zero_()
+        inner.weight.copy_(torch.tensor([[1.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]))
+        inner.bias.zero_()
+        outer.weight.copy_(torch.tensor([[1.0, 0.5]]))
+        outer.bias.fill_(0.25)
+    hidden, position = torch.tensor([[0.5], [2.0]]), torch.tensor([[0.0, 0.0], [3.0, 1.0]])
+    # First: itself 0.5, the other (3 + 2) -> 5. Second: itself 2, the other -3 + 0.5 < 0 and 0.5 * 3 = 1.5.
+    torch.testing.assert_close(pool(hidden, position, crowd_of((2,))), torch.tensor([[5.25], [2.25]]))
+
+
+def test_decoder_by_hand() -> None:
+    """One unit, every weight 1 and every bias 0: the gates are d + h for all four."""
+    decoder = DisplacementDecoder(1, 1)
+    with torch.no_grad():
+        for name, parameter in decoder.named_parameters():
+            parameter.fill_(0.0 if "bias" in name else 1.0)
+    hidden, cell, fed, wanted = 0.5, 0.0, 0.3 + 0.2, []
+    for _ in range(2):
+        gate = 1 / (1 + math.exp(-(fed + hidden)))
+        cell = gate * cell + gate * math.tanh(fed + hidden)
+        hidden = gate * math.tanh(cell)
+        fed = 2 * hidden
+        wanted.append([hidden, hidden])
+    got = decoder(torch.tensor([[0.5]]), torch.tensor([[0.3, 0.2]]), 2)
+    torch.testing.assert_close(got, torch.tensor([wanted]))
+
+
+def test_mlp_ends_with_relu_and_draws_only_linear_weights() -> None:
+    block = nn.ModuleDict({"mlp": mlp(400, 300, 2), "lstm": nn.LSTM(4, 5)})
+    before = {name: value.clone() for name, value in block.state_dict().items()}
+    init_like_sgan(block)
+    changed = {name for name, value in block.state_dict().items() if not torch.equal(value, before[name])}
+    assert changed == {"mlp.0.weight", "mlp.2.weight"}
+    assert block["mlp"][0].weight.std().item() == pytest.approx(math.sqrt(2 / 400), rel=0.02)  # type: ignore[index]
+    assert (block["mlp"](torch.randn(50, 400)) >= 0).all()
