@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -95,8 +96,8 @@ class Atlas:
             home = move_to_map(points.new_zeros(len(points), 1, 2), pose).transpose(1, 2)
             shift = self.shift[row].unsqueeze(2) + linear @ home
             linear = linear @ turn_to_map(axes, pose).transpose(1, 2)
-            planes = points.reshape(len(points), -1, 2).transpose(1, 2)
+            planes = points.reshape(len(points), math.prod(points.shape[1:-1]), 2).transpose(1, 2)
             where = torch.baddbmm(shift, linear, planes)
             where = where.clamp(self.low[row].unsqueeze(2), self.high[row].unsqueeze(2))
             found = F.grid_sample(self.image, where.transpose(1, 2).contiguous()[None], align_corners=True)
-        return found[0].permute(1, 2, 0).reshape(*points.shape[:-1], -1)
+        return found[0].permute(1, 2, 0).reshape(*points.shape[:-1], self.image.shape[1])

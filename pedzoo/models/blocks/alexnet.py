@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
+import struct
 from pathlib import Path
 
 import torch
@@ -37,6 +38,9 @@ An output i of a layer with kernel k, stride s and padding p is centred on its i
 The first convolution (11, 4, 2) gives 4 i + 3; a pooling (3, 2, 0) puts 2 i + 1 in place of i, so 8 i + 7 and
 16 i + 15 after two of them; the other convolutions are centred on their own place.
 """
+
+_NO_PICKLE = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
+"""What reading a damaged file as a pickle can end in."""
 
 
 def input_length(cells: int) -> int:
@@ -80,7 +84,7 @@ def load(path: str | None = None) -> dict[str, Tensor]:
     for key in KEYS:
         layer, _, kind = key.rpartition(".")
         shape = SHAPES[layer] if kind == "weight" else SHAPES[layer][:1]
-        if key not in tensors or tuple(tensors[key].shape) != shape:
+        if not isinstance(tensors.get(key), Tensor) or tuple(tensors[key].shape) != shape:
             raise UserError(f"{file} holds no AlexNet: expected {key} of shape {shape} as in torchvision's ({URL})")
     digest = hashlib.sha256()
     for key in KEYS:
@@ -101,6 +105,7 @@ def _read(file: Path) -> dict[str, Tensor]:
     try:
         if file.suffix == ".safetensors":
             return load_file(file)
-        return torch.load(file, map_location="cpu", weights_only=True)
-    except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        tensors = torch.load(file, map_location="cpu", weights_only=True)
+        return tensors if isinstance(tensors, dict) else {}
+    except (SafetensorError, *_NO_PICKLE) as error:
         raise UserError(f"{file} cannot be read as weights ({error}): delete it and get {URL}") from error

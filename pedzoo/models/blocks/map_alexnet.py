@@ -73,7 +73,7 @@ def encode(grid: OccupancyGrid, bank: MapBank, weights: dict[str, Tensor], cell:
     free = torch.from_numpy(~grid.occupied(bank.unknown)).float()[None, None]
     size = _picture_size(grid, cell)
     picture = F.interpolate(free, size=size, mode="bilinear", antialias=True)
-    # torch pads by at most the picture's own size when mirroring, but repeats the border to any size.
+    # Repeating the border, and not zeros: black would be a wall around every plan.
     height, width = (alexnet.input_length(_feature_cells(length)) - length - _MARGIN for length in size)
     picture = F.pad(picture, (_MARGIN, width, _MARGIN, height), mode="replicate")
     return alexnet.features(picture.expand(-1, 3, -1, -1), weights)[0]
@@ -91,8 +91,8 @@ def map_to_feature(grid: OccupancyGrid, cell: float) -> NDArray[np.float64]:
 
 def _picture_size(grid: OccupancyGrid, cell: float) -> tuple[int, int]:
     pixels_per_cell = grid.resolution * alexnet.STRIDE / cell
-    height, width = grid.cells.shape
-    return math.ceil(height * pixels_per_cell), math.ceil(width * pixels_per_cell)
+    height, width = (math.ceil(side * pixels_per_cell - 1e-6) for side in grid.cells.shape)  # but for rounding
+    return height, width
 
 
 def _feature_cells(length: int) -> int:

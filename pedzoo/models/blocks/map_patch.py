@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from pedzoo.errors import UserError
 from pedzoo.models.blocks.map_encoder import MapEncoder
 
 CLIP = 1.5
@@ -21,13 +22,18 @@ class PatchEncoder(MapEncoder):
             size: Its side in metres; the person stands in its centre.
             cells: Samples along a side. Distances are read bilinearly, so a wall's place is known finer than this.
             dim: Features per person.
+
+        Raises:
+            UserError: The patch is empty or has too few cells to convolve.
         """
+        if cells < 4 or size <= 0:
+            raise UserError(f"a patch of {cells} x {cells} cells and {size} m: expected at least 4 cells, above 0 m")
         super().__init__(dim)
         steps = (torch.arange(cells, dtype=torch.float32) + 0.5) * (size / cells) - size / 2
         left, ahead = torch.meshgrid(steps, steps, indexing="ij")
         self._cells = cells
         self.register_buffer("offsets", torch.stack((ahead, left)).flatten(1), persistent=False)  # (2, cells²)
-        self.net = nn.Sequential(
+        convolutions = nn.Sequential(
             nn.Conv2d(1, 16, 4, stride=4),  # no overlap: a third of the time of a padded 3 x 3 at stride 2
             nn.ReLU(),
             nn.Conv2d(16, 32, 3, stride=2, padding=1),
@@ -35,9 +41,9 @@ class PatchEncoder(MapEncoder):
             nn.Conv2d(32, 32, 3, stride=2, padding=1),
             nn.ReLU(),
             nn.Flatten(),
-            nn.LazyLinear(dim),
         )
-        self.net(torch.zeros(1, 1, cells, cells))  # gives the lazy layer its size here and now
+        width = convolutions(torch.zeros(1, 1, cells, cells)).shape[1]
+        self.net = nn.Sequential(convolutions, nn.Linear(width, dim))
 
     def patch(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return distances to walls in units of ``CLIP`` (P, 1, cells, cells), in [-1, 1], negative inside walls.
@@ -52,7 +58,7 @@ class PatchEncoder(MapEncoder):
             offsets = self.get_buffer("offsets").expand(len(position), 2, -1)
             points = torch.baddbmm(position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
             distance = self.bank(position.device).signed_distance(points, map_id, pose)
-        return (distance.clamp(-CLIP, CLIP) / CLIP).view(-1, 1, self._cells, self._cells)
+        return (distance.clamp(-CLIP, CLIP) / CLIP).reshape(-1, 1, self._cells, self._cells)
 
     def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return the features (P, dim); arguments as in `MapEncoder.forward`."""

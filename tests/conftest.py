@@ -1,0 +1,21 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder with recordings, floor plans and weights: beside the checkout, or the variable ``PEDZOO_SHARED``."""
+    given = os.environ.get("PEDZOO_SHARED")
+    path = Path(given) if given else Path(__file__).parents[2] / "shared"
+    if not path.is_dir():
+        pytest.skip(f"needs the folder of recordings, maps and weights (PEDZOO_SHARED): {path} is absent")
+    return path

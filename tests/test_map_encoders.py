@@ -1,0 +1,216 @@
+"""Map encoders: what they see where, and what they keep out of checkpoints."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.models.blocks import alexnet
+from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
+from pedzoo.models.blocks.map_encoder import MapEncoder
+from pedzoo.models.blocks.map_patch import PatchEncoder
+
+WEIGHTS = "alexnet_imagenet_features_fp16.safetensors"
+
+
+@pytest.fixture
+def weights(shared: Path) -> Path:
+    """File with AlexNet's convolutions."""
+    path = shared / "weights" / WEIGHTS
+    if not path.is_file():
+        pytest.skip(f"needs {path}")
+    return path
+
+
+def room(name: str = "room", origin: tuple[float, float, float] = (0.0, 0.0, 0.0), side: int = 60) -> OccupancyGrid:
+    """A square of 0.1 m cells with a wall from x = 4 to 5 m."""
+    cells = np.zeros((side, side), dtype=np.uint8)
+    cells[:, 40:50] = OCCUPIED
+    return OccupancyGrid(cells, 0.1, origin, name=name)
+
+
+def people(grid: OccupancyGrid | None, n: int = 6) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Arguments of an encoder's forward."""
+    generator = torch.Generator().manual_seed(0)
+    angle = torch.rand(n, generator=generator) * 6
+    heading = torch.stack((angle.cos(), angle.sin()), dim=1)
+    ids = torch.full((n,), grid.map_id if grid else -1)
+    return torch.rand(n, 2, generator=generator) * 6, heading, ids, identity_pose(n)
+
+
+@pytest.mark.parametrize("encoder", [PatchEncoder(dim=5), AlexNetEncoder(dim=5)])
+def test_unbound_encoders_say_so_and_empty_banks_do(encoder: MapEncoder) -> None:
+    with pytest.raises(UserError, match=r"call bind\(bank\)"):
+        encoder(*people(None))
+    encoder.bind(MapBank())
+    assert encoder(*people(None)).shape == (6, encoder.dim)
+    assert encoder(*people(None, 0)).shape == (0, encoder.dim)
+    with pytest.raises(UserError, match="not of this bank"):
+        encoder(*people(room()))
+
+
+def test_a_wall_in_front_is_in_front() -> None:
+    grid = room()
+    encoder = PatchEncoder(size=4.0, cells=8)
+    encoder.bind(MapBank([grid]))
+    # One metre before the wall: facing it, with the back to it, with it to the right, and to the left.
+    heading = torch.tensor([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
+    patch = encoder.patch(torch.tensor([[3.0, 3.0]] * 4), heading, torch.full((4,), grid.map_id), identity_pose(4))
+    assert patch.shape == (4, 1, 8, 8)
+    inside = patch[:, 0] < 0
+    assert inside[0].any(0).tolist() == [False] * 6 + [True] * 2
+    assert inside[1].any(0).tolist() == [True] * 2 + [False] * 6
+    assert inside[2].any(1).tolist() == [True] * 2 + [False] * 6
+    assert inside[3].any(1).tolist() == [False] * 6 + [True] * 2
+    assert patch[0, 0, 4].tolist() == pytest.approx([1, 1, 1, 1, 0.5, 1 / 6, -1 / 6, -1 / 3], abs=1e-5)
+
+
+def test_patches_turn_with_the_scene() -> None:
+    grid = room()
+    encoder = PatchEncoder()
+    encoder.bind(MapBank([grid]))
+    position, heading, ids, plain = people(grid)
+    for mirror in (1.0, -1.0):
+        pose = torch.tensor([[1.1, mirror, 3.0, -2.0]]).repeat(6, 1)
+        turned = encoder.patch(move_to_scene(position, pose), turn_to_scene(heading, pose), ids, pose)
+        expected = encoder.patch(position, heading, ids, plain)
+        torch.testing.assert_close(turned, expected if mirror > 0 else expected.flip(2), atol=1e-4, rtol=0)
+
+
+def test_patches_train_and_carry_gradients_to_positions() -> None:
+    grid = room()
+    encoder = PatchEncoder()
+    encoder.bind(MapBank([grid]))
+    position, heading, ids, pose = people(grid)
+    position.requires_grad_()
+    encoder(position, heading, ids, pose).square().sum().backward()
+    assert position.grad is not None and position.grad.abs().sum() > 0
+    assert all(weight.grad is not None for weight in encoder.parameters())
+    assert all(key.startswith("net.") for key in encoder.state_dict())
+    with pytest.raises(UserError, match="at least 4 cells"):
+        PatchEncoder(cells=2)
+
+
+def test_feature_cells_are_centred_on_pixel_16_i_plus_15() -> None:
+    """With all weights 1, a feature differs from 0 exactly where it sees the picture's only bright pixel."""
+    weights = {f"{key}.weight": torch.full(shape, 1.0 / math.prod(shape[1:])) for key, shape in alexnet.SHAPES.items()}
+    weights |= {f"{key}.bias": torch.zeros(shape[0]) for key, shape in alexnet.SHAPES.items()}
+    mean = torch.tensor((0.485, 0.456, 0.406)).view(3, 1, 1)
+    pixels = range(16 * 14, 16 * 15)
+    pictures = mean.repeat(16, 1, alexnet.input_length(1), alexnet.input_length(28))
+    for picture, pixel in zip(pictures, pixels, strict=True):
+        picture[:, 15, pixel] += 1e6
+    seen = alexnet.features(pictures, weights)[:, 0, 0] > 1e-3
+    assert seen.shape == (16, 28)
+    first = [int(row.nonzero()[0]) for row in seen]
+    last = [int(row.nonzero()[-1]) for row in seen]
+    left_of = next(i for i in range(15) if first[i + 1] > first[i])  # pixel where feature first[i] is seen last
+    right_of = next(i for i in range(1, 16) if last[i] > last[i - 1])  # pixel where feature last[i] is seen first
+    reach = pixels[left_of] - (16 * first[left_of] + 15)
+    assert reach == (16 * last[right_of] + 15) - pixels[right_of] > 60
+
+
+@pytest.mark.parametrize("resolution", [0.02, 0.05, 0.1])
+def test_features_are_read_exactly_at_a_persons_place(monkeypatch: pytest.MonkeyPatch, resolution: float) -> None:
+    """A network that returns the centre of each of its cells, in pixels of its input."""
+
+    def where(picture: Tensor, weights: object) -> Tensor:
+        height, width = picture[0, 0, 15::16, 15::16].shape
+        rows, columns = torch.meshgrid(torch.arange(height) - 0.0, torch.arange(width) - 0.0, indexing="ij")
+        assert picture.shape[2:] == (alexnet.input_length(height), alexnet.input_length(width))
+        return torch.stack([16 * columns + 15, 16 * rows + 15] * 128)[None]
+
+    monkeypatch.setattr(alexnet, "features", where)
+    monkeypatch.setattr(alexnet, "load", lambda path: {})
+    origin = (3.0, -1.0, 0.4)
+    grids = [OccupancyGrid(np.zeros((70, 130), np.uint8), resolution, origin, name="a"), room()]
+    encoder = AlexNetEncoder(cell=0.4)
+    encoder.bind(MapBank(grids))
+    width, height = 130 * resolution, 70 * resolution
+    local = torch.tensor([[0.0, 0.0], [width, height], [0.3 * width, 0.9 * height], [width, 0.0]])
+    cos, sin = math.cos(0.4), math.sin(0.4)
+    places = local @ torch.tensor([[cos, sin], [-sin, cos]]) + torch.tensor(origin[:2])
+    pose = torch.tensor([[0.5, -1.0, 7.0, 1.0]]).repeat(4, 1)
+    ids = torch.full((4,), grids[0].map_id)
+    found = encoder.features(move_to_scene(places, pose), ids, pose)[:, :2]
+    pixel = torch.tensor([width / math.ceil(width * 40 - 1e-6), height / math.ceil(height * 40 - 1e-6)])
+    assert (pixel <= 0.4 / 16 + 1e-6).all()
+    torch.testing.assert_close(found, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
+
+
+def test_alexnet_features_tell_walls_from_floor_and_stay_out_of_checkpoints(weights: Path) -> None:
+    grid, moved = room(), room("moved", (10.0, 5.0, 0.0))
+    encoder = AlexNetEncoder(weights=str(weights))
+    before = encoder.state_dict().keys()
+    encoder.bind(MapBank([grid]))
+    position, heading, ids, pose = people(grid)
+    first = encoder.features(position, ids, pose)
+    assert first.shape == (6, 256)
+    assert first.std(0).max() > 0.1
+    assert encoder.features(position, torch.full_like(ids, -1), pose).abs().max() == 0
+
+    encoder(position.requires_grad_(), heading, ids, pose).sum().backward()
+    assert position.grad is not None and position.grad.abs().sum() > 0
+    assert encoder.state_dict().keys() == before == {"head.0.weight", "head.0.bias"}
+    assert sum(weight.numel() for weight in encoder.parameters()) == 257 * 32
+
+    # Another bank, in which the same room is moved: the same features at moved places, and the old map is gone.
+    encoder.bind(MapBank([moved]))
+    shift = torch.tensor([10.0, 5.0])
+    torch.testing.assert_close(
+        encoder.features(position + shift, torch.full_like(ids, moved.map_id), pose), first, atol=1e-3, rtol=1e-3
+    )
+    with pytest.raises(UserError, match="not of this bank"):
+        encoder.features(position, ids, pose)
+
+
+def test_alexnet_weights_are_read_from_both_formats_and_checked(
+    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = alexnet.load(str(weights))
+    full = {key: value.float() for key, value in load_file(weights).items()}
+    torch.save({**full, "classifier.1.bias": torch.zeros(4096)}, tmp_path / "alexnet.pth")
+    monkeypatch.setenv("PEDZOO_ALEXNET", str(tmp_path / "alexnet.pth"))
+    assert all(torch.equal(value, expected[key]) for key, value in alexnet.load().items())
+
+    full["features.8.bias"] += 0.01
+    save_file(full, tmp_path / "other.safetensors")
+    (tmp_path / "broken.safetensors").write_bytes(b"junk")
+    (tmp_path / "broken.pth").write_bytes(b"junk")
+    save_file({"features.0.weight": torch.zeros(1)}, tmp_path / "tiny.safetensors")
+    for name, message in {
+        "none.pth": "no AlexNet weights at",
+        "other.safetensors": "holds other AlexNet weights",
+        "broken.safetensors": "cannot be read",
+        "broken.pth": "cannot be read",
+        "tiny.safetensors": r"expected features.0.weight of shape \(64, 3, 11, 11\)",
+    }.items():
+        with pytest.raises(UserError, match=message):
+            alexnet.load(str(tmp_path / name))
+
+
+def test_published_alexnet_weights_are_fetched_when_none_are_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+
+    def fetch(*arguments: object) -> Path:
+        asked.extend(arguments)
+        return tmp_path / "nothing.pth"
+
+    monkeypatch.delenv("PEDZOO_ALEXNET", raising=False)
+    monkeypatch.setattr(alexnet, "fetch", fetch)
+    with pytest.raises(UserError, match="no AlexNet weights"):
+        alexnet.load()
+    assert asked[0] == alexnet.URL
+    assert "PEDZOO_ALEXNET" in str(asked[-1])
