@@ -43,7 +43,6 @@ def _dispatch(argv: list[str]) -> int:
     return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
 
 
-
 def overview() -> str:
     """Return the text of ``pedzoo --help``: every command with an example, and what there is to use."""
     names = COMMANDS.names()

@@ -1,1 +1,1 @@
-"""One file per command: ``HELP`` and ``EXAMPLE`` are literals, read without importing; ``run(argv)`` does it."""
+"""One file per command: literals ``HELP`` and ``EXAMPLE``, read without importing, and ``run(argv)``."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import write_json
 from pedzoo.errors import UserError
 from pedzoo.paths import shipped
@@ -19,12 +19,14 @@ EXAMPLE = "pedzoo models 'sgan*'"
 
 def run(argv: list[str]) -> int:
     """Print both tables; returns the exit code."""
-    parser = argparse.ArgumentParser("pedzoo models", description=HELP, epilog=f"example: {EXAMPLE}")
+    parser = Arguments("models", HELP, EXAMPLE)
     parser.add_argument("pattern", nargs="?", default="*", help="which names, with * and ?")
     parser.add_argument("--json", metavar="FILE", help="also write the tables to this file")
     options = parser.parse_args(argv)
     architectures = [
-        {"name": name, "about": MODELS.describe(name)} for name in MODELS.names() if fnmatch(name, options.pattern)
+        {"name": name, "about": MODELS.describe(name)}
+        for name in MODELS.names()
+        if fnmatch(name, options.pattern)
     ]
     files = sorted(shipped("checkpoints").glob("*.safetensors"))
     weights = [_weights_row(path) for path in files if fnmatch(path.stem, options.pattern)]
@@ -55,7 +57,9 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 def _weights_row(path: Path) -> dict[str, Any]:
     config = read_metadata(path)
-    facts = ", ".join(f"{key} {value}" for key, value in config.items() if isinstance(value, str | int | float))
+    facts = ", ".join(
+        f"{key} {value}" for key, value in config.items() if isinstance(value, str | int | float)
+    )
     return {"name": path.stem, "kB": path.stat().st_size // 1000, "about": facts}
 
 

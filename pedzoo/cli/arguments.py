@@ -1,0 +1,24 @@
+"""The parser of commands that import nothing heavy."""
+
+from __future__ import annotations
+
+import argparse
+from typing import NoReturn
+
+from pedzoo.errors import UserError
+
+
+class Arguments(argparse.ArgumentParser):
+    """argparse with pedzoo's exit code and one line in place of the usage."""
+
+    def __init__(self, command: str, about: str, example: str) -> None:
+        """Set up ``pedzoo command``."""
+        super().__init__(
+            f"pedzoo {command}",
+            description=f"{about}. Example: {example}",
+            allow_abbrev=False,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        raise UserError(f"{message} (see {self.prog} --help)")

@@ -1,0 +1,163 @@
+"""Parsing with errors that a person can act on: one line, with the option's full name and its right spelling.
+
+jsonargparse checks everything; what it says about nested options is long, so it is translated here.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from argparse import ArgumentError
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pydoc import locate
+from typing import Any, get_args, get_origin
+
+from jsonargparse import ArgumentParser, Namespace
+
+from pedzoo.errors import UserError
+from pedzoo.paths import config_names, find_config
+
+PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
+"""For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
+
+
+def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, type]] = ()) -> Namespace:
+    """Return the parsed options.
+
+    Args:
+        parser: Made with `PARSER_SETTINGS`.
+        argv: The command line; ``--config`` may name a shipped config.
+        classes: Option prefixes and the base class whose subclasses they configure, for suggestions.
+
+    Raises:
+        UserError: An option or value is refused.
+    """
+    try:
+        return parser.parse_args(_bare_lists(parser, _config_files(argv)))
+    except ArgumentError as error:
+        raise UserError(explain(str(error), _known_options(parser, classes))) from error
+
+
+def explain(message: str, known: list[str]) -> str:
+    """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
+    if found := re.search(r"unrecognized arguments: (\S+)", message):
+        given = found[1].partition("=")[0]
+        return _unknown(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
+    if re.search(r"arguments are required: model", message):
+        return f"no model: choose one with --config NAME ({_configs()}) or --model CLASS"
+    if found := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
+        return _unknown("--" + ".".join(filter(None, found.groups())), known)
+    if found := re.search(r"Option '([^']*)' is not accepted", message):
+        path, owner = _place(message[: found.start()])
+        below = path if path == "--" else f"{path}."
+        options = [f"{below}{name}" for name in parameters(locate(owner))] if owner else []
+        return _unknown(f"{below}{found[1]}", options or known)
+    if found := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
+        path, _ = _place(message[: found.start()])
+        return _mismatch(path, _plain(found[1]), found[2])
+    if found := re.search(r"Expected a dot import path string: (.*)", message):
+        path, _ = _place(message[: found.start()])
+        return f"{path}: no class {found[1]!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
+    if found := re.search(r"given class_path '([^']*)':\s+(.*)", message):
+        path, _ = _place(message[: found.start()])
+        return f"{path} {found[1]}: {found[2]}"
+    if found := re.search(r"Subtypes: \[(.*)\]", message):
+        path, _ = _place(message[: found.start()])
+        value = re.search(r"Given value: (.*)", message)
+        return _mismatch(path, " or ".join(map(_plain, found[1].split(", "))), value[1] if value else "?")
+    return message
+
+
+def parameters(owner: object) -> list[str]:
+    """Return the names that a class accepts, those of its bases included where it passes them on."""
+    names: list[str] = []
+    for cls in inspect.getmro(owner) if isinstance(owner, type) else ():
+        if "__init__" not in vars(cls):
+            continue
+        taken = inspect.signature(cls.__init__).parameters.values()
+        names += [item.name for item in taken if item.kind not in (item.VAR_POSITIONAL, item.VAR_KEYWORD)][1:]
+        if all(item.kind != item.VAR_KEYWORD for item in taken):
+            break
+    return names
+
+
+def _place(text: str) -> tuple[str, str]:
+    """Return the option that the nested ``text`` has come down to, and the class that takes it."""
+    owners = re.findall(r"given class_path '([^']*)'", text)
+    return "--" + ".".join(re.findall(r'Parser key "([^"]*)"', text)), owners[-1] if owners else ""
+
+
+def _unknown(given: str, known: list[str]) -> str:
+    if given in known:  # it belongs to a model, and there is none yet
+        return f"{given} needs a model: choose one with --config NAME ({_configs()}) or --model CLASS"
+    parent, _, leaf = given.rpartition(".")
+    siblings = {
+        name.rpartition(".")[2].lstrip("-"): name for name in known if name.rpartition(".")[0] == parent
+    }
+    near = [siblings[name] for name in get_close_matches(leaf.lstrip("-"), siblings, n=1)]
+    # `--lr` for `--model.lr`, then a misspelt parent
+    near += [name for name in known if name.rpartition(".")[2] == leaf.lstrip("-")]
+    near += get_close_matches(given, known, n=1, cutoff=0.7)
+    return f"unknown option {given}" + (f": did you mean {near[0]}?" if near else "; --help lists all")
+
+
+def _mismatch(option: str, expected: str, given: str) -> str:
+    near = get_close_matches(given, re.findall(r"'([^']*)'", expected), n=1)
+    return f"{option}: expected {expected}, not {given!r}" + (f": did you mean {near[0]!r}?" if near else "")
+
+
+def _plain(name: str) -> str:
+    name = re.sub(r"<class '(?:\w+\.)*(\w+)'>", r"\1", name).replace("NoneType", "null")
+    return re.sub(r"(?:typing\.)?Literal\[(.*)\]", r"one of \1", name)
+
+
+def _configs() -> str:
+    return ", ".join(config_names()) or "none shipped"
+
+
+def _known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -> list[str]:
+    known = [name for name in parser._option_string_actions if name.startswith("--")]
+    for prefix, base in classes:
+        family = [base, *base.__subclasses__()]
+        family += [cls for child in family[1:] for cls in child.__subclasses__()]
+        known += [f"--{prefix}.{name}" for cls in family for name in parameters(cls)]
+    return known
+
+
+def _config_files(argv: list[str]) -> list[str]:
+    """Replace the names of shipped configs by their files."""
+    found = list(argv)
+    for i, word in enumerate(argv):
+        flag, _, value = word.partition("=")
+        if flag in ("--config", "-c") and value:
+            found[i] = f"{flag}={find_config(value)}"
+        elif word in ("--config", "-c") and i + 1 < len(argv):
+            found[i + 1] = str(find_config(argv[i + 1]))
+    return found
+
+
+def _bare_lists(parser: ArgumentParser, argv: list[str]) -> list[str]:
+    """Put brackets around ``a.csv,b.csv`` where a list is expected, which nobody types by hand."""
+    found = list(argv)
+    for i, word in enumerate(argv):
+        flag, joined, value = word.partition("=")
+        action = parser._option_string_actions.get(flag)
+        item = _item_type(getattr(action, "_typehint", None))
+        if item is None or (not joined and i + 1 == len(argv)):
+            continue
+        value = value if joined else argv[i + 1]
+        if not value.startswith(("[", "-", "{")) and value != "null":
+            parts = value.split(",")
+            listed = json.dumps(parts) if item is str else f"[{value}]"
+            found[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
+    return found
+
+
+def _item_type(hint: object) -> object | None:
+    """Return what a list or tuple type holds, None for every other type."""
+    for option in (hint, *get_args(hint)):
+        if get_origin(option) in (list, tuple):
+            return get_args(option)[0]
+    return None

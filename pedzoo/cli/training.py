@@ -1,0 +1,224 @@
+"""``pedzoo fit``, ``validate`` and ``test``: LightningCLI with run folders and readable errors."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import shlex
+import warnings
+from argparse import SUPPRESS
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from lightning.pytorch.callbacks import RichProgressBar
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.trainer.states import TrainerStatus
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+
+from pedzoo.cli.output import write_json
+from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.errors import UserError
+from pedzoo.train.module import ForecastModule
+from pedzoo.train.run import RunFolder, Wandb
+from pedzoo.versions import versions
+
+Command = Literal["fit", "validate", "test"]
+
+_EXPECTED = (
+    "LeafSpec.* is deprecated",  # Lightning 2.6 beside torch 2.13
+    "callbacks used to create the checkpoint need to be provided",  # validate and test need none of them
+    "does not have many workers",  # batches are cut from tensors in memory: workers would slow it down
+    "is smaller than the logging interval",  # small recordings; epoch means are logged anyway
+    "Experiment logs directory .* is not empty",  # a resumed run; RunFolder.keep_earlier has copied them
+    "Checkpoint directory .* exists and is not empty",  # likewise
+)
+
+_TRAINING_ONLY = ("batch_size", "max_pairs", "rotate", "mirror", "seed")
+
+
+def train(command: Command, argv: list[str], about: str, example: str) -> int:
+    """Run one of the three commands and return the exit code."""
+    for name in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.WARNING)  # seeds, devices, tips
+    with warnings.catch_warnings():
+        for message in _EXPECTED:
+            warnings.filterwarnings("ignore", f".*{message}")
+        try:
+            cli = TrainingCLI(command, argv, about, example)
+            return cli.fit() if command == "fit" else cli.measure()
+        except MisconfigurationException as error:  # options that do not go together, no such metric, no GPU
+            raise UserError(str(error)) from error
+
+
+class ProgressBar(RichProgressBar):
+    """Lightning's bar without the version, which here is the name of the run folder."""
+
+    def get_metrics(self, *args: Any) -> dict[str, Any]:
+        """Return what is shown beside the bar."""
+        return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
+
+
+class TrainingCLI(LightningCLI):
+    """LightningCLI for one command: its trainer writes into a run folder, and errors are `UserError`."""
+
+    def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
+        """Parse the command line as it was ``typed``, and build trainer, model and data."""
+        argv, resumed = _expand(command, typed)
+        self.command: Command = command
+        self.typed = typed
+        self.run = resumed
+        self.resuming = resumed is not None
+        super().__init__(
+            ForecastModule,
+            TrajectoryDataModule,
+            args=argv,
+            run=False,
+            subclass_mode_model=True,
+            seed_everything_default=0,
+            auto_configure_optimizers=False,
+            save_config_callback=None,
+            trainer_defaults={"logger": None, "enable_model_summary": False},
+            parser_kwargs={
+                **PARSER_SETTINGS,
+                "prog": f"pedzoo {command}",
+                "usage": f"pedzoo {command} --config NAME [--data.X ...] [--model.X ...] [--trainer.X ...]",
+                "description": f"{about}. Example: {example}",
+            },
+        )
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """Add the options that are pedzoo's own."""
+        # One seed for a run. The data's own is for those who load them without a trainer.
+        parser.link_arguments("seed_everything", "data.seed", compute_fn=int)
+        parser.add_argument("--ckpt_path", type=str | None, help="Start from this checkpoint.")
+        fit = self.command == "fit"
+        # The configuration of a run must be readable by `validate` and `test`, too.
+        for name, kind, default, help in (
+            ("runs", str, "runs", "Folder of all run folders."),
+            ("wandb", Wandb, "off", "Log to Weights & Biases beside metrics.csv."),
+            ("monitor", str, "val/ade", "The metric in which best.ckpt is best."),
+            ("monitor_mode", Literal["min", "max"], "min", "Which of its values is best."),
+        ):
+            parser.add_argument(f"--{name}", type=kind, default=default, help=help if fit else SUPPRESS)
+        if fit:
+            parser.add_argument("--resume", type=str | None, help="Continue the run in this folder.")
+        else:
+            parser.add_argument("--json", type=str | None, help="Also write the table to this file.")
+
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        """Parse, with errors in one line."""
+        self.config = parse(parser, args, [("model", ForecastModule)])
+
+    def _parse_ckpt_path(self) -> None:
+        """Leave the command line alone: it wins over what a checkpoint remembers."""
+
+    def instantiate_trainer(self, **kwargs: Any) -> Any:
+        """Build the trainer with the run folder's loggers and checkpoints."""
+        options = self.config_init["trainer"]
+        callbacks = list(options.get("callbacks") or [])
+        if options.get("enable_progress_bar") is not False:
+            callbacks.append(ProgressBar())
+        if self.command != "fit":
+            kwargs |= {"logger": False}
+        elif not options.get("fast_dev_run"):
+            self.run = self.run or RunFolder.claim(self._base())
+            if self.resuming:
+                self.run.keep_earlier()
+            monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
+            typed = ["pedzoo", self.command, *self.typed]
+            callbacks += self.run.callbacks(self._plain(), typed, monitor, self.config["monitor_mode"])
+            if options.get("logger") in (None, True):
+                kwargs |= {"logger": self.run.loggers(self.config["wandb"])}
+        try:
+            return super().instantiate_trainer(callbacks=callbacks, **kwargs)
+        except Exception:
+            if self.run:
+                self.run.discard_if_empty()
+            raise
+
+    def fit(self) -> int:
+        """Train, and print what to do next."""
+        run = self.run
+        try:
+            self.trainer.fit(self.model, self.datamodule, ckpt_path=self.config["ckpt_path"])
+        except SystemExit:
+            if self.trainer.state.status != TrainerStatus.INTERRUPTED:
+                raise
+            hint = (
+                f"; continue with: pedzoo fit --resume {run.path}"
+                if run and run.last.is_file()
+                else ", nothing saved yet"
+            )
+            print(f"\ninterrupted{hint}")
+            return 130  # Lightning turns Ctrl-C into exit code 1
+        finally:
+            if run:
+                run.discard_if_empty()
+        if run and (chosen := next((path for path in (run.best, run.last) if path.is_file()), None)):
+            print(f"\nnext: pedzoo forecast {chosen} {self._data_options()} --samples 20")
+        return 0
+
+    def measure(self) -> int:
+        """Validate or test, and print the table."""
+        if not self.config["ckpt_path"] and any(True for _ in self.model.parameters()):
+            raise UserError(f"pedzoo {self.command} needs --ckpt_path FILE: these weights are untrained")
+        action = getattr(self.trainer, self.command)
+        found = action(self.model, datamodule=self.datamodule, ckpt_path=self.config["ckpt_path"])[0]
+        if file := self.config["json"]:
+            metrics = {key.rpartition("/")[2]: value for key, value in found.items()}
+            row = {"name": self.config["ckpt_path"] or self.config["model"]["class_path"], "metrics": metrics}
+            content = {"command": self.command, "protocol": self.datamodule.protocol, "versions": versions()}
+            write_json(file, content | {"seeds": [self.config["seed_everything"]], "rows": [row]})
+        return 0
+
+    def _base(self) -> Path:
+        """Return where the run goes: config (or model), then data and seed."""
+        config = self.config
+        files = config.get("config") or []
+        name = Path(str(files[-1])).stem if files else config["model"]["class_path"].rpartition(".")[2]
+        data = (config["data"].get("files") or [config["data"]["fold"]])[0]
+        return Path(config["runs"]) / name / f"{Path(str(data)).stem}-seed{int(config['seed_everything'])}"
+
+    def _plain(self) -> dict[str, Any]:
+        """Return the resolved configuration as plain values, without what belongs to this call only."""
+        found = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
+        return {key: value for key, value in found.items() if key not in ("ckpt_path", "resume", "config")}
+
+    def _data_options(self) -> str:
+        """Return the data options that differ from the defaults, but for those of training alone."""
+        data, defaults = self.config["data"], inspect.signature(TrajectoryDataModule).parameters
+        found = {"fold": data["fold"]} if not data.get("files") else {}
+        for key, value in data.items():
+            if (
+                key not in ("fold", *_TRAINING_ONLY)
+                and value != defaults[key].default
+                and value != "random_future"
+            ):
+                found[key] = ",".join(value) if isinstance(value, list) else value
+        return " ".join(f"--data.{key} {shlex.quote(str(value))}" for key, value in found.items())
+
+
+def _expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | None]:
+    """Write out what ``--resume RUN`` and a checkpoint inside a run folder stand for."""
+    if command == "fit" and (given := _value(argv, "--resume")):
+        run = RunFolder.resume(given)
+        return ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last), *argv], run
+    checkpoint = _value(argv, "--ckpt_path")
+    if checkpoint and not Path(checkpoint).is_file():
+        raise UserError(f"no checkpoint {checkpoint!r}")
+    if command != "fit" and checkpoint and not (_value(argv, "--config") or _value(argv, "-c")):
+        config = Path(checkpoint).parent.parent / "config.yaml"
+        if config.is_file():
+            return ["--config", str(config), *argv], None
+    return argv, None
+
+
+def _value(argv: list[str], flag: str) -> str | None:
+    for i, word in enumerate(argv):
+        if word.startswith(f"{flag}="):
+            return word.partition("=")[2]
+        if word == flag and i + 1 < len(argv):
+            return argv[i + 1]
+    return None

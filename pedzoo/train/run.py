@@ -1,0 +1,128 @@
+"""A training run's folder: what was asked for, with which versions, its metrics and its checkpoints."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any, Literal
+
+import lightning as L
+import yaml
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
+
+from pedzoo.errors import UserError
+from pedzoo.versions import versions
+
+Wandb = Literal["off", "offline", "online"]
+
+
+class RunFolder:
+    """``runs/<config>/<data>-seed<seed>``, with ``-2``, ``-3``, ... where that exists."""
+
+    def __init__(self, path: Path) -> None:
+        """Stand for a folder, existing or not."""
+        self.path = path
+        self.last = path / "checkpoints" / "last.ckpt"
+        self.best = path / "checkpoints" / "best.ckpt"
+
+    @classmethod
+    def claim(cls, base: Path) -> RunFolder:
+        """Create ``base``, or the first free of ``base-2``, ``base-3``, ... and return it."""
+        if "LOCAL_RANK" in os.environ and (first := os.environ.get("PEDZOO_RUN")):
+            return cls(Path(first))  # a further process of a distributed run: the first one has chosen
+        number, path = 1, base
+        while True:
+            try:
+                path.mkdir(parents=True)
+                break
+            except FileExistsError:
+                number += 1
+                path = base.with_name(f"{base.name}-{number}")
+        os.environ["PEDZOO_RUN"] = str(path)
+        return cls(path)
+
+    @classmethod
+    def resume(cls, path: str | Path) -> RunFolder:
+        """Return the folder of an earlier run that can be continued.
+
+        Raises:
+            UserError: It has no configuration or no checkpoint.
+        """
+        run = cls(Path(path))
+        for file in (run.path / "config.yaml", run.last):
+            if not file.is_file():
+                raise UserError(f"cannot resume {str(path)!r}: it has no {file.relative_to(run.path)}")
+        return run
+
+    def keep_earlier(self) -> None:
+        """Copy the records of the runs so far aside: a resumed run writes its own in their place."""
+        records = [self.path / name for name in ("config.yaml", "versions.json", "metrics.csv")]
+        kept = self.path / f"before-resume-{len(list(self.path.glob('before-resume-*'))) + 1}"
+        kept.mkdir()
+        for record in records:
+            if record.is_file():
+                shutil.copy2(record, kept)
+
+    def discard_if_empty(self) -> None:
+        """Remove the folder of a run that failed before it wrote anything, and its empty parents."""
+        if not any(file.is_file() for file in self.path.rglob("*")):
+            shutil.rmtree(self.path, ignore_errors=True)
+            for parent in list(self.path.parents)[:2]:
+                if parent.is_dir() and not any(parent.iterdir()):
+                    parent.rmdir()
+
+    def loggers(self, wandb: Wandb) -> list[Logger]:
+        """Return the CSV logger, and Weights & Biases' where it is wanted."""
+        root, name, version = self.path.parent.parent, self.path.parent.name, self.path.name
+        found: list[Logger] = [CSVLogger(root, name, version)]
+        if wandb != "off":
+            found.append(
+                WandbLogger(
+                    project="pedzoo", name=f"{name}/{version}", save_dir=self.path, offline=wandb == "offline"
+                )
+            )
+        return found
+
+    def callbacks(
+        self, config: dict[str, Any], argv: list[str], monitor: str | None, mode: str
+    ) -> list[Callback]:
+        """Return what writes the records and, unless ``monitor`` is None, checkpoints."""
+        found: list[Callback] = [Record(self, config, argv)]
+        if monitor is None:
+            return found
+        common: dict[str, Any] = {"dirpath": self.last.parent, "enable_version_counter": False}
+        best = ModelCheckpoint(filename=self.best.stem, monitor=monitor, mode=mode, **common)
+        # Apart from the best one, so that it is written after every epoch, validated or not.
+        last = ModelCheckpoint(filename=self.last.stem, save_on_train_epoch_end=True, **common)
+        return [*found, best, last]
+
+
+class Record(Callback):
+    """Writes configuration and versions, puts the configuration into checkpoints, and seeds every epoch."""
+
+    def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:
+        """Record a run of the resolved ``config``, started by the command line ``argv``."""
+        self.run, self.config, self.argv = run, config, argv
+
+    def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
+        """Write ``config.yaml`` and ``versions.json``; the data are read by now, so the run really starts."""
+        if trainer.is_global_zero:
+            print(f"run folder: {self.run.path}", flush=True)
+            (self.run.path / "config.yaml").write_text(yaml.safe_dump(self.config, sort_keys=False))
+            record = {"command": self.argv, "versions": versions()}
+            (self.run.path / "versions.json").write_text(json.dumps(record, indent=2) + "\n")
+
+    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Seed by seed, epoch and rank: a resumed run then draws what an uninterrupted one would."""
+        seed = int(self.config["seed_everything"])
+        drawn = (seed * 1_000_003 + trainer.current_epoch) * 1_009 + trainer.global_rank
+        L.seed_everything(drawn % 2**32, verbose=False)
+
+    def on_save_checkpoint(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        """Add the configuration, as plain values, so that the file alone tells what it is."""
+        checkpoint["pedzoo_config"] = self.config
