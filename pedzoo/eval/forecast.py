@@ -1,0 +1,72 @@
+"""Open-loop tables: any models on one split, between the trivial baselines, under one named protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.recordings import Split
+from pedzoo.errors import UserError
+from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.models.base import Forecaster
+from pedzoo.models.zoo import load
+
+BASELINES = ("constant_velocity", "straight_line", "bent_line")
+
+Progress = Callable[[str, int, int], None]
+
+
+def forecast(
+    names: Sequence[str],
+    data: TrajectoryDataModule,
+    samples: int = 20,
+    seed: int = 0,
+    split: Split = "test",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return the report of ``pedzoo forecast``: protocol, seeds and one row per model and baseline.
+
+    Args:
+        names: What `pedzoo.load` accepts.
+        data: The data; their options are the protocol.
+        samples: K of the best-of-K errors.
+        seed: Of the samples, the same for every model.
+        split: Which part of the fold.
+        progress: Called with the model, batches done and batches in all.
+
+    Raises:
+        UserError: An unknown model, one that needs a goal where the data give none, or data without a window.
+    """
+    data.setup({"train": "fit", "val": "validate", "test": "test"}[split])
+    wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
+    models = {name: load(name, data.goal) for name in [wanted[0], *names, *wanted[1:]]}
+    rows = [_row(name, model, data, split, samples, seed, progress) for name, model in models.items()]
+    return {"protocol": data.protocol | {"split": split, "samples": samples}, "seeds": [seed], "rows": rows}
+
+
+def _row(
+    name: str,
+    model: Forecaster,
+    data: TrajectoryDataModule,
+    split: Split,
+    samples: int,
+    seed: int,
+    progress: Progress | None,
+) -> dict[str, Any]:
+    if "goal" in model.needs and data.goal == "none":
+        raise UserError(f"{name} needs a goal: set --data.goal (it was trained on {model.goal_protocol})")
+    model.bind(data.bank)
+    loader = {"train": data.train_dataloader, "val": data.val_dataloader, "test": data.test_dataloader}[split]()
+    score, generator, people = ForecastScore(samples), torch.Generator().manual_seed(seed), 0
+    for i, batch in enumerate(loader):
+        score.update(model, batch, generator)
+        people += int(batch["agents", "mask"].sum())
+        if progress:
+            progress(name, i + 1, len(loader))
+    own = model.goal_protocol
+    other = own not in (None, data.goal) and "goal" in model.needs
+    note = f"trained for {own} goals" if other else ""
+    return {"name": name, "case": {"note": note} if note else {}, "n": people, "metrics": score.compute(), "ci95": {}}

@@ -1,0 +1,71 @@
+"""All displacement metrics of a forecaster in one pass over scene batches."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchmetrics import Metric
+
+from pedzoo.metrics import displacement as d
+from pedzoo.models.base import Forecaster
+
+
+class ForecastScore(nn.Module):
+    """ADE, FDE and next-step error of a model's one best guess, and of K random samples.
+
+    ``ade_m``, ``fde_m`` and ``next_step_m`` judge the mode (for SGAN: noise zero); ``ade_sampled_m`` and
+    ``fde_sampled_m`` are what one random sample costs on average; ``min_*`` take the best of K.
+    """
+
+    def __init__(self, samples: int, spread: bool = True) -> None:
+        """Score ``samples`` per scene (0: only the mode); ``spread`` adds the distance between samples."""
+        super().__init__()
+        self.samples = samples
+        self.of_mode = nn.ModuleDict({"ade_m": d.ADE(), "fde_m": d.FDE(), "next_step_m": d.NextStepError()})
+        of_samples = {
+            "ade_sampled_m": d.ADE(),
+            "fde_sampled_m": d.FDE(),
+            f"min_ade_{samples}_scene_m": d.MinADEScene(),
+            f"min_fde_{samples}_scene_m": d.MinFDEScene(),
+            f"min_ade_{samples}_agent_m": d.MinADEAgent(),
+            f"min_fde_{samples}_agent_m": d.MinFDEAgent(),
+        }
+        self.of_samples = nn.ModuleDict(of_samples if samples else {})
+        self.spread = d.SampleDistance() if samples > 1 and spread else None
+
+    @torch.no_grad()
+    def update(self, model: Forecaster, batch: TensorDict, generator: torch.Generator | None = None) -> None:
+        """Let ``model`` predict a batch of recorded scenes and add its errors."""
+        agents = cast("TensorDict", batch["agents"])
+        history, future, valid = agents["history"], agents["future"], agents["future_valid"]
+        steps = future.shape[2]
+        # a deterministic model has one future, which is the mode and every sample
+        samples = self.samples if model.stochastic else min(self.samples, 1)
+        mode = model.mode(batch, steps)
+        error = d.displacement_error(mode, history, future)
+        for metric in self.of_mode.values():
+            cast("Metric", metric).update(error, valid)
+        if not samples:
+            return
+        prediction = model.sample(batch, samples, steps, generator) if model.stochastic else mode
+        error = d.displacement_error(prediction, history, future)
+        for metric in self.of_samples.values():
+            cast("Metric", metric).update(error, valid)
+        if self.spread is not None:
+            self.spread.update(prediction, agents["mask"])
+
+    def compute(self) -> dict[str, float]:
+        """Return all metrics by name; a deterministic model has sample distance 0."""
+        found = {name: float(cast("Metric", m).compute()) for name, m in (self.of_mode | self.of_samples).items()}
+        if self.spread is not None:
+            found["sample_distance_m"] = float(self.spread.compute()) if self.spread.count else 0.0
+        return found
+
+    def reset(self) -> None:
+        """Forget all batches."""
+        for metric in self.modules():
+            if isinstance(metric, Metric):
+                metric.reset()

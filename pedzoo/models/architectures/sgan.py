@@ -1,0 +1,253 @@
+"""Social GAN's generator, composed with a goal and a floor plan.
+
+Gupta et al., "Social GAN: Socially acceptable trajectories with generative adversarial networks", CVPR
+2018; the goal and the map as in "Interactive Pedestrian Simulation in iGibson". One class is every
+variant: an option that is off costs nothing and leaves the published network.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pedzoo import geometry
+from pedzoo.data.goals import TIMED
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.base import Forecaster, arguments, goals_of
+from pedzoo.models.blocks import lines
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
+from pedzoo.models.blocks.map_patch import PatchEncoder
+from pedzoo.models.blocks.mlp import init_like_sgan, mlp
+from pedzoo.models.blocks.pooling import SocialPooling
+from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
+from pedzoo.types import GoalProtocol
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """What does not depend on the noise: computed once for all samples of a batch.
+
+    Attributes:
+        context: Decoder state without its noise (P, decoder_dim - noise_dim).
+        first: Last observed displacement (P, 2), in everybody's frame.
+        base: Displacements in the world (P, T, 2) that the network's output is added to; None for none.
+        heading: Direction of everybody's frame (P, 2); None for the world's.
+        crowd: The packing.
+    """
+
+    context: Tensor
+    first: Tensor
+    base: Tensor | None
+    heading: Tensor | None
+    crowd: Crowd
+
+
+class SGAN(Forecaster):
+    """Encoder, pooling, conditions, noise, decoder."""
+
+    def __init__(
+        self,
+        embedding_dim: int = 16,
+        encoder_dim: int = 32,
+        decoder_dim: int = 32,
+        mlp_dim: int = 64,
+        noise_dim: int = 8,
+        noise: Literal["scene", "agent"] = "scene",
+        bottleneck_dim: int = 0,
+        goal_dim: int = 0,
+        goal_protocol: GoalProtocol = "none",
+        map: Literal["patch", "alexnet"] | None = None,
+        map_dim: int = 32,
+        frame: Literal["world", "heading"] = "world",
+        residual: Literal["none", "constant_velocity", "bent_line"] = "none",
+        best_k: int = 20,
+        error: Literal["squared_displacement", "distance"] = "squared_displacement",
+        variety_weight: float = 1.0,
+        mode_weight: float = 0.0,
+    ) -> None:
+        """Create the parameters.
+
+        Args:
+            embedding_dim: Width of embedded displacements.
+            encoder_dim: Width of the encoder LSTM.
+            decoder_dim: Width of the decoder LSTM.
+            mlp_dim: Width of the hidden layer between encoder and decoder.
+            noise_dim: Width of the noise z.
+            noise: One z per ``scene`` (published models) or per ``agent``.
+            bottleneck_dim: Width of social pooling; 0 for none.
+            goal_dim: Width of the goal's linear layer; 0 for no goal.
+            goal_protocol: The goal protocol of the training data.
+            map: Floor plan encoder; None for no floor plan.
+            map_dim: Width of its features.
+            frame: Directions in the ``world``, or in everybody's own ``heading`` so that turning the
+                scene turns the answer (pooling stays in the world).
+            residual: The trivial continuation that the output is added to.
+            best_k: Samples of the variety loss.
+            error: What the loss is made of: ``squared_displacement`` per step as published, or the
+                ``distance`` of positions, which is the ADE itself.
+            variety_weight: Weight of the variety loss.
+            mode_weight: Weight of the same loss on the noise-free prediction.
+        """
+        super().__init__()
+        self.config = arguments(locals())
+        self.goal_protocol = goal_protocol
+        self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
+        self.best_k, self.error, self.variety_weight, self.mode_weight = best_k, error, variety_weight, mode_weight
+        self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
+        self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
+        self.pooling = SocialPooling(encoder_dim, embedding_dim, 512, bottleneck_dim) if bottleneck_dim else None
+        self.goal = nn.Linear(4, goal_dim) if goal_dim else None
+        self.to_decoder = mlp(
+            encoder_dim + bottleneck_dim + goal_dim + (map_dim if map else 0), mlp_dim, decoder_dim - noise_dim
+        )
+        self.decoder = DisplacementDecoder(embedding_dim, decoder_dim)
+        init_like_sgan(self)
+        # after the published initialisation: a map encoder brings its own
+        encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder}
+        self.map = encoders[map](dim=map_dim) if map else None
+        if residual != "none":
+            # the untrained network is the trivial continuation itself
+            nn.init.zeros_(self.decoder.output.weight)
+            nn.init.zeros_(self.decoder.output.bias)
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans that ``map_id`` speaks of."""
+        if self.map is not None:
+            self.map.bind(bank)
+
+    def encode(self, batch: TensorDict, steps: int) -> Encoded:
+        """Return all that does not depend on the noise."""
+        agents = cast("TensorDict", batch["agents"])
+        crowd = Crowd.of(agents["mask"])
+        history = crowd.pack(agents["history"])
+        position = history[:, -1]
+        moved = history.diff(dim=1)
+        last_step = moved[:, -1]
+        goal = wanted = None
+        if self.goal is not None:
+            to_goal, desired = goals_of(batch, "this model")
+            goal, wanted = crowd.pack(to_goal) - position, crowd.pack(desired)
+        heading = _heading(moved, goal) if self.frame == "heading" or self.map is not None else None
+        frame = heading if self.frame == "heading" else None
+        moved = _into(frame, moved)
+        hidden = self.encoder(functional.pad(moved, (0, 0, 1, 0)))
+        features = [hidden]
+        if self.pooling is not None:
+            features.append(self.pooling(hidden, position, crowd))
+        if self.goal is not None and goal is not None and wanted is not None:
+            features.append(self.goal(torch.cat((_into(frame, goal), _into(frame, wanted)), -1)))
+        if self.map is not None:
+            pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
+            features.append(self.map(position, heading, map_id, pose))
+        context = self.to_decoder(torch.cat(features, -1))
+        return Encoded(context, moved[:, -1], self._base(last_step, goal, steps), frame, crowd)
+
+    def _base(self, last_step: Tensor, goal: Tensor | None, steps: int) -> Tensor | None:
+        if self.residual == "none":
+            return None
+        if self.residual == "constant_velocity" or goal is None:
+            return lines.constant_velocity(last_step, steps)
+        return lines.bent_line(last_step, goal, steps, self.goal_protocol in TIMED)
+
+    def draw(self, encoded: Encoded, samples: int, generator: torch.Generator | None = None) -> Tensor:
+        """Return noise (K, P, noise_dim), the same for all people of a scene or not, as ``noise`` says."""
+        crowd, like = encoded.crowd, encoded.context
+        rows = crowd.shape[0] if self.noise == "scene" else len(crowd.scene)
+        device = generator.device if generator else like.device
+        z = torch.randn(samples, rows, self.noise_dim, generator=generator, device=device, dtype=like.dtype).to(like.device)
+        return z[:, crowd.scene] if self.noise == "scene" else z
+
+    def decode(self, encoded: Encoded, z: Tensor, steps: int) -> Tensor:
+        """Return displacements in the world (K, P, T, 2) for noise ``z`` (K, P, noise_dim)."""
+        samples, people = z.shape[:2]
+        hidden = torch.cat((encoded.context.expand(samples, -1, -1), z), -1).flatten(0, 1)
+        first = encoded.first
+        if encoded.base is not None:
+            # the network's own output is fed back: the residual, of which nothing has been observed yet
+            first = torch.zeros_like(first)
+        path = self.decoder(hidden, first.repeat(samples, 1), steps).view(samples, people, steps, 2)
+        if encoded.heading is not None:
+            path = geometry.rotate(path, encoded.heading.unsqueeze(1))
+        return path if encoded.base is None else path + encoded.base
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return random futures (B, K, A, T, 2)."""
+        encoded = self.encode(batch, steps)
+        path = self.decode(encoded, self.draw(encoded, samples, generator), steps)
+        return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+
+    def mode(self, batch: TensorDict, steps: int) -> Tensor:
+        """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
+        encoded = self.encode(batch, steps)
+        path = self.decode(encoded, encoded.context.new_zeros(1, len(encoded.context), self.noise_dim), steps)
+        return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+
+    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+        """Return the variety loss, summed over scenes."""
+        return self.variety(batch, generator)[0]
+
+    def variety(self, batch: TensorDict, generator: torch.Generator | None = None) -> tuple[Tensor, Tensor, Crowd]:
+        """Return the variety loss, one random sample (P, T, 2) for a discriminator, and the packing.
+
+        For each scene the mean squared displacement error of the best of ``best_k`` samples, best for
+        all its people together, summed over scenes (Gupta et al., eq. 8). Only the winners have a
+        gradient, so the candidates are drawn without one and just the winners run again.
+        """
+        agents = batch["agents"]
+        steps = agents["future"].shape[2]
+        encoded = self.encode(batch, steps)
+        crowd = encoded.crowd
+        truth = crowd.pack(torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2))
+        known = crowd.pack(agents["future_valid"])
+        count = crowd.sum_per_scene(known.sum(1).to(truth.dtype)).clamp(min=1)
+
+        def per_scene(path: Tensor) -> Tensor:  # (K, P, T, 2) -> (B, K)
+            wrong = path - truth
+            if self.error == "squared_displacement":
+                wrong = wrong.square().sum(-1)
+            else:
+                # the root has no slope at zero
+                wrong = (wrong.cumsum(-2).square().sum(-1) + 1e-8).sqrt()
+            return crowd.sum_per_scene((wrong * known).sum(2).t()) / count.unsqueeze(1)
+
+        z = self.draw(encoded, self.best_k, generator)
+        chosen = z[-1:]
+        if self.best_k > 1 and self.variety_weight:
+            with torch.no_grad():
+                best = per_scene(self.decode(encoded, z, steps)).argmin(1)
+            chosen = torch.cat((z[best[crowd.scene], torch.arange(z.shape[1], device=z.device)][None], chosen))
+        if self.mode_weight:
+            chosen = torch.cat((chosen, torch.zeros_like(chosen[:1])))
+        path = self.decode(encoded, chosen, steps)
+        errors = per_scene(path).sum(0)  # winner first, then the random sample, then the mode
+        loss = self.variety_weight * errors[0]
+        if self.mode_weight:
+            loss = loss + self.mode_weight * errors[-1]
+        return loss, path[len(path) - 1 - bool(self.mode_weight)], crowd
+
+
+def _into(heading: Tensor | None, vectors: Tensor) -> Tensor:
+    """Turn world vectors (P, 2) or (P, T, 2) into everybody's frame."""
+    if heading is None:
+        return vectors
+    return geometry.unrotate(vectors, heading if vectors.dim() == 2 else heading.unsqueeze(1))
+
+
+def _heading(moved: Tensor, goal: Tensor | None) -> Tensor:
+    """Return everybody's direction (P, 2): of their last displacement, else of the goal, else world x.
+
+    A displacement under 5 cm has no reliable direction, so the longest of those is blended in smoothly.
+    """
+    towards = moved[:, -1] + 0.1 * moved.sum(1)
+    if goal is not None:
+        towards = towards + 0.05 * functional.normalize(goal, dim=-1)
+    towards = towards + torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
+    return functional.normalize(towards, dim=-1)

@@ -1,0 +1,49 @@
+"""Social GAN's discriminator: is this trajectory a person's? It sees trajectories only."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from torch import Tensor, nn
+
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.mlp import init_like_sgan, mlp
+from pedzoo.models.blocks.pooling import SocialPooling
+from pedzoo.models.blocks.recurrent import DisplacementEncoder
+
+
+class Discriminator(nn.Module):
+    """An LSTM over all steps of a window and a classifier (Gupta et al., CVPR 2018, section 3.2).
+
+    ``local`` judges everybody alone; ``global`` pools the people of a scene around where they started.
+    """
+
+    def __init__(
+        self, kind: Literal["local", "global"] = "local", embedding_dim: int = 16, hidden_dim: int = 48, mlp_dim: int = 64
+    ) -> None:
+        """Create the parameters.
+
+        Args:
+            kind: ``local`` or ``global``.
+            embedding_dim: Width of the embedded displacement.
+            hidden_dim: Width of the LSTM.
+            mlp_dim: Width of the classifier's hidden layer.
+        """
+        super().__init__()
+        self.encoder = DisplacementEncoder(embedding_dim, hidden_dim)
+        self.pooling = SocialPooling(hidden_dim, embedding_dim, 512, hidden_dim) if kind == "global" else None
+        self.classifier = mlp(hidden_dim, mlp_dim, 1)
+        init_like_sgan(self)
+
+    def forward(self, displacements: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
+        """Return scores (P,), never negative as in the published code; real people should score high.
+
+        Args:
+            displacements: Observed and then predicted ones (P, T, 2), metres.
+            start: World positions at the start of the window (P, 2).
+            crowd: Who shares a scene with whom.
+        """
+        hidden = self.encoder(displacements)
+        if self.pooling is not None:
+            hidden = self.pooling(hidden, start, crowd)
+        return self.classifier(hidden).squeeze(-1)

@@ -1,0 +1,168 @@
+"""Models by name: weights as safetensors, with all that is needed to build the model in their metadata."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from pedzoo.errors import UserError, unknown
+from pedzoo.models.base import Forecaster
+from pedzoo.paths import shipped
+from pedzoo.registry import MODELS
+from pedzoo.types import GoalProtocol
+
+SUFFIX = ".safetensors"
+SUMS = "SHA256SUMS"
+
+
+def list_models(pattern: str = "*") -> list[str]:
+    """Return the names of all shipped weights that match ``pattern``, as ``architecture.tag``."""
+    names = [path.name.removesuffix(SUFFIX) for path in shipped("checkpoints").glob(f"*{SUFFIX}")]
+    return sorted(name for name in names if fnmatch(name, pattern))
+
+
+def load(name: str, goal: GoalProtocol | None = None) -> Forecaster:
+    """Return a model in eval mode.
+
+    Args:
+        name: A zoo name (``sgan_goal.zara1``), a ``.safetensors`` or Lightning ``.ckpt`` file, a baseline
+            (``bent_line``), or an untrained class ``path/to/file.py:Class``.
+        goal: The goal protocol for baselines that depend on it; trained models keep their own.
+
+    Raises:
+        UserError: No such model, or its file is damaged.
+    """
+    if name.endswith(SUFFIX):
+        return _from_safetensors(Path(name))
+    if name.endswith(".ckpt"):
+        return _from_checkpoint(Path(name))
+    if name in list_models():
+        return _from_safetensors(shipped("checkpoints") / f"{name}{SUFFIX}", checked=True)
+    if name not in MODELS.names() and ".py:" not in name:
+        raise unknown("model", name, [*list_models(), *_baselines()])
+    model = MODELS.get(name)
+    built = model(goal_protocol=goal) if goal and issubclass(model, MODELS.get("straight_line")) else model()
+    if any(True for _ in built.parameters()) and ".py:" not in name:
+        weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
+        raise UserError(f"{name!r} is an architecture; name its weights: {weights}")
+    return built.eval()
+
+
+def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
+    """Return what has to be known to build ``model`` again, and whatever else is worth keeping."""
+    return {"architecture": architecture_of(model), "init": model.config, "goal": model.goal_protocol, **more}
+
+
+def build(config: dict[str, Any]) -> Forecaster:
+    """Return an untrained model of a config from `config_of`."""
+    return MODELS.get(config["architecture"])(**config["init"])
+
+
+def architecture_of(model: Forecaster) -> str:
+    """Return the registered name of a model's class, or ``file.py:Class`` for one from outside."""
+    module = type(model).__module__
+    package, _, stem = module.rpartition(".")
+    if package == MODELS.package:
+        return stem
+    import sys
+
+    return f"{sys.modules[module].__file__}:{type(model).__name__}"
+
+
+def save_weights(model: Forecaster, path: str | Path, **more: Any) -> str:
+    """Write ``model`` to a file, whole or not at all, and return its sha256; the same model gives the same bytes."""
+    path = Path(path)
+    # one metadata key: with several, their order, and so the sum, would vary
+    metadata = {"config": json.dumps(config_of(model, **more), sort_keys=True)}
+    data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part.write_bytes(data)
+    os.replace(part, path)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_config(path: str | Path) -> dict[str, Any]:
+    """Return the config in a weight file's metadata, without its tensors."""
+    with _opened(Path(path)) as file:
+        return _config(file, Path(path))
+
+
+def _from_safetensors(path: Path, checked: bool = False) -> Forecaster:
+    if checked:
+        _check_sum(path)
+    with _opened(path) as file:
+        config = _config(file, path)
+        state = {key: file.get_tensor(key) for key in file.keys()}
+    return fill(build(config), state, str(path))
+
+
+def _from_checkpoint(path: Path) -> Forecaster:
+    from pickle import UnpicklingError
+
+    if not path.is_file():
+        raise UserError(f"no checkpoint at {str(path)!r}")
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, UnpicklingError, EOFError) as error:
+        raise UserError(f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?") from error
+    if "pedzoo" not in checkpoint:
+        raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
+    prefix = "generator."
+    state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
+    return fill(build(checkpoint["pedzoo"]), state, str(path))
+
+
+def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Forecaster:
+    """Load weights into a model of exactly their architecture and return it in eval mode.
+
+    Raises:
+        UserError: A tensor is missing, left over, or of another shape.
+    """
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        name = architecture_of(model)
+        raise UserError(f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}") from error
+    return model.eval()
+
+
+def _opened(path: Path) -> Any:
+    if not path.is_file():
+        raise UserError(f"no weights at {str(path)!r}")
+    try:
+        return safe_open(path, "pt")
+    except SafetensorError as error:
+        raise UserError(f"weights {str(path)!r} cannot be read ({error}): is the file cut off?") from error
+
+
+def _config(file: Any, path: Path) -> dict[str, Any]:
+    metadata = file.metadata() or {}
+    if "config" not in metadata:
+        raise UserError(f"weights {str(path)!r} have no pedzoo config in their metadata: not a file of this zoo")
+    return json.loads(metadata["config"])
+
+
+def _check_sum(path: Path) -> None:
+    lines = (path.parent / SUMS).read_text().splitlines()
+    sums = {name: digest for digest, name in (line.split() for line in lines)}
+    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    if sums.get(path.name) != found:
+        raise UserError(f"weights {path.name} have sha256 {found}, but {SUMS} says {sums.get(path.name)}: reinstall pedzoo")
+
+
+def _baselines() -> list[str]:
+    return [name for name in MODELS.names() if not any(True for _ in MODELS.get(name)().parameters())]
+
+
+def _first(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines[:2])

@@ -1,0 +1,123 @@
+"""Adversarial training as in Social GAN (Gupta et al., CVPR 2018): one discriminator and one generator step."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from tensordict import TensorDict
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
+
+from pedzoo.errors import UserError
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.discriminator import Discriminator
+from pedzoo.train.module import ForecastModule
+
+
+class GANModule(ForecastModule):
+    """Variety loss plus a discriminator on trajectories; weight 0 turns the discriminator off and skips it."""
+
+    def __init__(
+        self,
+        generator: SGAN,
+        discriminator: Discriminator,
+        lr: float = 1e-3,
+        lr_discriminator: float = 1e-3,
+        adversarial_weight: float = 1.0,
+        warmup: int = 50,
+        final_lr: float = 0.01,
+        clip: float = 2.0,
+        samples: int = 20,
+    ) -> None:
+        """Take a generator, a discriminator and their optimisation.
+
+        Args:
+            generator: The model.
+            discriminator: Judges trajectories.
+            lr: Learning rate of the generator's Adam at its peak.
+            lr_discriminator: Learning rate of the discriminator's.
+            adversarial_weight: Weight of the adversarial loss beside the variety loss.
+            warmup: Iterations of linear warm-up.
+            final_lr: Share of ``lr`` left at the end of the cosine; 1 keeps it constant.
+            clip: Largest norm of the generator's gradient; 0 for any.
+            samples: K of the best-of-K errors in validation and test.
+        """
+        super().__init__(generator, lr, warmup, final_lr, clip, samples)
+        if not hasattr(generator, "variety"):
+            raise UserError(f"{type(generator).__name__} has no variety loss: train it with PlainModule")
+        self.automatic_optimization = False
+        self.discriminator = discriminator
+        self.lr_discriminator, self.adversarial_weight = lr_discriminator, adversarial_weight
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return one Adam each; the generator's learning rate is set at every iteration."""
+        return [
+            torch.optim.Adam(self.generator.parameters(), self.lr),
+            torch.optim.Adam(self.discriminator.parameters(), self.lr_discriminator),
+        ]
+
+    def training_step(self, batch: TensorDict, _: int) -> None:
+        """Make one discriminator and one generator step on a batch."""
+        g_optimizer, d_optimizer = cast("list[Any]", self.optimizers())
+        generator, random = cast("SGAN", self.generator), self.random()
+        log = {}
+        if self.adversarial_weight:
+            self.toggle_optimizer(d_optimizer)
+            log["train/discriminator"] = loss = self.discriminator_loss(batch, random)
+            d_optimizer.zero_grad()
+            self.manual_backward(loss)
+            for group in d_optimizer.param_groups:
+                group["lr"] = self.lr_discriminator
+            d_optimizer.step()
+            self.untoggle_optimizer(d_optimizer)
+        self.toggle_optimizer(g_optimizer)
+        loss, fake, crowd = generator.variety(batch, random)
+        log["train/variety"] = loss / len(batch)
+        if self.adversarial_weight:
+            window, start = _windows(batch, crowd, fake)
+            score = self.discriminator(window, start, crowd)
+            log["train/adversarial"] = adversarial = cross_entropy(score, _soft_one(score, random))
+            loss = loss + self.adversarial_weight * adversarial
+        g_optimizer.zero_grad()
+        self.manual_backward(loss)
+        if self.clip:
+            torch.nn.utils.clip_grad_norm_(generator.parameters(), self.clip)
+        self.set_lr(g_optimizer, self.lr)
+        g_optimizer.step()
+        self.untoggle_optimizer(g_optimizer)
+        self.iteration += 1
+        detached = {key: value.detach() for key, value in log.items()}
+        self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch))
+
+    def discriminator_loss(self, batch: TensorDict, random: torch.Generator) -> Tensor:
+        """Return the loss of telling real from generated windows, both judged in one batch of twice the scenes."""
+        agents, generator = batch["agents"], cast("SGAN", self.generator)
+        steps = agents["future"].shape[2]
+        with torch.no_grad():
+            encoded = generator.encode(batch, steps)
+            fake = generator.decode(encoded, generator.draw(encoded, 1, random), steps)[0]
+        crowd = encoded.crowd
+        truth = crowd.pack(torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2))
+        real, start = _windows(batch, crowd, truth)
+        made, _ = _windows(batch, crowd, fake)
+        both = Crowd.of(agents["mask"].repeat(2, 1))
+        score = self.discriminator(torch.cat((real, made)), start.repeat(2, 1), both)
+        score_real, score_made = score.chunk(2)
+        return cross_entropy(score_real, _soft_one(score_real, random)) + cross_entropy(
+            score_made, torch.zeros_like(score_made)
+        )
+
+
+def _windows(batch: TensorDict, crowd: Crowd, future: Tensor) -> tuple[Tensor, Tensor]:
+    """Return displacements of whole windows (P, 8 + T, 2), the first zero as published, and where they start."""
+    history = crowd.pack(batch["agents", "history"])
+    moved = torch.nn.functional.pad(history.diff(dim=1), (0, 0, 1, 0))
+    return torch.cat((moved, future), 1), history[:, 0]
+
+
+def _soft_one(score: Tensor, random: torch.Generator) -> Tensor:
+    """Return the smoothed label of real people: one number from U(0.7, 1.2) for the whole batch."""
+    return torch.full_like(score, 0.7 + 0.5 * float(torch.rand((), generator=random)))

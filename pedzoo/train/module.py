@@ -1,0 +1,127 @@
+"""What all trainings share: schedule, seeds, validation, and what a checkpoint says about itself."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import lightning as L
+import torch
+from tensordict import TensorDict
+from torch.optim import Optimizer
+
+from pedzoo.errors import UserError
+from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.models.base import Forecaster
+from pedzoo.models.zoo import config_of
+
+
+class ForecastModule(L.LightningModule):
+    """Trains a forecaster; subclasses say with which losses.
+
+    Everything random in a step is drawn from a generator seeded by the run's seed and the step's number,
+    and the learning rate is a function of that number: a resumed run ends where an uninterrupted one
+    does, and the command line's learning rate wins over a checkpoint's.
+    """
+
+    def __init__(
+        self,
+        generator: Forecaster,
+        lr: float = 1e-3,
+        warmup: int = 50,
+        final_lr: float = 0.01,
+        clip: float = 2.0,
+        samples: int = 20,
+    ) -> None:
+        """Take a model and its optimisation.
+
+        Args:
+            generator: The model.
+            lr: Learning rate of Adam at its peak.
+            warmup: Iterations of linear warm-up.
+            final_lr: Share of ``lr`` left at the end of the cosine; 1 keeps it constant.
+            clip: Largest norm of the generator's gradient; 0 for any.
+            samples: K of the best-of-K errors in validation and test.
+        """
+        super().__init__()
+        self.generator = generator
+        self.lr, self.warmup, self.final_lr, self.clip = lr, warmup, final_lr, clip
+        self.seed = torch.initial_seed() % 2**31
+        self.register_buffer("iteration", torch.zeros((), dtype=torch.long))
+        self.score = ForecastScore(samples)
+        self.best: dict[str, float] = {}
+
+    def setup(self, stage: str) -> None:
+        """Bind the generator to the floor plans of the data and check their goal protocol."""
+        data: Any = getattr(self.trainer, "datamodule", None)
+        if data is None:
+            return
+        self.generator.bind(data.bank)
+        asked, own = data.goal, self.generator.goal_protocol
+        if stage == "fit" and "goal" in self.generator.needs and asked not in (own, "random_future"):
+            raise UserError(
+                f"the data give goals by {asked!r}, but the model is built for {own!r}: "
+                f"set both, --data.goal {asked} --model.generator.goal_protocol {asked}"
+            )
+
+    def random(self) -> torch.Generator:
+        """Return the source of everything random in this iteration."""
+        return torch.Generator().manual_seed(self.seed * 1_000_003 + int(self.iteration))
+
+    def set_lr(self, optimizer: Optimizer, lr: float) -> None:
+        """Set the learning rate of this iteration: warm-up, then cosine."""
+        total = max(int(self.trainer.estimated_stepping_batches), 1) if self.trainer.max_steps < 0 else 1
+        done = int(self.iteration)
+        share = min(done / total, 1.0)
+        cosine = self.final_lr + (1 - self.final_lr) * 0.5 * (1 + math.cos(math.pi * share))
+        for group in optimizer.param_groups:
+            group["lr"] = lr * cosine * min(1.0, (done + 1) / max(self.warmup, 1))
+
+    def validation_step(self, batch: TensorDict, _: int) -> None:
+        """Add a batch to the scores."""
+        self.score.update(self.generator, batch, torch.Generator().manual_seed(_))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the scores as ``val/ade`` and so on."""
+        self._log_scores("val")
+
+    def test_step(self, batch: TensorDict, _: int) -> None:
+        """Add a batch to the scores."""
+        self.validation_step(batch, _)
+
+    def on_test_epoch_end(self) -> None:
+        """Log the scores as ``test/ade`` and so on."""
+        self._log_scores("test")
+
+    def _log_scores(self, split: str) -> None:
+        scores = {f"{split}/{name.removesuffix('_m')}": value for name, value in self.score.compute().items()}
+        self.score.reset()
+        self.log_dict(scores, prog_bar=False, sync_dist=False)
+        for key in ("ade", "fde"):
+            self.log(f"{split}/{key}", scores[f"{split}/{key}"], prog_bar=True)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Write down which model this is, so that `pedzoo.load` can build it."""
+        data: Any = getattr(self.trainer, "datamodule", None)
+        checkpoint["pedzoo"] = config_of(self.generator, protocol=data.protocol if data else {})
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Refuse a checkpoint of another model.
+
+        Raises:
+            UserError: It was written by another program or for another architecture.
+        """
+        theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
+        if theirs is None:
+            raise UserError("this checkpoint was not written by pedzoo fit")
+        given, wanted = (
+            {"architecture": c["architecture"], **{k: v for k, v in c["init"].items() if k not in _FREE}}
+            for c in (theirs, ours)
+        )
+        changed = [f"{k}: {given.get(k)} there, {wanted.get(k)} here" for k in given | wanted if given.get(k) != wanted.get(k)]
+        if changed:
+            raise UserError(f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config")
+
+
+_FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight"})
+"""Options of a model that may change when a run goes on: losses, not weights."""

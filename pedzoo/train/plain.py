@@ -1,0 +1,37 @@
+"""Training by the model's own loss alone: squared errors, variety losses, evidence bounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from tensordict import TensorDict
+from torch import Tensor
+from torch.optim import Optimizer
+
+from pedzoo.train.module import ForecastModule
+
+
+class PlainModule(ForecastModule):
+    """Minimises ``generator.loss(batch)``."""
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return Adam; `set_lr` sets its learning rate at every iteration."""
+        return torch.optim.Adam(self.generator.parameters(), self.lr)
+
+    def training_step(self, batch: TensorDict, _: int) -> Tensor:
+        """Return the loss of a batch, summed over its scenes."""
+        loss = self.generator.loss(batch, self.random())
+        self.log("train/loss", loss.detach() / len(batch), on_step=False, on_epoch=True, batch_size=len(batch))
+        return loss
+
+    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
+        """Clip the gradient and set the learning rate."""
+        if self.clip:
+            torch.nn.utils.clip_grad_norm_(self.generator.parameters(), self.clip)
+        self.set_lr(optimizer, self.lr)
+
+    def on_train_batch_end(self, *_: Any) -> None:
+        """Count the iteration."""
+        self.iteration += 1
