@@ -13,7 +13,7 @@ torch.set_num_threads(1)
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder with recordings, floor plans and weights: beside the checkout, or the variable ``PEDZOO_SHARED``."""
+    """Folder with recordings, maps and weights: beside the checkout, or the variable ``PEDZOO_SHARED``."""
     given = os.environ.get("PEDZOO_SHARED")
     path = Path(given) if given else Path(__file__).parents[2] / "shared"
     if not path.is_dir():

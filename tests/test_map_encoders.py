@@ -32,7 +32,9 @@ def weights(shared: Path) -> Path:
     return path
 
 
-def room(name: str = "room", origin: tuple[float, float, float] = (0.0, 0.0, 0.0), side: int = 60) -> OccupancyGrid:
+def room(
+    name: str = "room", origin: tuple[float, float, float] = (0.0, 0.0, 0.0), side: int = 60
+) -> OccupancyGrid:
     """A square of 0.1 m cells with a wall from x = 4 to 5 m."""
     cells = np.zeros((side, side), dtype=np.uint8)
     cells[:, 40:50] = OCCUPIED
@@ -65,14 +67,16 @@ def test_a_wall_in_front_is_in_front() -> None:
     encoder.bind(MapBank([grid]))
     # One metre before the wall: facing it, with the back to it, with it to the right, and to the left.
     heading = torch.tensor([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
-    patch = encoder.patch(torch.tensor([[3.0, 3.0]] * 4), heading, torch.full((4,), grid.map_id), identity_pose(4))
+    patch = encoder.patch(
+        torch.tensor([[3.0, 3.0]] * 4), heading, torch.full((4,), grid.map_id), identity_pose(4)
+    )
     assert patch.shape == (4, 1, 8, 8)
     inside = patch[:, 0] < 0
     assert inside[0].any(0).tolist() == [False] * 6 + [True] * 2
     assert inside[1].any(0).tolist() == [True] * 2 + [False] * 6
     assert inside[2].any(1).tolist() == [True] * 2 + [False] * 6
     assert inside[3].any(1).tolist() == [False] * 6 + [True] * 2
-    assert patch[0, 0, 4].tolist() == pytest.approx([1, 1, 1, 1, 0.5, 1 / 6, -1 / 6, -1 / 3], abs=1e-5)
+    assert patch[0, 0, 4].tolist() == pytest.approx([1, 1, 1, 5 / 6, 1 / 2, 1 / 6, -1 / 6, -1 / 6], abs=1e-5)
 
 
 def test_patches_turn_with_the_scene() -> None:
@@ -103,7 +107,10 @@ def test_patches_train_and_carry_gradients_to_positions() -> None:
 
 def test_feature_cells_are_centred_on_pixel_16_i_plus_15() -> None:
     """With all weights 1, a feature differs from 0 exactly where it sees the picture's only bright pixel."""
-    weights = {f"{key}.weight": torch.full(shape, 1.0 / math.prod(shape[1:])) for key, shape in alexnet.SHAPES.items()}
+    weights = {
+        f"{key}.weight": torch.full(shape, 1.0 / math.prod(shape[1:]))
+        for key, shape in alexnet.SHAPES.items()
+    }
     weights |= {f"{key}.bias": torch.zeros(shape[0]) for key, shape in alexnet.SHAPES.items()}
     mean = torch.tensor((0.485, 0.456, 0.406)).view(3, 1, 1)
     pixels = range(16 * 14, 16 * 15)
@@ -114,14 +121,16 @@ def test_feature_cells_are_centred_on_pixel_16_i_plus_15() -> None:
     assert seen.shape == (16, 28)
     first = [int(row.nonzero()[0]) for row in seen]
     last = [int(row.nonzero()[-1]) for row in seen]
-    left_of = next(i for i in range(15) if first[i + 1] > first[i])  # pixel where feature first[i] is seen last
-    right_of = next(i for i in range(1, 16) if last[i] > last[i - 1])  # pixel where feature last[i] is seen first
+    left_of = next(i for i in range(15) if first[i + 1] > first[i])  # the last pixel that first[i] sees
+    right_of = next(i for i in range(1, 16) if last[i] > last[i - 1])  # the first pixel that last[i] sees
     reach = pixels[left_of] - (16 * first[left_of] + 15)
     assert reach == (16 * last[right_of] + 15) - pixels[right_of] > 60
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.1])
-def test_features_are_read_exactly_at_a_persons_place(monkeypatch: pytest.MonkeyPatch, resolution: float) -> None:
+def test_features_are_read_exactly_at_a_persons_place(
+    monkeypatch: pytest.MonkeyPatch, resolution: float
+) -> None:
     """A network that returns the centre of each of its cells, in pixels of its input."""
 
     def where(picture: Tensor, weights: object) -> Tensor:
@@ -164,11 +173,14 @@ def test_alexnet_features_tell_walls_from_floor_and_stay_out_of_checkpoints(weig
     assert encoder.state_dict().keys() == before == {"head.0.weight", "head.0.bias"}
     assert sum(weight.numel() for weight in encoder.parameters()) == 257 * 32
 
-    # Another bank, in which the same room is moved: the same features at moved places, and the old map is gone.
+    # Another bank, in which the same room is moved: the same features at moved places; the old map is gone.
     encoder.bind(MapBank([moved]))
     shift = torch.tensor([10.0, 5.0])
     torch.testing.assert_close(
-        encoder.features(position + shift, torch.full_like(ids, moved.map_id), pose), first, atol=1e-3, rtol=1e-3
+        encoder.features(position + shift, torch.full_like(ids, moved.map_id), pose),
+        first,
+        atol=1e-3,
+        rtol=1e-3,
     )
     with pytest.raises(UserError, match="not of this bank"):
         encoder.features(position, ids, pose)

@@ -123,7 +123,9 @@ def test_the_content_makes_the_id_and_not_the_name() -> None:
 
 def test_bank_reads_between_cell_centres_and_stops_at_the_border() -> None:
     grid = corridor()
-    found = ask(MapBank([grid]), grid, (1.0, 1.0), (1.75, 1.0), (2.0, 1.0), (2.25, 0.3), (-9.0, 1.0), (2.0, 99.0))
+    found = ask(
+        MapBank([grid]), grid, (1.0, 1.0), (1.75, 1.0), (2.0, 1.0), (2.25, 0.3), (-9.0, 1.0), (2.0, 99.0)
+    )
     assert found == pytest.approx([1.0, 0.25, 0.0, -0.25, 1.75, 0.0], abs=1e-5)
 
 
@@ -141,7 +143,9 @@ def test_a_turned_mirrored_and_moved_scene_sees_the_same_walls() -> None:
     bank = MapBank([grid])
     points = torch.rand(5, 3, 4, 2) * 4
     ids = torch.full((5,), grid.map_id)
-    pose = torch.stack((torch.rand(5) * 6, torch.tensor([1.0, -1, 1, -1, -1]), torch.rand(5), torch.rand(5)), dim=1)
+    pose = torch.stack(
+        (torch.rand(5) * 6, torch.tensor([1.0, -1, 1, -1, -1]), torch.rand(5), torch.rand(5)), dim=1
+    )
     plain = bank.signed_distance(points, ids, identity_pose(5))
     assert plain.shape == (5, 3, 4)
     torch.testing.assert_close(bank.signed_distance(move_to_scene(points, pose), ids, pose), plain)
@@ -159,7 +163,8 @@ def test_gradient_points_away_from_walls() -> None:
         shift = torch.zeros(2)
         shift[axis] = step
         ahead, behind = (
-            bank.signed_distance(move_to_scene(points.detach() + sign * shift, pose), ids, pose) for sign in (1, -1)
+            bank.signed_distance(move_to_scene(points.detach() + sign * shift, pose), ids, pose)
+            for sign in (1, -1)
         )
         torch.testing.assert_close(gradient[:, axis], (ahead - behind) / (2 * step), atol=2e-3, rtol=1e-3)
     assert gradient[:2].norm(dim=1).tolist() == pytest.approx([1.0, 1.0], abs=1e-3)
@@ -196,7 +201,9 @@ def test_ids_are_checked() -> None:
 def test_no_map_and_nobody() -> None:
     for bank in (MapBank(), MapBank([corridor()])):
         assert ask(bank, None, (2.25, 1.0), (1e6, 0.0)) == [5.0, 5.0]
-        nobody = bank.signed_distance(torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4))
+        nobody = bank.signed_distance(
+            torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4)
+        )
         assert nobody.shape == (0, 3)
     with pytest.raises(UserError, match="holds no map"):
         MapBank().index(torch.tensor([7]))

@@ -34,15 +34,18 @@ class Atlas:
     high: Tensor
 
     @classmethod
-    def stack(cls, images: Sequence[Tensor], to_pixel: Sequence[NDArray[np.float64]], nowhere: Tensor) -> Atlas:
+    def stack(
+        cls, images: Sequence[Tensor], to_pixel: Sequence[NDArray[np.float64]], nowhere: Tensor
+    ) -> Atlas:
         """Return the atlas of ``images``.
 
         Args:
             images: One (C, h, w) per map.
-            to_pixel: Per map, the affine (2, 3) from its frame (metres) to (column, row), whole at pixel centres.
+            to_pixel: Per map, the affine (2, 3) from its frame (metres) to (column, row), whole at pixel
+                centres.
             nowhere: What people without a map see (C,).
         """
-        # "No map" is a last image of one pixel that every position falls on: index -1 finds it, without a branch.
+        # "No map" is a last image of one pixel that every position falls on: index -1 finds it.
         everything = [*images, nowhere.view(-1, 1, 1)]
         affines = np.stack([*to_pixel, np.zeros((2, 3))])
         sizes = np.array([[image.shape[2], image.shape[1]] for image in everything])
@@ -79,9 +82,9 @@ class Atlas:
     def sample(self, points: Tensor, row: Tensor, pose: Tensor) -> Tensor:
         """Return the images' values (N, ..., C) at scene positions, read bilinearly between pixel centres.
 
-        Beyond its outermost pixel centres an image goes on with its border's value. Differentiable with respect
-        to ``points`` and ``pose``; always computed in float32, because half precision cannot tell neighbouring
-        cells apart.
+        Beyond its outermost pixel centres an image goes on with its border's value. Differentiable with
+        respect to ``points`` and ``pose``; always computed in float32, because half precision cannot tell
+        neighbouring cells apart.
 
         Args:
             points: Scene positions (N, ..., 2), metres.

@@ -28,7 +28,10 @@ class MapBank:
     """
 
     def __init__(
-        self, grids: Sequence[OccupancyGrid] = (), unknown: Unknown = "free", max_distance: float = MAX_DISTANCE
+        self,
+        grids: Sequence[OccupancyGrid] = (),
+        unknown: Unknown = "free",
+        max_distance: float = MAX_DISTANCE,
     ) -> None:
         """Compute the atlas; an empty bank serves scenes without maps.
 
@@ -74,7 +77,7 @@ class MapBank:
         return self._ids[name]
 
     def to(self, device: torch.device | str) -> MapBank:
-        """Return the bank on a device: itself where it is there already, so that owners on others are not moved."""
+        """Return the bank on a device: itself where it is there already, else a copy (others own it too)."""
         if self._atlas.image.device == torch.device(device):
             return self
         moved = object.__new__(MapBank)
@@ -102,8 +105,8 @@ class MapBank:
     def signed_distance(self, points: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return the distances (N, ...) from scene positions to the nearest wall, metres, negative inside it.
 
-        Read bilinearly between cell centres and differentiable with respect to ``points``. Without a map it is
-        plus ``max_distance``; outside the map it is the value at its border, with gradient zero.
+        Read bilinearly between cell centres and differentiable with respect to ``points``. Without a map it
+        is plus ``max_distance``; outside the map it is the value at its border, with gradient zero.
 
         Args:
             points: Scene positions (N, ..., 2), metres.

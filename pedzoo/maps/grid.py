@@ -46,11 +46,13 @@ class OccupancyGrid:
         cells = np.array(self.cells, dtype=np.uint8, order="C")
         if cells.ndim != 2 or not cells.size or cells.max() > UNKNOWN:
             raise UserError(
-                f"map {self.name!r}: got cells of shape {cells.shape} with values up to {cells.max(initial=0)}, "
+                f"map {self.name!r}: got cells {cells.shape} with values up to {cells.max(initial=0)}, "
                 f"expected (H, W) of {FREE} (free), {OCCUPIED} (occupied) or {UNKNOWN} (unknown)"
             )
         if not (math.isfinite(self.resolution) and self.resolution > 0):
-            raise UserError(f"map {self.name!r}: resolution {self.resolution} must be metres per cell, above 0")
+            raise UserError(
+                f"map {self.name!r}: resolution {self.resolution} must be metres per cell, above 0"
+            )
         if len(self.origin) != 3 or not all(math.isfinite(value) for value in self.origin):
             raise UserError(f"map {self.name!r}: origin {self.origin} must be x, y (metres), yaw (radians)")
         cells.flags.writeable = False
@@ -71,11 +73,13 @@ class OccupancyGrid:
         free, occupied = _number(keys, "free_thresh", path), _number(keys, "occupied_thresh", path)
         if not 0 <= free < occupied <= 1:
             raise UserError(
-                f"{path}: free_thresh {free} and occupied_thresh {occupied}: expected 0 <= free < occupied <= 1"
+                f"{path}: free_thresh {free}, occupied_thresh {occupied}: expected 0 <= free < occupied <= 1"
             )
         negate = keys.get("negate", 0)
         if negate not in (0, 1):
-            raise UserError(f"{path}: negate {negate!r}, expected 0 (dark is occupied) or 1 (light is occupied)")
+            raise UserError(
+                f"{path}: negate {negate!r}, expected 0 (dark is occupied) or 1 (light is occupied)"
+            )
         origin = keys["origin"]
         if not isinstance(origin, list) or len(origin) != 3:
             raise UserError(f"{path}: origin {origin!r}, expected [x, y, yaw] in metres and radians")
@@ -109,10 +113,10 @@ class OccupancyGrid:
         return walls | (self.cells == UNKNOWN) if unknown == "wall" else walls
 
     def signed_distance(self, unknown: Unknown) -> NDArray[np.float32]:
-        """Return the distance to the nearest wall's edge (H, W) in metres at cell centres, negative inside walls.
+        """Return the distance from cell centres to the nearest wall (H, W), metres, negative inside it.
 
-        It is the distance to the nearest centre of the other kind minus half a cell: exact straight in front of
-        a wall, up to a fifth of a cell too large beside its corners. Read bilinearly, it is zero at the
+        It is the distance to the nearest centre of the other kind minus half a cell: exact straight in front
+        of a wall, up to a fifth of a cell too large beside its corners. Read bilinearly, it is zero at the
         edge between a free cell and a wall. A map without walls is ``inf`` everywhere, a solid one ``-inf``;
         the world outside the map is no wall.
         """
@@ -127,7 +131,7 @@ class OccupancyGrid:
         return (cells * self.resolution).astype(np.float32)
 
     def map_to_cell(self) -> NDArray[np.float64]:
-        """Return the affine (2, 3) from positions in the map's frame to (column, row), whole at cell centres."""
+        """Return the affine (2, 3) from the map's frame (metres) to (column, row), whole at cell centres."""
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) / self.resolution
         return np.column_stack((turn, -turn @ (x, y) - 0.5))

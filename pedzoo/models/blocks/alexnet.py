@@ -1,4 +1,4 @@
-"""AlexNet's five convolutions (https://arxiv.org/abs/1404.5997) with torchvision's published ImageNet weights.
+"""AlexNet's five convolutions (https://arxiv.org/abs/1404.5997) with torchvision's ImageNet weights.
 
 Defined here because torchvision is not a dependency; keys and shapes are those of its ``alexnet``.
 """
@@ -49,7 +49,7 @@ def input_length(cells: int) -> int:
 
 
 def features(image: Tensor, weights: dict[str, Tensor]) -> Tensor:
-    """Return the features (B, 256, h, w) after the fifth convolution's ReLU of RGB images (B, 3, H, W) in [0, 1].
+    """Return the fifth convolution's features (B, 256, h, w), after ReLU, of images (B, 3, H, W) in [0, 1].
 
     The network's last max-pooling is left out: it would halve the resolution and smear walls over doors.
     """
@@ -69,14 +69,14 @@ def load(path: str | None = None) -> dict[str, Tensor]:
     """Return the convolutions' float32 weights by torchvision's keys.
 
     Args:
-        path: A ``.safetensors`` file with these keys, or torchvision's ``alexnet*.pth``. None takes the file in the
-            environment variable ``PEDZOO_ALEXNET``, or the published one from the cache or the network (244 MB).
+        path: A ``.safetensors`` file with these keys, or torchvision's ``alexnet*.pth``. None takes the file
+            in the environment variable ``PEDZOO_ALEXNET``, else the published one, downloaded once (244 MB).
 
     Raises:
         UserError: No such file, no network, or other weights than the published ones.
     """
     given = path or os.environ.get("PEDZOO_ALEXNET")
-    hint = "or give a .safetensors or .pth file of them as weights=... or in the environment variable PEDZOO_ALEXNET"
+    hint = "or give a .safetensors or .pth file as weights=... or in the environment variable PEDZOO_ALEXNET"
     file = Path(given).expanduser() if given else fetch(URL, None, "alexnet-owt-7be5be79.pth", hint)
     if not file.is_file():
         raise UserError(f"no AlexNet weights at {given!r}: get {URL}, {hint}")
@@ -85,14 +85,16 @@ def load(path: str | None = None) -> dict[str, Tensor]:
         layer, _, kind = key.rpartition(".")
         shape = SHAPES[layer] if kind == "weight" else SHAPES[layer][:1]
         if not isinstance(tensors.get(key), Tensor) or tuple(tensors[key].shape) != shape:
-            raise UserError(f"{file} holds no AlexNet: expected {key} of shape {shape} as in torchvision's ({URL})")
+            raise UserError(
+                f"{file} holds no AlexNet: expected {key} of shape {shape} as in torchvision's ({URL})"
+            )
     digest = hashlib.sha256()
     for key in KEYS:
         digest.update(tensors[key].half().contiguous().numpy().tobytes())
     if digest.hexdigest() != SHA256_FP16:
         raise UserError(
-            f"{file} holds other AlexNet weights (sha256 over fp16 {digest.hexdigest()}, expected {SHA256_FP16}), "
-            f"and features of other weights mean nothing to a trained model: delete it and get {URL}"
+            f"{file} holds other AlexNet weights (sha256 over fp16 {digest.hexdigest()}, expected "
+            f"{SHA256_FP16}), and features of others mean nothing to a trained model: delete it and get {URL}"
         )
     # Through half precision always, so that features do not depend on the file's format.
     return {key: tensors[key].half().float() for key in KEYS}

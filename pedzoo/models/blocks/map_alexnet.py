@@ -1,4 +1,4 @@
-"""Map encoder: ImageNet AlexNet's features of whole floor plans, computed once and read at each person's place."""
+"""Map encoder: AlexNet's features of whole floor plans, computed once and read at each person's place."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ _MARGIN = alexnet.STRIDE
 class AlexNetEncoder(MapEncoder):
     """Frozen AlexNet convolutions over every floor plan, then a trained linear layer per person.
 
-    The plan is seen as a picture from above: free is white, walls are black, and unknown cells are whichever of
-    them the bank takes them for. Features are computed in the map's own frame when a bank is bound, so they are
-    not turned to a person's heading (nor to a scene's rotation or mirroring: only the place is moved). The
-    convolutions and the features are no parameters or buffers: checkpoints hold the linear layer only.
+    The plan is seen as a picture from above: free is white, walls are black, and unknown cells are whichever
+    of them the bank takes them for. Features are computed in the map's own frame when a bank is bound, so
+    they are not turned to a person's heading (nor to a scene's rotation or mirroring: only the place is
+    moved). The convolutions and the features are no parameters or buffers: checkpoints hold the linear layer
+    only.
     """
 
     def __init__(self, dim: int = 32, weights: str | None = None, cell: float = 0.4) -> None:
@@ -91,7 +92,8 @@ def map_to_feature(grid: OccupancyGrid, cell: float) -> NDArray[np.float64]:
 
 def _picture_size(grid: OccupancyGrid, cell: float) -> tuple[int, int]:
     pixels_per_cell = grid.resolution * alexnet.STRIDE / cell
-    height, width = (math.ceil(side * pixels_per_cell - 1e-6) for side in grid.cells.shape)  # but for rounding
+    # 440 cells of 0.05 m are 880 pixels, and not 881 because 0.05 has no exact binary form.
+    height, width = (math.ceil(side * pixels_per_cell - 1e-6) for side in grid.cells.shape)
     return height, width
 
 

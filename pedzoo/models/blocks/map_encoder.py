@@ -14,8 +14,8 @@ from pedzoo.maps.bank import MapBank
 class MapEncoder(nn.Module, ABC):
     """Encodes the floor plan at each person's place.
 
-    Floor plans are no part of a model: it is bound to the `MapBank` of whoever makes its batches (a datamodule, an
-    environment, a controller), and no checkpoint holds a map.
+    Floor plans are no part of a model: it is bound to the `MapBank` of whoever makes its batches (a
+    datamodule, an environment, a controller), and no checkpoint holds a map.
 
     Attributes:
         dim: Features per person.
@@ -41,8 +41,8 @@ class MapEncoder(nn.Module, ABC):
         """
         if self._bank is None:
             raise UserError(
-                f"{type(self).__name__} has no floor plans yet: call bind(bank) with the MapBank that the batches "
-                "come from; an empty one, MapBank(), serves scenes without maps"
+                f"{type(self).__name__} has no floor plans yet: call bind(bank) with the MapBank that the "
+                "batches come from; an empty one, MapBank(), serves scenes without maps"
             )
         self._bank = self._bank.to(device)
         return self._bank
