@@ -15,8 +15,10 @@ class Arguments(argparse.ArgumentParser):
         """Set up ``pedzoo command``."""
         super().__init__(
             f"pedzoo {command}",
-            description=f"{about}. Example: {example}",
+            description=about,
+            epilog=f"example: {example}",
             allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
 
     def error(self, message: str) -> NoReturn:

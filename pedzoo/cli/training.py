@@ -83,8 +83,8 @@ class TrainingCLI(LightningCLI):
             parser_kwargs={
                 **PARSER_SETTINGS,
                 "prog": f"pedzoo {command}",
-                "usage": f"pedzoo {command} --config NAME [--data.X ...] [--model.X ...] [--trainer.X ...]",
-                "description": f"{about}. Example: {example}",
+                "usage": f"pedzoo {command} --config NAME [--data.X ...] [--model.X ...]\nexample: {example}",
+                "description": about,
             },
         )
 
@@ -121,7 +121,7 @@ class TrainingCLI(LightningCLI):
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
         if self.command != "fit":
-            kwargs |= {"logger": False}
+            kwargs |= {"logger": False, "enable_checkpointing": False}
         elif not options.get("fast_dev_run"):
             self.run = self.run or RunFolder.claim(self._base())
             if self.resuming:
