@@ -1,0 +1,30 @@
+"""The synthetic plaza that ships with the package: for the demo, tests and first steps, never for results."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from pedzoo.data.recordings import Recording, Split
+from pedzoo.data.tracks import Tracks
+from pedzoo.types import Clock
+
+FOLDS = ["embedded"]
+
+
+class Embedded:
+    """The recordings of the plaza: one for each split, all on the same floor plan."""
+
+    def __init__(self, fold: str = "embedded", root: str | None = None, clock: Clock = "benchmark") -> None:
+        """Find the shipped files.
+
+        Args:
+            fold: Only ``embedded``.
+            root: Not used: the files lie in the package.
+            clock: Not used: a step is 0.4 s by both.
+        """
+        self.folder = Path(str(files("pedzoo.data") / "embedded"))
+
+    def recordings(self, split: Split) -> list[Recording]:
+        """Return the recording of a split."""
+        return [Recording(Tracks.read(self.folder / f"plaza_{split}.csv"), self.folder / "plaza.yaml")]
