@@ -101,14 +101,14 @@ class RunFolder:
 
 
 class Record(Callback):
-    """Writes configuration and versions, puts the configuration into checkpoints, and seeds every epoch."""
+    """Writes configuration and versions, and seeds every epoch."""
 
     def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:
         """Record a run of the resolved ``config``, started by the command line ``argv``."""
         self.run, self.config, self.argv = run, config, argv
 
-    def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
-        """Write ``config.yaml`` and ``versions.json``; the data are read by now, so the run really starts."""
+    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Write ``config.yaml`` and ``versions.json``; data and model fit together by now, so the run starts."""
         if trainer.is_global_zero:
             print(f"run folder: {self.run.path}", flush=True)
             (self.run.path / "config.yaml").write_text(yaml.safe_dump(self.config, sort_keys=False))
@@ -120,9 +120,3 @@ class Record(Callback):
         seed = int(self.config["seed_everything"])
         drawn = (seed * 1_000_003 + trainer.current_epoch) * 1_009 + trainer.global_rank
         L.seed_everything(drawn % 2**32, verbose=False)
-
-    def on_save_checkpoint(
-        self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]
-    ) -> None:
-        """Add the configuration, as plain values, so that the file alone tells what it is."""
-        checkpoint["pedzoo_config"] = self.config
