@@ -24,3 +24,52 @@ def write_json(file: str | Path, content: dict[str, Any]) -> None:
         Path(file).write_text(text)
     except OSError as error:
         raise UserError(f"cannot write {str(file)!r}: {error.strerror}") from error
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """Print the rows of a report under their protocol, in as many tables as the terminal's width needs."""
+    from rich.console import Console
+    from rich.table import Table
+
+    rows = report["rows"]
+    metrics = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=200)  # a file or a pipe has no width that a table must fit
+    console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()), highlight=False)
+    for part in _parts(metrics, console.width - max(len(row["name"]) for row in rows) - 14):
+        table = Table()
+        table.add_column("name", overflow="fold")
+        for name in ["n", *part]:
+            table.add_column(_broken(name), justify="right", no_wrap=True)
+        for row in rows:
+            values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in part]
+            table.add_row(row["name"], str(row["n"]), *values)
+        console.print(table)
+    for row in rows:
+        if note := ", ".join(str(value) for value in row["case"].values()):
+            console.print(f"{row['name']}: {note}", highlight=False)
+
+
+def _parts(metrics: list[str], width: int) -> list[list[str]]:
+    """Cut the columns into tables of at most ``width`` characters."""
+    parts: list[list[str]] = [[]]
+    left = width
+    for name in metrics:
+        needed = max(5, *map(len, _broken(name).split("\n"))) + 3
+        if parts[-1] and needed > left:
+            parts.append([])
+            left = width
+        parts[-1].append(name)
+        left -= needed
+    return parts
+
+
+def _broken(name: str, width: int = 9) -> str:
+    """Break a metric's name at underscores into lines of about ``width`` characters."""
+    lines = [""]
+    for part in name.split("_"):
+        if lines[-1] and len(part) > 1 and len(lines[-1]) + len(part) >= width:
+            lines.append("")
+        lines[-1] += f"{part}_"
+    return "\n".join(lines)[:-1]

@@ -40,12 +40,21 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         raise UserError(explain(str(error), _known_options(parser, classes))) from error
 
 
+def given(argv: list[str], flag: str) -> str | None:
+    """Return the value that ``flag`` has on the command line, None where it is not there."""
+    for i, word in enumerate(argv):
+        name, joined, value = word.partition("=")
+        if name == flag and (joined or i + 1 < len(argv)):
+            return value if joined else argv[i + 1]
+    return None
+
+
 def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
     if found := re.search(r"unrecognized arguments: (\S+)", message):
         given = found[1].partition("=")[0]
         return _unknown(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
-    if re.search(r"arguments are required: model", message):
+    if re.search(r"arguments are required: model\b", message):
         return f"no model: choose one with --config NAME ({_configs()}) or --model CLASS"
     if found := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
         return _unknown("--" + ".".join(filter(None, found.groups())), known)

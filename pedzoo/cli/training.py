@@ -14,10 +14,10 @@ import yaml
 from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
-from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 
 from pedzoo.cli.output import write_json
-from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.train.module import ForecastModule
@@ -202,23 +202,14 @@ class TrainingCLI(LightningCLI):
 
 def _expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | None]:
     """Write out what ``--resume RUN`` and a checkpoint inside a run folder stand for."""
-    if command == "fit" and (given := _value(argv, "--resume")):
-        run = RunFolder.resume(given)
+    if command == "fit" and (folder := given(argv, "--resume")):
+        run = RunFolder.resume(folder)
         return ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last), *argv], run
-    checkpoint = _value(argv, "--ckpt_path")
+    checkpoint = given(argv, "--ckpt_path")
     if checkpoint and not Path(checkpoint).is_file():
         raise UserError(f"no checkpoint {checkpoint!r}")
-    if command != "fit" and checkpoint and not (_value(argv, "--config") or _value(argv, "-c")):
+    if command != "fit" and checkpoint and not (given(argv, "--config") or given(argv, "-c")):
         config = Path(checkpoint).parent.parent / "config.yaml"
         if config.is_file():
             return ["--config", str(config), *argv], None
     return argv, None
-
-
-def _value(argv: list[str], flag: str) -> str | None:
-    for i, word in enumerate(argv):
-        if word.startswith(f"{flag}="):
-            return word.partition("=")[2]
-        if word == flag and i + 1 < len(argv):
-            return argv[i + 1]
-    return None

@@ -1,0 +1,49 @@
+"""``pedzoo forecast``: open-loop errors of models between the trivial baselines."""
+
+from __future__ import annotations
+
+HELP = "ADE and FDE of models beside constant velocity and the lines to the goal"
+EXAMPLE = "pedzoo forecast sgan_goal.zara1 --data.fold zara1 --samples 20 --json out.json"
+
+
+def run(argv: list[str]) -> int:
+    """Print the table; returns the exit code."""
+    from typing import Literal
+
+    from jsonargparse import ArgumentParser
+    from jsonargparse.typing import NonNegativeInt
+
+    from pedzoo.cli.output import print_report, write_json
+    from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
+    from pedzoo.cli.progress import progress_bar
+    from pedzoo.data.datamodule import TrajectoryDataModule
+    from pedzoo.eval.forecast import forecast
+    from pedzoo.models.zoo import load
+    from pedzoo.versions import versions
+
+    usage = f"pedzoo forecast MODEL... [--data.fold FOLD] [--data.X ...] [--samples K]\nexample: {EXAMPLE}"
+    parser = ArgumentParser(prog="pedzoo forecast", usage=usage, description=HELP, **PARSER_SETTINGS)
+    parser.add_argument(
+        "models", nargs="+", type=str, help="Zoo names, .safetensors, .ckpt or file.py:Class."
+    )
+    parser.add_class_arguments(TrajectoryDataModule, "data", skip={"rotate", "mirror", "seed"})
+    parser.add_argument("--samples", type=NonNegativeInt, default=20, help="K of the best-of-K errors.")
+    parser.add_argument("--seed", type=int, default=0, help="Of the samples, the same for every model.")
+    parser.add_argument(
+        "--split", type=Literal["train", "val", "test"], default="test", help="Part of the fold."
+    )
+    parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
+    options = parse(parser, argv)
+
+    settings = options.data.as_dict()
+    if not given(argv, "--data.goal"):  # then every model that has a goal protocol is asked for its own
+        own = (load(name).goal_protocol for name in options.models)
+        settings["goal"] = next((goal for goal in own if goal), "none")
+    data = TrajectoryDataModule(**settings)
+    with progress_bar() as progress:
+        report = forecast(options.models, data, options.samples, options.seed, options.split, progress)
+    report = {"command": "forecast", **report, "versions": versions()}
+    print_report(report)
+    if options.json:
+        write_json(options.json, report)
+    return 0
