@@ -134,7 +134,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             scenes.sizes, h["batch_size"], h["max_pairs"], shuffle, h["seed"], rank, replicas if shuffle else 1
         )
         batches = _Batches(scenes, self.goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
-        return DataLoader(batches, sampler=sampler, batch_size=None)
+        return DataLoader(batches, sampler=sampler, batch_size=None, collate_fn=_as_it_is)
 
 
 class _Batches(Dataset):
@@ -150,6 +150,10 @@ class _Batches(Dataset):
         first = self.scenes.rows[self.scenes.offsets[draw.scenes], self.scenes.obs_len - 1]
         pose = augmentation(self.scenes.xy[first], self.rotate, self.mirror, generator)
         return self.scenes.batch(draw.scenes, self.goal, pose, generator)
+
+
+def _as_it_is(batch: TensorDict) -> TensorDict:
+    return batch
 
 
 @rank_zero_only

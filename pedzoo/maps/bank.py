@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -33,7 +34,7 @@ class MapBank:
         unknown: Unknown = "free",
         max_distance: float = MAX_DISTANCE,
     ) -> None:
-        """Compute the atlas; an empty bank serves scenes without maps.
+        """Take the floor plans; an empty bank serves scenes without maps.
 
         Raises:
             UserError: Two different maps have the same name.
@@ -54,11 +55,15 @@ class MapBank:
         rows = [row if identity >= 0 else -1 for identity, row in order]
         self._sorted_ids = torch.tensor([identity for identity, _ in order])
         self._rows = torch.tensor(rows)
-        fields = [torch.from_numpy(grid.signed_distance(unknown)) for grid in self.grids]
-        self._atlas = Atlas.stack(
-            [field.clamp(-max_distance, max_distance)[None] for field in fields],
+
+    @cached_property
+    def _atlas(self) -> Atlas:
+        # computed at first use: whoever never asks for a distance does not wait for the transforms
+        fields = [torch.from_numpy(grid.signed_distance(self.unknown)) for grid in self.grids]
+        return Atlas.stack(
+            [field.clamp(-self.max_distance, self.max_distance)[None] for field in fields],
             [grid.map_to_cell() for grid in self.grids],
-            nowhere=torch.tensor([max_distance]),
+            nowhere=torch.tensor([self.max_distance]),
         )
 
     @property
@@ -78,7 +83,7 @@ class MapBank:
 
     def to(self, device: torch.device | str) -> MapBank:
         """Return the bank on a device: itself where it is there already, else a copy (others own it too)."""
-        if self._atlas.image.device == torch.device(device):
+        if self._rows.device == torch.device(device):
             return self
         moved = object.__new__(MapBank)
         moved.__dict__.update(self.__dict__)

@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchmetrics import Metric
+from torchmetrics import Metric, MetricCollection
 
 from pedzoo.metrics import displacement as d
 from pedzoo.models.base import Forecaster
@@ -24,7 +24,7 @@ class ForecastScore(nn.Module):
         """Score ``samples`` per scene (0: only the mode); ``spread`` adds the distance between samples."""
         super().__init__()
         self.samples = samples
-        self.of_mode = nn.ModuleDict({"ade_m": d.ADE(), "fde_m": d.FDE(), "next_step_m": d.NextStepError()})
+        self.of_mode = _collection({"ade_m": d.ADE(), "fde_m": d.FDE(), "next_step_m": d.NextStepError()})
         of_samples = {
             "ade_sampled_m": d.ADE(),
             "fde_sampled_m": d.FDE(),
@@ -33,7 +33,7 @@ class ForecastScore(nn.Module):
             f"min_ade_{samples}_agent_m": d.MinADEAgent(),
             f"min_fde_{samples}_agent_m": d.MinFDEAgent(),
         }
-        self.of_samples = nn.ModuleDict(of_samples if samples else {})
+        self.of_samples = _collection(of_samples if samples else {})
         self.spread = d.SampleDistance() if samples > 1 and spread else None
 
     @torch.no_grad()
@@ -46,26 +46,29 @@ class ForecastScore(nn.Module):
         samples = self.samples if model.stochastic else min(self.samples, 1)
         mode = model.mode(batch, steps)
         error = d.displacement_error(mode, history, future)
-        for metric in self.of_mode.values():
-            cast("Metric", metric).update(error, valid)
+        self.of_mode.update(error, valid)
         if not samples:
             return
         prediction = model.sample(batch, samples, steps, generator) if model.stochastic else mode
         error = d.displacement_error(prediction, history, future)
-        for metric in self.of_samples.values():
-            cast("Metric", metric).update(error, valid)
+        self.of_samples.update(error, valid)
         if self.spread is not None:
             self.spread.update(prediction, agents["mask"])
 
     def compute(self) -> dict[str, float]:
         """Return all metrics by name; a deterministic model has sample distance 0."""
-        found = {name: float(cast("Metric", m).compute()) for name, m in (self.of_mode | self.of_samples).items()}
+        found = {name: float(value) for of in (self.of_mode, self.of_samples) for name, value in of.compute().items()}
         if self.spread is not None:
             found["sample_distance_m"] = float(self.spread.compute()) if self.spread.count else 0.0
         return found
 
     def reset(self) -> None:
         """Forget all batches."""
-        for metric in self.modules():
-            if isinstance(metric, Metric):
+        for metric in (self.of_mode, self.of_samples, self.spread):
+            if metric is not None:
                 metric.reset()
+
+
+def _collection(metrics: dict[str, Metric]) -> MetricCollection:
+    # no compute groups: the states differ, and finding that out would compute everything twice
+    return MetricCollection(dict(metrics), compute_groups=False)

@@ -96,9 +96,8 @@ class ForecastModule(L.LightningModule):
     def _log_scores(self, split: str) -> None:
         scores = {f"{split}/{name.removesuffix('_m')}": value for name, value in self.score.compute().items()}
         self.score.reset()
-        self.log_dict(scores, prog_bar=False, sync_dist=False)
-        for key in ("ade", "fde"):
-            self.log(f"{split}/{key}", scores[f"{split}/{key}"], prog_bar=True)
+        for name, value in scores.items():
+            self.log(name, value, prog_bar=name in (f"{split}/ade", f"{split}/fde"))
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Write down which model this is, so that `pedzoo.load` can build it."""
