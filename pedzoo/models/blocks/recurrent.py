@@ -32,9 +32,8 @@ class DisplacementEncoder(nn.Module):
 
     def forward(self, displacements: Tensor) -> Tensor:
         """Return the last hidden state (P, hidden_dim) of ``displacements`` (P, T, 2), metres per step."""
-        zero = displacements.new_zeros(displacements.shape[0], self.lstm.hidden_size)
-        weights = _folded(self.lstm, self.embedding)
-        return _lstm(displacements.transpose(0, 1), zero, weights)[-1]
+        zero = displacements.new_zeros(1, displacements.shape[0], self.lstm.hidden_size)
+        return _lstm(displacements, (zero, zero), _folded(self.lstm, self.embedding), batch_first=True)[1][0]
 
 
 class DisplacementDecoder(nn.Module):
@@ -67,6 +66,11 @@ class DisplacementDecoder(nn.Module):
             first: Last observed displacement (P, 2).
             steps: How many displacements are wanted.
         """
+        if steps == 1:
+            # Folding would cost more than it saves.
+            state = (hidden, torch.zeros_like(hidden))
+            state = torch._VF.lstm_cell(self.embedding(first), state, *_weights(self.lstm))  # type: ignore[attr-defined]
+            return self.output(state[0]).unsqueeze(1)
         w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
         w_hh = torch.addmm(w_hh, w_in, self.output.weight)
         b_hh = torch.addmv(b_hh, w_in, self.output.bias)
@@ -77,31 +81,36 @@ class DisplacementDecoder(nn.Module):
         for h0, d0 in zip(hidden.split(rows), first.split(rows), strict=True):
             surprise = (d0 - self.output(h0)).unsqueeze(0)
             inputs = functional.pad(surprise, (0, 0, 0, 0, 0, steps - 1))
-            parts.append(self.output(_lstm(inputs, h0, weights)))
+            state = (h0.unsqueeze(0), torch.zeros_like(h0).unsqueeze(0))
+            parts.append(self.output(_lstm(inputs, state, weights)[0]))
         return (parts[0] if len(parts) == 1 else torch.cat(parts, 1)).transpose(0, 1)
+
+
+def _weights(lstm: nn.LSTM) -> list[Tensor]:
+    """Return the weights (4H, E), (4H, H) and biases (4H,), (4H,) of ``lstm``."""
+    return [lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0]
 
 
 def _folded(lstm: nn.LSTM, embedding: nn.Linear) -> list[Tensor]:
     """Return weights (4H, 2), (4H, H) and biases (4H,), (4H,) of ``lstm`` after ``embedding``."""
-    w_ih, w_hh, b_ih, b_hh = lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0
+    w_ih, w_hh, b_ih, b_hh = _weights(lstm)
     return [w_ih @ embedding.weight, w_hh, torch.addmv(b_ih, w_ih, embedding.bias), b_hh]
 
 
-def _lstm(inputs: Tensor, hidden: Tensor, weights: list[Tensor]) -> Tensor:
-    """Return all hidden states (T, P, H) of an LSTM from ``hidden`` (P, H) and a zero cell.
+def _lstm(
+    inputs: Tensor, state: tuple[Tensor, Tensor], weights: list[Tensor], batch_first: bool = False
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return all hidden states (T, P, H) of an LSTM, and the last hidden and cell state (1, P, H).
 
     Args:
         inputs: The LSTM's inputs (T, P, 2).
-        hidden: Initial hidden state (P, H).
-        weights: What :func:`_folded` returns.
+        state: First hidden and cell state (1, P, H).
+        weights: What `_folded` returns.
+        batch_first: Inputs and hidden states are (P, T, ...).
     """
     # cuDNN warns about weights that are no slices of one buffer, which folded ones never are.
     cudnn = torch.backends.cudnn.flags(enabled=False) if inputs.is_cuda else nullcontext()
-    h0 = hidden.unsqueeze(0)
-    state = (h0, torch.zeros_like(h0))
+    train = torch.is_grad_enabled()
     with cudnn:
-        # Arguments: has biases, layers, dropout, training, bidirectional, batch first.
-        out = torch._VF.lstm(  # type: ignore[attr-defined]
-            inputs, state, weights, True, 1, 0.0, torch.is_grad_enabled(), False, False
-        )
-    return out[0]
+        # has biases, layers, dropout, training, bidirectional, batch first
+        return torch._VF.lstm(inputs, state, weights, True, 1, 0.0, train, False, batch_first)  # type: ignore[attr-defined]
