@@ -1,0 +1,119 @@
+"""Pictures of forecasts: what was seen, what happened, and what a model expected, on the floor plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.transforms import Affine2D
+from torch import Tensor
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
+from pedzoo.models.base import Forecaster
+
+MARGIN = 2.0
+"""Metres around everybody that a panel shows."""
+
+
+@torch.no_grad()
+def plot_forecasts(
+    model: Forecaster, data: TrajectoryDataModule, path: str | Path, panels: int = 6, samples: int = 20, seed: int = 0
+) -> None:
+    """Draw ``panels`` scenes, evenly spread over the test split, into a PNG.
+
+    Only scenes with at least three people are drawn; which ones depends on nothing else.
+
+    Args:
+        model: The forecaster.
+        data: Its data; the protocol is theirs.
+        path: The picture.
+        panels: Number of scenes.
+        samples: Random futures drawn per person, beside the mode.
+        seed: Of the random futures.
+    """
+    data.setup("test")
+    scenes = data.sets["test"]
+    crowded = (scenes.sizes >= min(3, int(scenes.sizes.max()))).nonzero().flatten()
+    chosen = crowded[torch.linspace(0, len(crowded) - 1, min(panels, len(crowded))).long()]
+    model.bind(data.bank)
+    batch = scenes.batch(chosen, data.goal, generator=torch.Generator().manual_seed(seed))
+    agents: Any = batch["agents"]
+    start = agents["history"][:, None, :, -1:]
+    random = torch.Generator().manual_seed(seed)
+    futures = start + model.sample(batch, samples, data.pred_len, random).cumsum(-2)
+    mode = start + model.mode(batch, data.pred_len).cumsum(-2)
+
+    columns = min(3, len(chosen))
+    rows = -(-len(chosen) // columns)
+    figure = Figure(figsize=(4.2 * columns, 4.2 * rows + 0.5), layout="constrained")
+    for i, axes in enumerate(figure.subplots(rows, columns, squeeze=False).flat):
+        if i >= len(chosen):
+            axes.set_axis_off()
+            continue
+        here = agents["mask"][i]
+        grid = next((grid for grid in data.bank.grids if grid.map_id == int(batch["map_id"][i])), None)
+        if grid is not None:
+            draw_floor_plan(axes, grid)
+        goal = agents["goal"][i, here] if "goal" in agents.keys() else None
+        _draw_people(axes, agents["history"][i, here], agents["future"][i, here], futures[i][:, here], mode[i, 0][here], goal)
+        _frame(axes, torch.cat((agents["history"], agents["future"]), 2)[i, here])
+        axes.set_title(f"test window {int(chosen[i])}", fontsize=9)
+    figure.legend(handles=_legend(samples, "goal" in agents.keys()), loc="outside lower center", ncols=5, frameon=False)
+    figure.suptitle(f"{type(model).__name__}: {data.obs_len} steps seen, {data.pred_len} predicted, goal: {data.goal}")
+    figure.savefig(path, dpi=110)
+
+
+def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:
+    """Draw walls dark and unknown cells grey, in world coordinates."""
+    height, width = grid.cells.shape
+    shade = torch.full((height, width), 0.85)
+    shade[torch.from_numpy(grid.cells == FREE)] = 1.0
+    shade[torch.from_numpy(grid.cells == OCCUPIED)] = 0.45
+    x, y, yaw = grid.origin
+    pose = Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y)
+    extent = (0, width, 0, height)
+    image = axes.imshow(shade.numpy(), cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent, zorder=0)
+    image.set_transform(pose + axes.transData)
+
+
+def _draw_people(
+    axes: Axes, history: Tensor, future: Tensor, futures: Tensor, mode: Tensor, goal: Tensor | None
+) -> None:
+    for person in range(len(history)):
+        last = history[person, -1:]
+        for sample in futures[:, person]:
+            axes.plot(*torch.cat((last, sample)).T.numpy(), color="tab:orange", alpha=0.25, linewidth=1, zorder=2)
+        axes.plot(*history[person].T.numpy(), color="black", linewidth=1.5, zorder=3)
+        axes.plot(*torch.cat((last, future[person])).T.numpy(), color="tab:green", linewidth=2, zorder=3)
+        axes.plot(*torch.cat((last, mode[person])).T.numpy(), color="tab:red", linewidth=1.5, linestyle="--", zorder=4)
+        axes.plot(*last[0].numpy(), "o", color="black", markersize=4, zorder=5)
+        if goal is not None:
+            axes.plot(*goal[person].numpy(), "x", color="tab:blue", markersize=6, zorder=5)
+
+
+def _frame(axes: Axes, positions: Tensor) -> None:
+    low, high = positions.flatten(0, 1).amin(0), positions.flatten(0, 1).amax(0)
+    centre, half = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
+    axes.set_xlim(float(centre[0]) - half, float(centre[0]) + half)
+    axes.set_ylim(float(centre[1]) - half, float(centre[1]) + half)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)
+    axes.set_xlabel("x, m", fontsize=7)
+    axes.set_ylabel("y, m", fontsize=7)
+
+
+def _legend(samples: int, goal: bool) -> list[Line2D]:
+    handles = [
+        Line2D([], [], color="black", marker="o", markersize=4, label="seen"),
+        Line2D([], [], color="tab:green", linewidth=2, label="what happened"),
+        Line2D([], [], color="tab:red", linestyle="--", label="mode"),
+        Line2D([], [], color="tab:orange", alpha=0.5, label=f"{samples} samples"),
+    ]
+    if goal:
+        handles.append(Line2D([], [], color="tab:blue", marker="x", linestyle="none", label="goal"))
+    return handles
