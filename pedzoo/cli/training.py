@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
-from lightning.fabric.utilities.exceptions import MisconfigurationException
 
 from pedzoo.cli.output import write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
@@ -78,6 +78,7 @@ class TrainingCLI(LightningCLI):
             subclass_mode_model=True,
             seed_everything_default=0,
             auto_configure_optimizers=False,
+            load_from_checkpoint_support=False,  # a checkpoint names its model itself, see `pedzoo.load`
             save_config_callback=None,
             trainer_defaults={"logger": None, "enable_model_summary": False},
             parser_kwargs={

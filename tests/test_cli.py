@@ -1,0 +1,216 @@
+"""The command line: quick help, exit codes, and one helpful line for every mistake."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import pedzoo
+from pedzoo.cli.commands.models import read_metadata
+from pedzoo.cli.main import COMMANDS, main
+from pedzoo.errors import UserError
+from pedzoo.paths import config_names
+
+ROOT = Path(pedzoo.__file__).parents[1]
+FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
+QUICK = ["--trainer.limit_train_batches", "1", "--trainer.limit_val_batches", "1"]
+QUIET = ["--trainer.enable_progress_bar", "false", "--model.samples", "2", "--model.generator.best_k", "2"]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """Run every test in an empty directory: configs are found by name and nothing is written but runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def refused(capsys, *argv: str) -> str:
+    """Return the one line that a mistake gives."""
+    assert main(list(argv)) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("pedzoo: ") and err.count("\n") == 1
+    return err
+
+
+def test_help_and_version_import_nothing_heavy():
+    code = (
+        "import sys; from pedzoo.cli.main import main; assert main(['--help']) == main(['--version']) == 0;"
+        "heavy = {'torch', 'lightning', 'numpy', 'rich', 'jsonargparse', 'tensordict'} & set(sys.modules);"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert f"pedzoo {pedzoo.__version__}" in done.stdout
+
+
+def test_overview_names_every_command_config_and_model(capsys):
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    for name in COMMANDS.names():
+        assert f"  {name} " in text and f"$ pedzoo {name}" in text
+    for name in (*config_names(), "sgan", "eth_ucy"):
+        assert f"  {name}" in text
+
+
+@pytest.mark.parametrize("command", COMMANDS.names())
+def test_every_command_has_help_with_an_example(command, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main([command, "--help"])
+    assert exit_.value.code == 0
+    text = capsys.readouterr().out
+    assert "example:" in text and f"pedzoo {command}" in text.partition("example:")[2]
+
+
+def test_unknown_command_suggests(capsys):
+    assert "did you mean 'forecast'?" in refused(capsys, "forcast")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["--model.lrr", "1e-3"], "unknown option --model.lrr: did you mean --model.lr?"),
+        (["--lr", "1e-3"], "did you mean --model.lr?"),
+        (["--model.generator.noise_dm", "4"], "did you mean --model.generator.noise_dim?"),
+        (["--model.discriminator.knd", "local"], "did you mean --model.discriminator.kind?"),
+        (["--data.bach_size", "4"], "unknown option --data.bach_size: did you mean --data.batch_size?"),
+        (["--trainer.max_epoch", "4"], "did you mean --trainer.max_epochs?"),  # no silent abbreviation
+        (["--model.lr", "fast"], "--model.lr: expected float, not 'fast'"),
+        (["--model.generator.noise_dim", "x"], "--model.generator.noise_dim: expected int, not 'x'"),
+        (["--data.batch_size", "1.5"], "--data.batch_size: expected int, not '1.5'"),
+        (["--data.goal", "window_ends"], "did you mean 'window_end'?"),
+        (["--model", "GANModul"], "--model: no class 'GANModul'"),
+        (["--config", "sgan_gaol"], "unknown config 'sgan_gaol': did you mean 'sgan_goal'?"),
+        (["stray"], "unexpected argument 'stray'"),
+        (["--ckpt_path", "none.ckpt"], "no checkpoint 'none.ckpt'"),
+        (["--resume", "nowhere"], "cannot resume 'nowhere': it has no config.yaml"),
+        (["--data.seed", "3"], "seed_everything"),
+    ],
+)
+def test_misspelt_options_and_wrong_types_are_refused(given, expected, capsys, elsewhere):
+    assert expected in refused(capsys, *FIT, *given)
+    assert not list(elsewhere.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("yaml", "expected"),
+    [
+        ("modell: {lr: 1}", "unknown option --modell.lr: did you mean --model.lr?"),
+        ("data: {batchsize: 4}", "unknown option --data.batchsize: did you mean --data.batch_size?"),
+        ("model: {init_args: {generator: {init_args: {goal_dims: 3}}}}", "--model.generator.goal_dim?"),
+        ("data: {batch_size: many}", "--data.batch_size: expected int, not 'many'"),
+        ("data: [", "Problems parsing config"),
+    ],
+)
+def test_misspelt_keys_in_a_config_are_refused(yaml, expected, capsys, elsewhere):
+    (elsewhere / "own.yaml").write_text(yaml)
+    assert expected in refused(capsys, *FIT, "--config", "own.yaml")
+
+
+def test_options_without_a_model_say_what_to_give(capsys):
+    assert "no model: choose one with --config NAME (" in refused(capsys, "fit")
+    assert "--model.lr needs a model" in refused(capsys, "fit", "--model.lr", "1")
+
+
+def test_mistakes_inside_a_command_are_one_line_and_leave_nothing(capsys, elsewhere, monkeypatch):
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    assert "PEDZOO_DATA" in refused(capsys, "fit", "--config", "sgan", "--data.fold", "zara1")
+    assert "none" in refused(capsys, *FIT, "--data.goal", "none")
+    assert "--ckpt_path" in refused(capsys, "test", *FIT[1:])
+    assert "unknown model" in refused(capsys, "forecast", "nothing")
+    assert not list(elsewhere.iterdir())
+
+
+def test_our_own_mistakes_keep_their_traceback(monkeypatch):
+    monkeypatch.setattr("pedzoo.cli.commands.models.run", lambda argv: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["models"])
+
+
+def test_interrupt_has_its_exit_code(monkeypatch, capsys):
+    def interrupted(argv):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pedzoo.cli.commands.models.run", interrupted)
+    assert main(["models"]) == 130
+
+
+def test_fit_resume_test_and_forecast(capsys, elsewhere):
+    """One run through its life: folders, records, overrides over a checkpoint, the next command."""
+    assert main([*FIT, *QUICK, *QUIET, "--trainer.max_epochs", "1", "--model.lr", "0.004"]) == 0
+    run = Path("runs/sgan_goal/embedded-seed0")
+    best = run / "checkpoints" / "best.ckpt"
+    printed = capsys.readouterr().out
+    assert f"next: pedzoo forecast {best} --data.fold embedded --data.goal window_end" in printed
+    assert [path.name for path in elsewhere.iterdir()] == ["runs"]
+    assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt"}
+    assert "lr: 0.004" in (run / "config.yaml").read_text()
+    record = json.loads((run / "versions.json").read_text())
+    assert record["command"][:2] == ["pedzoo", "fit"] and record["versions"]["pedzoo"] == pedzoo.__version__
+    assert "val/ade" in (run / "metrics.csv").read_text()
+
+    again = ["fit", "--resume", str(run), "--trainer.max_epochs", "2", "--model.lr", "0.003"]
+    assert main(again) == 0
+    assert "lr: 0.003" in (run / "config.yaml").read_text()
+    assert "lr: 0.004" in (run / "before-resume-1" / "config.yaml").read_text()
+    lines = (run / "metrics.csv").read_text().splitlines()
+    assert {line.partition(",")[0] for line in lines[1:]} == {"1"}
+
+    assert main(["test", "--ckpt_path", str(best), "--json", "test.json", *QUIET]) == 0
+    report = json.loads(Path("test.json").read_text())
+    assert report["protocol"]["goal"] == "window_end" and report["rows"][0]["metrics"]["ade"] < 0.5
+
+    capsys.readouterr()
+    assert main(["forecast", str(best), "--samples", "2", "--json", "-"]) == 0
+    rows = json.loads("{" + capsys.readouterr().out.partition("\n{")[2])["rows"]
+    assert [row["name"] for row in rows] == ["constant_velocity", str(best), "straight_line", "bent_line"]
+    assert {row["metrics"]["ade_m"] > 0 for row in rows} == {True}
+
+
+def test_second_run_gets_its_own_folder(elsewhere):
+    short = [*FIT, *QUICK, *QUIET, "--trainer.max_epochs", "1", "--seed_everything", "3"]
+    assert main(short) == main(short) == 0
+    assert {path.name for path in Path("runs/sgan_goal").iterdir()} == {"embedded-seed3", "embedded-seed3-2"}
+
+
+def test_interrupted_fit_prints_how_to_go_on(capsys, monkeypatch):
+    from pedzoo.train.module import ForecastModule
+
+    def interrupt(self):
+        if self.current_epoch == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(ForecastModule, "on_train_epoch_start", interrupt, raising=False)
+    assert main([*FIT, *QUICK, *QUIET, "--trainer.max_epochs", "3"]) == 130
+    assert "pedzoo fit --resume runs/sgan_goal/embedded-seed0" in capsys.readouterr().out
+
+
+def test_models_lists_architectures_and_weights(capsys, elsewhere):
+    assert main(["models", "sgan*", "--json", "models.json"]) == 0
+    report = json.loads(Path("models.json").read_text())
+    assert "sgan" in [row["name"] for row in report["architectures"]]
+    assert "sgan" in capsys.readouterr().out
+
+
+def test_metadata_of_a_damaged_file_is_refused(elsewhere):
+    (elsewhere / "cut.safetensors").write_bytes(b"\xff" * 20)
+    with pytest.raises(UserError, match=r"cut\.safetensors"):
+        read_metadata(elsewhere / "cut.safetensors")
+
+
+@pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="needs a checkout")
+def test_wheel_holds_configs_and_checkpoints(elsewhere):
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(elsewhere)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = elsewhere.glob("*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    shipped = [path for folder in ("configs", "checkpoints") for path in (ROOT / folder).rglob("*.*")]
+    shipped += [
+        path.relative_to(ROOT / "pedzoo") for path in (ROOT / "pedzoo" / "data" / "embedded").glob("*.*")
+    ]
+    for path in shipped:
+        assert f"pedzoo/{path.relative_to(ROOT) if path.is_absolute() else path}" in names
+    assert "pedzoo/py.typed" in names and not any("test" in Path(name).parts for name in names)
