@@ -112,7 +112,7 @@ def test_misspelt_keys_in_a_config_are_refused(yaml, expected, capsys, elsewhere
 
 def test_options_without_a_model_say_what_to_give(capsys):
     assert "no model: choose one with --config NAME (" in refused(capsys, "fit")
-    assert "--model.lr needs a model" in refused(capsys, "fit", "--model.lr", "1")
+    assert "needs generator, too: start from --config NAME (" in refused(capsys, "fit", "--model.lr", "1")
 
 
 def test_mistakes_inside_a_command_are_one_line_and_leave_nothing(capsys, elsewhere, monkeypatch):

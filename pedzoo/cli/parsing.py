@@ -69,6 +69,11 @@ def explain(message: str, known: list[str]) -> str:
     if found := re.search(r"Expected a dot import path string: (.*)", message):
         path, _ = _place(message[: found.start()])
         return f"{path}: no class {found[1]!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
+    if found := re.search(
+        r"given class_path '([^']*)':\s+the following arguments are required: (.*)", message
+    ):
+        path, _ = _place(message[: found.start()])
+        return f"{path} {found[1]} needs {found[2]}, too: start from --config NAME ({_configs()})"
     if found := re.search(r"given class_path '([^']*)':\s+(.*)", message):
         path, _ = _place(message[: found.start()])
         return f"{path} {found[1]}: {found[2]}"
