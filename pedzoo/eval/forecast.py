@@ -38,8 +38,13 @@ def forecast(
         progress: Called with the model, batches done and batches in all.
 
     Raises:
-        UserError: An unknown model, one that needs a goal where the data give none, or data without a window.
+        UserError: An unknown model, one that needs a goal where the data give none, a goal protocol for
+            training only, or data without a window.
     """
+    if data.goal == "random_future":
+        raise UserError(
+            "random_future goals are for training: set --data.goal to window_end, destination or none"
+        )
     data.setup({"train": "fit", "val": "validate", "test": "test"}[split])
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, data.goal) for name in [wanted[0], *names, *wanted[1:]]}
@@ -59,7 +64,9 @@ def _row(
     if "goal" in model.needs and data.goal == "none":
         raise UserError(f"{name} needs a goal: set --data.goal (it was trained on {model.goal_protocol})")
     model.bind(data.bank)
-    loader = {"train": data.train_dataloader, "val": data.val_dataloader, "test": data.test_dataloader}[split]()
+    loader = {"train": data.train_dataloader, "val": data.val_dataloader, "test": data.test_dataloader}[
+        split
+    ]()
     score, generator, people = ForecastScore(samples), torch.Generator().manual_seed(seed), 0
     for i, batch in enumerate(loader):
         score.update(model, batch, generator)
@@ -69,4 +76,10 @@ def _row(
     own = model.goal_protocol
     other = own not in (None, data.goal) and "goal" in model.needs
     note = f"trained for {own} goals" if other else ""
-    return {"name": name, "case": {"note": note} if note else {}, "n": people, "metrics": score.compute(), "ci95": {}}
+    return {
+        "name": name,
+        "case": {"note": note} if note else {},
+        "n": people,
+        "metrics": score.compute(),
+        "ci95": {},
+    }

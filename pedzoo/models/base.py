@@ -59,6 +59,13 @@ def goals_of(batch: TensorDict, who: str) -> tuple[Tensor, Tensor]:
     return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
 
 
+def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:
+    """Return one path for everybody (B, A, T, 2) as every sample (B, K, A, T, 2), zero for padding."""
+    there = cast("TensorDict", batch["agents"])["mask"][..., None, None]
+    # not a product: what padding holds may be NaN
+    return torch.where(there, path, 0.0).unsqueeze(1).expand(-1, samples, *path.shape[1:])
+
+
 def arguments(scope: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments of an ``__init__`` from its ``locals()``, to be kept as ``config``."""
     return {key: value for key, value in scope.items() if key not in ("self", "__class__")}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import os
+import sys
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -29,7 +31,7 @@ def list_models(pattern: str = "*") -> list[str]:
     return sorted(name for name in names if fnmatch(name, pattern))
 
 
-def load(name: str, goal: GoalProtocol | None = None) -> Forecaster:
+def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
     """Return a model in eval mode.
 
     Args:
@@ -40,6 +42,7 @@ def load(name: str, goal: GoalProtocol | None = None) -> Forecaster:
     Raises:
         UserError: No such model, or its file is damaged.
     """
+    name = str(name)
     if name.endswith(SUFFIX):
         return _from_safetensors(Path(name))
     if name.endswith(".ckpt"):
@@ -49,7 +52,11 @@ def load(name: str, goal: GoalProtocol | None = None) -> Forecaster:
     if name not in MODELS.names() and ".py:" not in name:
         raise unknown("model", name, [*list_models(), *_baselines()])
     model = MODELS.get(name)
-    built = model(goal_protocol=goal) if goal and issubclass(model, MODELS.get("straight_line")) else model()
+    built = _made(
+        model,
+        {"goal_protocol": goal} if goal and issubclass(model, MODELS.get("straight_line")) else {},
+        name,
+    )
     if any(True for _ in built.parameters()) and ".py:" not in name:
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
         raise UserError(f"{name!r} is an architecture; name its weights: {weights}")
@@ -58,12 +65,21 @@ def load(name: str, goal: GoalProtocol | None = None) -> Forecaster:
 
 def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
     """Return what has to be known to build ``model`` again, and whatever else is worth keeping."""
+    if not hasattr(model, "config"):
+        name = type(model).__name__
+        raise UserError(
+            f"{name} cannot be saved: keep its arguments in __init__, self.config = arguments(locals())"
+        )
     return {"architecture": architecture_of(model), "init": model.config, "goal": model.goal_protocol, **more}
 
 
 def build(config: dict[str, Any]) -> Forecaster:
-    """Return an untrained model of a config from `config_of`."""
-    return MODELS.get(config["architecture"])(**config["init"])
+    """Return an untrained model of a config from `config_of`.
+
+    Raises:
+        UserError: There is no such architecture, or it takes other arguments.
+    """
+    return _made(MODELS.get(config["architecture"]), config["init"], config["architecture"])
 
 
 def architecture_of(model: Forecaster) -> str:
@@ -72,8 +88,6 @@ def architecture_of(model: Forecaster) -> str:
     package, _, stem = module.rpartition(".")
     if package == MODELS.package:
         return stem
-    import sys
-
     return f"{sys.modules[module].__file__}:{type(model).__name__}"
 
 
@@ -85,8 +99,11 @@ def save_weights(model: Forecaster, path: str | Path, **more: Any) -> str:
     data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    part.write_bytes(data)
-    os.replace(part, path)
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)  # a full disk
     return hashlib.sha256(data).hexdigest()
 
 
@@ -113,8 +130,10 @@ def _from_checkpoint(path: Path) -> Forecaster:
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, UnpicklingError, EOFError) as error:
-        raise UserError(f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?") from error
-    if "pedzoo" not in checkpoint:
+        raise UserError(
+            f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?"
+        ) from error
+    if not isinstance(checkpoint, dict) or "pedzoo" not in checkpoint:
         raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
     prefix = "generator."
     state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
@@ -131,7 +150,9 @@ def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Fore
         model.load_state_dict(state)
     except RuntimeError as error:
         name = architecture_of(model)
-        raise UserError(f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}") from error
+        raise UserError(
+            f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
+        ) from error
     return model.eval()
 
 
@@ -147,16 +168,38 @@ def _opened(path: Path) -> Any:
 def _config(file: Any, path: Path) -> dict[str, Any]:
     metadata = file.metadata() or {}
     if "config" not in metadata:
-        raise UserError(f"weights {str(path)!r} have no pedzoo config in their metadata: not a file of this zoo")
-    return json.loads(metadata["config"])
+        raise UserError(
+            f"weights {str(path)!r} have no pedzoo config in their metadata: not a file of this zoo"
+        )
+    try:
+        config = json.loads(metadata["config"])
+        return config | {"architecture": config["architecture"], "init": dict(config["init"])}
+    except (ValueError, TypeError, KeyError) as error:
+        raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
 
 
 def _check_sum(path: Path) -> None:
-    lines = (path.parent / SUMS).read_text().splitlines()
-    sums = {name: digest for digest, name in (line.split() for line in lines)}
+    listed = path.parent / SUMS
+    lines = listed.read_text().splitlines() if listed.is_file() else []
+    sums = {name: digest for digest, name in (line.split() for line in lines if line.strip())}
     found = hashlib.sha256(path.read_bytes()).hexdigest()
-    if sums.get(path.name) != found:
-        raise UserError(f"weights {path.name} have sha256 {found}, but {SUMS} says {sums.get(path.name)}: reinstall pedzoo")
+    expected = sums.get(path.name, "nothing about them")
+    if expected != found:
+        raise UserError(
+            f"weights {path.name} have sha256 {found}, but {SUMS} says {expected}: reinstall pedzoo"
+        )
+
+
+def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
+    if not issubclass(model, Forecaster):
+        raise UserError(f"{name!r} is no model: expected a subclass of pedzoo.models.base.Forecaster")
+    try:
+        inspect.signature(model).bind(**init)
+    except TypeError as error:
+        raise UserError(
+            f"{name!r} cannot be built with the arguments {init}: {error}; is it of another version?"
+        ) from error
+    return model(**init)
 
 
 def _baselines() -> list[str]:

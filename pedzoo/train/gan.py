@@ -8,7 +8,7 @@ import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
+from torch.nn.functional import binary_cross_entropy_with_logits
 
 from pedzoo.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
@@ -59,7 +59,11 @@ class GANModule(ForecastModule):
             torch.optim.Adam(self.discriminator.parameters(), self.lr_discriminator),
         ]
 
-    def training_step(self, batch: TensorDict, _: int) -> None:
+    def steps_per_iteration(self) -> float:
+        """Return how many optimizer steps one iteration makes."""
+        return 2 if self.adversarial_weight else 1
+
+    def training_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Make one discriminator and one generator step on a batch."""
         g_optimizer, d_optimizer = cast("list[Any]", self.optimizers())
         generator, random = cast("SGAN", self.generator), self.random()
@@ -79,7 +83,8 @@ class GANModule(ForecastModule):
         if self.adversarial_weight:
             window, start = _windows(batch, crowd, fake)
             score = self.discriminator(window, start, crowd)
-            log["train/adversarial"] = adversarial = cross_entropy(score, _soft_one(score, random))
+            adversarial = _cross_entropy(score, _soft_one(score, random), _known(batch, crowd))
+            log["train/adversarial"] = adversarial
             loss = loss + self.adversarial_weight * adversarial
         g_optimizer.zero_grad()
         self.manual_backward(loss)
@@ -106,8 +111,9 @@ class GANModule(ForecastModule):
         both = Crowd.of(agents["mask"].repeat(2, 1))
         score = self.discriminator(torch.cat((real, made)), start.repeat(2, 1), both)
         score_real, score_made = score.chunk(2)
-        return cross_entropy(score_real, _soft_one(score_real, random)) + cross_entropy(
-            score_made, torch.zeros_like(score_made)
+        known = _known(batch, crowd)
+        return _cross_entropy(score_real, _soft_one(score_real, random), known) + _cross_entropy(
+            score_made, torch.zeros_like(score_made), known
         )
 
 
@@ -116,6 +122,17 @@ def _windows(batch: TensorDict, crowd: Crowd, future: Tensor) -> tuple[Tensor, T
     history = crowd.pack(batch["agents", "history"])
     moved = torch.nn.functional.pad(history.diff(dim=1), (0, 0, 1, 0))
     return torch.cat((moved, future), 1), history[:, 0]
+
+
+def _known(batch: TensorDict, crowd: Crowd) -> Tensor:
+    """Return who was seen in the whole window (P,): a position filled in for an unknown one is nobody's walk."""
+    return crowd.pack(batch["agents", "valid"].all(-1) & batch["agents", "future_valid"].all(-1))
+
+
+def _cross_entropy(score: Tensor, label: Tensor, known: Tensor) -> Tensor:
+    """Return the mean cross entropy over the ``known`` people (P,)."""
+    wrong = binary_cross_entropy_with_logits(score, label, reduction="none")
+    return (wrong * known).sum() / known.sum().clamp(min=1)
 
 
 def _soft_one(score: Tensor, random: torch.Generator) -> Tensor:

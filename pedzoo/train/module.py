@@ -49,7 +49,6 @@ class ForecastModule(L.LightningModule):
         self.seed = torch.initial_seed() % 2**31
         self.register_buffer("iteration", torch.zeros((), dtype=torch.long))
         self.score = ForecastScore(samples)
-        self.best: dict[str, float] = {}
 
     def setup(self, stage: str) -> None:
         """Bind the generator to the floor plans of the data and check their goal protocol."""
@@ -68,26 +67,40 @@ class ForecastModule(L.LightningModule):
         """Return the source of everything random in this iteration."""
         return torch.Generator().manual_seed(self.seed * 1_000_003 + int(self.iteration))
 
-    def set_lr(self, optimizer: Optimizer, lr: float) -> None:
-        """Set the learning rate of this iteration: warm-up, then cosine."""
-        total = max(int(self.trainer.estimated_stepping_batches), 1) if self.trainer.max_steps < 0 else 1
-        done = int(self.iteration)
-        share = min(done / total, 1.0)
+    def iterations(self) -> float:
+        """Return how many iterations the whole training will have; infinite where nothing ends it.
+
+        Counted here because ``trainer.max_steps`` counts steps of all optimizers.
+        """
+        epochs = self.trainer.max_epochs
+        by_epochs = math.inf if epochs in (None, -1) else self.trainer.num_training_batches * max(epochs, 1)
+        steps = self.trainer.max_steps
+        by_steps = math.inf if steps < 0 else math.ceil(steps / self.steps_per_iteration())
+        return max(min(by_epochs, by_steps), 1)
+
+    def steps_per_iteration(self) -> float:
+        """Return how many optimizer steps one iteration makes."""
+        return 1 / self.trainer.accumulate_grad_batches
+
+    def set_lr(self, optimizer: Optimizer, lr: float, done: int | None = None) -> None:
+        """Set the learning rate after ``done`` iterations (``iteration`` if None): warm-up, then cosine."""
+        done = int(self.iteration) if done is None else done
+        share = min(done / self.iterations(), 1.0)
         cosine = self.final_lr + (1 - self.final_lr) * 0.5 * (1 + math.cos(math.pi * share))
         for group in optimizer.param_groups:
             group["lr"] = lr * cosine * min(1.0, (done + 1) / max(self.warmup, 1))
 
-    def validation_step(self, batch: TensorDict, _: int) -> None:
-        """Add a batch to the scores."""
-        self.score.update(self.generator, batch, torch.Generator().manual_seed(_))
+    def validation_step(self, batch: TensorDict, batch_idx: int) -> None:
+        """Add a batch to the scores, with the same noise in every epoch."""
+        self.score.update(self.generator, batch, torch.Generator().manual_seed(batch_idx))
 
     def on_validation_epoch_end(self) -> None:
         """Log the scores as ``val/ade`` and so on."""
         self._log_scores("val")
 
-    def test_step(self, batch: TensorDict, _: int) -> None:
+    def test_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Add a batch to the scores."""
-        self.validation_step(batch, _)
+        self.validation_step(batch, batch_idx)
 
     def on_test_epoch_end(self) -> None:
         """Log the scores as ``test/ade`` and so on."""
@@ -108,7 +121,7 @@ class ForecastModule(L.LightningModule):
         """Refuse a checkpoint of another model.
 
         Raises:
-            UserError: It was written by another program or for another architecture.
+            UserError: It was written by another program, for another architecture or in another kind of training.
         """
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
@@ -117,9 +130,25 @@ class ForecastModule(L.LightningModule):
             {"architecture": c["architecture"], **{k: v for k, v in c["init"].items() if k not in _FREE}}
             for c in (theirs, ours)
         )
-        changed = [f"{k}: {given.get(k)} there, {wanted.get(k)} here" for k in given | wanted if given.get(k) != wanted.get(k)]
+        changed = [
+            f"{k}: {given.get(k)} there, {wanted.get(k)} here"
+            for k in given | wanted
+            if given.get(k) != wanted.get(k)
+        ]
         if changed:
-            raise UserError(f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config")
+            raise UserError(
+                f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"
+            )
+        shapes, own = (
+            {key: tuple(value.shape) for key, value in state.items()}
+            for state in (checkpoint["state_dict"], self.state_dict())
+        )
+        if different := sorted(key for key in shapes | own if shapes.get(key) != own.get(key)):
+            more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+            raise UserError(
+                f"the checkpoint is of another training than {type(self).__name__} as configured: "
+                f"{', '.join(different[:3])}{more} differ; use its own --config"
+            )
 
 
 _FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight"})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
@@ -20,18 +18,20 @@ class PlainModule(ForecastModule):
         """Return Adam; `set_lr` sets its learning rate at every iteration."""
         return torch.optim.Adam(self.generator.parameters(), self.lr)
 
-    def training_step(self, batch: TensorDict, _: int) -> Tensor:
+    def training_step(self, batch: TensorDict, batch_idx: int) -> Tensor:
         """Return the loss of a batch, summed over its scenes."""
         loss = self.generator.loss(batch, self.random())
-        self.log("train/loss", loss.detach() / len(batch), on_step=False, on_epoch=True, batch_size=len(batch))
+        self.log(
+            "train/loss", loss.detach() / len(batch), on_step=False, on_epoch=True, batch_size=len(batch)
+        )
         return loss
+
+    def on_after_backward(self) -> None:
+        """Count the iteration: not at its very end, where checkpoints may have been written already."""
+        self.iteration += 1
 
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
         """Clip the gradient and set the learning rate."""
         if self.clip:
             torch.nn.utils.clip_grad_norm_(self.generator.parameters(), self.clip)
-        self.set_lr(optimizer, self.lr)
-
-    def on_train_batch_end(self, *_: Any) -> None:
-        """Count the iteration."""
-        self.iteration += 1
+        self.set_lr(optimizer, self.lr, int(self.iteration) - 1)

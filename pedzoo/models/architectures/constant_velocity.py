@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.models.base import Forecaster
+from pedzoo.models.base import Forecaster, for_all_samples
 from pedzoo.models.blocks import lines
 
 
@@ -26,4 +26,4 @@ class ConstantVelocity(Forecaster):
         """Return the same future (B, K, A, T, 2) for every sample."""
         history = batch["agents", "history"]
         path = lines.constant_velocity(history[..., -1, :] - history[..., -2, :], steps)
-        return path.unsqueeze(1).expand(-1, samples, *path.shape[1:])
+        return for_all_samples(path, batch, samples)

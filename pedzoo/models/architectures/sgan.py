@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from pedzoo import geometry
 from pedzoo.data.goals import TIMED
+from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, arguments, goals_of
 from pedzoo.models.blocks import lines
@@ -93,18 +94,40 @@ class SGAN(Forecaster):
                 ``distance`` of positions, which is the ADE itself.
             variety_weight: Weight of the variety loss.
             mode_weight: Weight of the same loss on the noise-free prediction.
+
+        Raises:
+            UserError: Options that do not go together.
         """
         super().__init__()
         self.config = arguments(locals())
+        if not 0 < noise_dim < decoder_dim:
+            raise UserError(
+                f"noise_dim {noise_dim}: expected 1 to {decoder_dim - 1}, a part of decoder_dim {decoder_dim}"
+            )
+        if best_k < 1:
+            raise UserError(f"best_k {best_k}: expected at least 1 sample")
+        if residual == "bent_line" and not goal_dim:
+            raise UserError(
+                "residual bent_line bends to the goal: set goal_dim, or residual constant_velocity"
+            )
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
-        self.best_k, self.error, self.variety_weight, self.mode_weight = best_k, error, variety_weight, mode_weight
+        self.best_k, self.error, self.variety_weight, self.mode_weight = (
+            best_k,
+            error,
+            variety_weight,
+            mode_weight,
+        )
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
-        self.pooling = SocialPooling(encoder_dim, embedding_dim, 512, bottleneck_dim) if bottleneck_dim else None
+        self.pooling = (
+            SocialPooling(encoder_dim, embedding_dim, 512, bottleneck_dim) if bottleneck_dim else None
+        )
         self.goal = nn.Linear(4, goal_dim) if goal_dim else None
         self.to_decoder = mlp(
-            encoder_dim + bottleneck_dim + goal_dim + (map_dim if map else 0), mlp_dim, decoder_dim - noise_dim
+            encoder_dim + bottleneck_dim + goal_dim + (map_dim if map else 0),
+            mlp_dim,
+            decoder_dim - noise_dim,
         )
         self.decoder = DisplacementDecoder(embedding_dim, decoder_dim)
         init_like_sgan(self)
@@ -160,7 +183,9 @@ class SGAN(Forecaster):
         crowd, like = encoded.crowd, encoded.context
         rows = crowd.shape[0] if self.noise == "scene" else len(crowd.scene)
         device = generator.device if generator else like.device
-        z = torch.randn(samples, rows, self.noise_dim, generator=generator, device=device, dtype=like.dtype).to(like.device)
+        z = torch.randn(
+            samples, rows, self.noise_dim, generator=generator, device=device, dtype=like.dtype
+        ).to(like.device)
         return z[:, crowd.scene] if self.noise == "scene" else z
 
     def decode(self, encoded: Encoded, z: Tensor, steps: int) -> Tensor:
@@ -194,7 +219,9 @@ class SGAN(Forecaster):
         """Return the variety loss, summed over scenes."""
         return self.variety(batch, generator)[0]
 
-    def variety(self, batch: TensorDict, generator: torch.Generator | None = None) -> tuple[Tensor, Tensor, Crowd]:
+    def variety(
+        self, batch: TensorDict, generator: torch.Generator | None = None
+    ) -> tuple[Tensor, Tensor, Crowd]:
         """Return the variety loss, one random sample (P, T, 2) for a discriminator, and the packing.
 
         For each scene the mean squared displacement error of the best of ``best_k`` samples, best for
@@ -207,6 +234,9 @@ class SGAN(Forecaster):
         crowd = encoded.crowd
         truth = crowd.pack(torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2))
         known = crowd.pack(agents["future_valid"])
+        if self.error == "squared_displacement":
+            # a displacement is known where both its ends are
+            known = known & functional.pad(known[:, :-1], (1, 0), value=True)
         count = crowd.sum_per_scene(known.sum(1).to(truth.dtype)).clamp(min=1)
 
         def per_scene(path: Tensor) -> Tensor:  # (K, P, T, 2) -> (B, K)
@@ -223,7 +253,9 @@ class SGAN(Forecaster):
         if self.best_k > 1 and self.variety_weight:
             with torch.no_grad():
                 best = per_scene(self.decode(encoded, z, steps)).argmin(1)
-            chosen = torch.cat((z[best[crowd.scene], torch.arange(z.shape[1], device=z.device)][None], chosen))
+            chosen = torch.cat(
+                (z[best[crowd.scene], torch.arange(z.shape[1], device=z.device)][None], chosen)
+            )
         if self.mode_weight:
             chosen = torch.cat((chosen, torch.zeros_like(chosen[:1])))
         path = self.decode(encoded, chosen, steps)

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.data.goals import TIMED
-from pedzoo.models.base import Forecaster, goals_of
+from pedzoo.models.base import Forecaster, for_all_samples, goals_of
 from pedzoo.models.blocks import lines
 from pedzoo.types import GoalProtocol
 
@@ -33,4 +33,4 @@ class StraightLine(Forecaster):
         goal, _ = goals_of(batch, type(self).__name__)
         last = history[..., -1, :]
         path = self.path(last - history[..., -2, :], goal - last, steps, self.goal_protocol in TIMED)
-        return path.unsqueeze(1).expand(-1, samples, *path.shape[1:])
+        return for_all_samples(path, batch, samples)

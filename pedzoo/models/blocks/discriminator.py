@@ -19,7 +19,11 @@ class Discriminator(nn.Module):
     """
 
     def __init__(
-        self, kind: Literal["local", "global"] = "local", embedding_dim: int = 16, hidden_dim: int = 48, mlp_dim: int = 64
+        self,
+        kind: Literal["local", "global"] = "local",
+        embedding_dim: int = 16,
+        hidden_dim: int = 48,
+        mlp_dim: int = 64,
     ) -> None:
         """Create the parameters.
 
