@@ -103,12 +103,19 @@ def test_decoder_is_the_step_by_step_one(dtype: torch.dtype, people: int, steps:
     )
 
 
-def test_decoder_in_pieces_is_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    decoder = DisplacementDecoder(6, 7)
-    hidden, first = torch.randn(11, 7), torch.randn(11, 2)
-    whole = decoder(hidden, first, 3)
-    monkeypatch.setattr("pedzoo.models.blocks.recurrent._ROWS", 4)
-    torch.testing.assert_close(decoder(hidden, first, 3), whole)
+def test_networks_in_pieces_are_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    encoder, decoder = DisplacementEncoder(6, 7), DisplacementDecoder(6, 7)
+    displacements, hidden, first = torch.randn(11, 8, 2), torch.randn(11, 7), torch.randn(11, 2)
+    encoded, decoded = encoder(displacements), decoder(hidden, first, 3)
+    monkeypatch.setattr("pedzoo.models.blocks.recurrent._CPU_CELLS", 4 * 8 * 7)
+    torch.testing.assert_close(encoder(displacements), encoded)
+    torch.testing.assert_close(decoder(hidden, first, 3), decoded)
+
+
+def test_nobody_has_no_future() -> None:
+    assert DisplacementEncoder(6, 7)(torch.zeros(0, 8, 2)).shape == (0, 7)
+    for steps in (1, 3):
+        assert DisplacementDecoder(6, 7)(torch.zeros(0, 7), torch.zeros(0, 2), steps).shape == (0, steps, 2)
 
 
 def test_decoder_trains_through_its_own_output() -> None:

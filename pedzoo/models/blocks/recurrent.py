@@ -12,8 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-_ROWS = 2048
-"""People per LSTM call on a CPU: beyond it the gates no longer fit the cache (measured: 1.7 times slower)."""
+_CPU_CELLS = 2**19
+"""People x steps x width per LSTM call on a CPU. Beyond, its buffers pass 32 MB, which the C library takes
+from the system page by page at every call: 1.7 times slower (measured)."""
 
 
 class DisplacementEncoder(nn.Module):
@@ -32,8 +33,12 @@ class DisplacementEncoder(nn.Module):
 
     def forward(self, displacements: Tensor) -> Tensor:
         """Return the last hidden state (P, hidden_dim) of ``displacements`` (P, T, 2), metres per step."""
-        zero = displacements.new_zeros(1, displacements.shape[0], self.lstm.hidden_size)
-        return _lstm(displacements, (zero, zero), _folded(self.lstm, self.embedding), batch_first=True)[1][0]
+        weights, width = _folded(self.lstm, self.embedding), self.lstm.hidden_size
+        zero = displacements.new_zeros(1, displacements.shape[0], width)
+        rows = _rows(displacements.shape[1] * width, displacements)
+        pieces = zip(displacements.split(rows), zero.split(rows, 1), strict=True)
+        last = [_lstm(moved, (start, start), weights, batch_first=True)[1][0] for moved, start in pieces]
+        return last[0] if len(last) == 1 else torch.cat(last)
 
 
 class DisplacementDecoder(nn.Module):
@@ -76,7 +81,7 @@ class DisplacementDecoder(nn.Module):
         b_hh = torch.addmv(b_hh, w_in, self.output.bias)
         weights = [w_in, w_hh, b_ih, b_hh]
 
-        rows = _ROWS if hidden.device.type == "cpu" else max(1, len(hidden))
+        rows = _rows(steps * self.lstm.hidden_size, hidden)
         parts = []
         for h0, d0 in zip(hidden.split(rows), first.split(rows), strict=True):
             surprise = (d0 - self.output(h0)).unsqueeze(0)
@@ -95,6 +100,11 @@ def _folded(lstm: nn.LSTM, embedding: nn.Linear) -> list[Tensor]:
     """Return weights (4H, 2), (4H, H) and biases (4H,), (4H,) of ``lstm`` after ``embedding``."""
     w_ih, w_hh, b_ih, b_hh = _weights(lstm)
     return [w_ih @ embedding.weight, w_hh, torch.addmv(b_ih, w_ih, embedding.bias), b_hh]
+
+
+def _rows(cells: int, people: Tensor) -> int:
+    """Return for how many of ``people`` (P, ...) an LSTM runs at once, given its steps x width."""
+    return max(1, _CPU_CELLS // cells if people.device.type == "cpu" else len(people))
 
 
 def _lstm(
