@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -13,6 +13,7 @@ from pedzoo.errors import UserError
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo import load
+from pedzoo.types import GoalProtocol
 
 BASELINES = ("constant_velocity", "straight_line", "bent_line")
 
@@ -47,7 +48,7 @@ def forecast(
         )
     data.setup({"train": "fit", "val": "validate", "test": "test"}[split])
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
-    models = {name: load(name, data.goal) for name in [wanted[0], *names, *wanted[1:]]}
+    models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}
     rows = [_row(name, model, data, split, samples, seed, progress) for name, model in models.items()]
     return {"protocol": data.protocol | {"split": split, "samples": samples}, "seeds": [seed], "rows": rows}
 
@@ -64,9 +65,7 @@ def _row(
     if "goal" in model.needs and data.goal == "none":
         raise UserError(f"{name} needs a goal: set --data.goal (it was trained on {model.goal_protocol})")
     model.bind(data.bank)
-    loader = {"train": data.train_dataloader, "val": data.val_dataloader, "test": data.test_dataloader}[
-        split
-    ]()
+    loader = getattr(data, f"{split}_dataloader")()
     score, generator, people = ForecastScore(samples), torch.Generator().manual_seed(seed), 0
     for i, batch in enumerate(loader):
         score.update(model, batch, generator)

@@ -30,7 +30,7 @@ class Forecaster(nn.Module):
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Return ``samples`` random futures (B, K, A, T, 2): displacements per step, metres; zero for padding."""
+        """Return ``samples`` random futures (B, K, A, T, 2): displacements, metres; zero for padding."""
         raise NotImplementedError
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
@@ -45,23 +45,35 @@ class Forecaster(nn.Module):
         """Take the floor plans that ``map_id`` speaks of; only map-conditioned models use them."""
 
 
+def agents_of(batch: TensorDict) -> TensorDict:
+    """Return what a batch says about its people."""
+    return cast("TensorDict", batch["agents"])
+
+
+def true_displacements(batch: TensorDict) -> Tensor:
+    """Return how people really moved on (B, A, T, 2), metres per step."""
+    agents = agents_of(batch)
+    return torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2)
+
+
 def goals_of(batch: TensorDict, who: str) -> tuple[Tensor, Tensor]:
     """Return goal and desired velocity (B, A, 2) of a batch.
 
     Raises:
         UserError: The batch has none.
     """
-    agents = cast("TensorDict", batch["agents"])
+    agents = agents_of(batch)
     if "goal" not in agents.keys():
         raise UserError(
-            f"{who} needs a goal, but the data have none: set --data.goal to window_end, destination or random_future"
+            f"{who} needs a goal, but the data have none: "
+            "set --data.goal to window_end, destination or random_future"
         )
     return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
 
 
 def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:
     """Return one path for everybody (B, A, T, 2) as every sample (B, K, A, T, 2), zero for padding."""
-    there = cast("TensorDict", batch["agents"])["mask"][..., None, None]
+    there = agents_of(batch)["mask"][..., None, None]
     # not a product: what padding holds may be NaN
     return torch.where(there, path, 0.0).unsqueeze(1).expand(-1, samples, *path.shape[1:])
 

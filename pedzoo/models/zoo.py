@@ -92,7 +92,10 @@ def architecture_of(model: Forecaster) -> str:
 
 
 def save_weights(model: Forecaster, path: str | Path, **more: Any) -> str:
-    """Write ``model`` to a file, whole or not at all, and return its sha256; the same model gives the same bytes."""
+    """Write ``model`` to a file, whole or not at all, and return its sha256.
+
+    The same model gives the same bytes.
+    """
     path = Path(path)
     # one metadata key: with several, their order, and so the sum, would vary
     metadata = {"config": json.dumps(config_of(model, **more), sort_keys=True)}

@@ -1,4 +1,4 @@
-"""Adversarial training as in Social GAN (Gupta et al., CVPR 2018): one discriminator and one generator step."""
+"""Adversarial training as in Social GAN (Gupta et al., CVPR 2018): a discriminator and a generator step."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from pedzoo.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.base import agents_of, true_displacements
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.train.module import ForecastModule
 
 
 class GANModule(ForecastModule):
-    """Variety loss plus a discriminator on trajectories; weight 0 turns the discriminator off and skips it."""
+    """Variety loss plus a discriminator on trajectories; weight 0 turns it off and skips it."""
 
     def __init__(
         self,
@@ -98,17 +99,16 @@ class GANModule(ForecastModule):
         self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch))
 
     def discriminator_loss(self, batch: TensorDict, random: torch.Generator) -> Tensor:
-        """Return the loss of telling real from generated windows, both judged in one batch of twice the scenes."""
-        agents, generator = batch["agents"], cast("SGAN", self.generator)
+        """Return the loss of telling real from generated windows, judged in one batch of twice the scenes."""
+        agents, generator = agents_of(batch), cast("SGAN", self.generator)
         steps = agents["future"].shape[2]
         with torch.no_grad():
             encoded = generator.encode(batch, steps)
             fake = generator.decode(encoded, generator.draw(encoded, 1, random), steps)[0]
         crowd = encoded.crowd
-        truth = crowd.pack(torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2))
-        real, start = _windows(batch, crowd, truth)
+        real, start = _windows(batch, crowd, crowd.pack(true_displacements(batch)))
         made, _ = _windows(batch, crowd, fake)
-        both = Crowd.of(agents["mask"].repeat(2, 1))
+        both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
         score = self.discriminator(torch.cat((real, made)), start.repeat(2, 1), both)
         score_real, score_made = score.chunk(2)
         known = _known(batch, crowd)
@@ -118,15 +118,16 @@ class GANModule(ForecastModule):
 
 
 def _windows(batch: TensorDict, crowd: Crowd, future: Tensor) -> tuple[Tensor, Tensor]:
-    """Return displacements of whole windows (P, 8 + T, 2), the first zero as published, and where they start."""
+    """Return displacements of whole windows (P, 8 + T, 2), the first zero as published, and their start."""
     history = crowd.pack(batch["agents", "history"])
     moved = torch.nn.functional.pad(history.diff(dim=1), (0, 0, 1, 0))
     return torch.cat((moved, future), 1), history[:, 0]
 
 
 def _known(batch: TensorDict, crowd: Crowd) -> Tensor:
-    """Return who was seen in the whole window (P,): a position filled in for an unknown one is nobody's walk."""
-    return crowd.pack(batch["agents", "valid"].all(-1) & batch["agents", "future_valid"].all(-1))
+    """Return who was seen in the whole window (P,): filled-in positions are nobody's walk."""
+    agents = agents_of(batch)
+    return crowd.pack(torch.cat((agents["valid"], agents["future_valid"]), -1).all(-1))
 
 
 def _cross_entropy(score: Tensor, label: Tensor, known: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 import lightning as L
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 from torch.optim import Optimizer
 
 from pedzoo.errors import UserError
@@ -23,6 +24,8 @@ class ForecastModule(L.LightningModule):
     and the learning rate is a function of that number: a resumed run ends where an uninterrupted one
     does, and the command line's learning rate wins over a checkpoint's.
     """
+
+    iteration: Tensor
 
     def __init__(
         self,
@@ -121,7 +124,7 @@ class ForecastModule(L.LightningModule):
         """Refuse a checkpoint of another model.
 
         Raises:
-            UserError: It was written by another program, for another architecture or in another kind of training.
+            UserError: It was written by another program, for another architecture, or in another training.
         """
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:

@@ -8,7 +8,7 @@ variant: an option that is off costs nothing and leaves the published network.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 from tensordict import TensorDict
@@ -19,7 +19,7 @@ from pedzoo import geometry
 from pedzoo.data.goals import TIMED
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, arguments, goals_of
+from pedzoo.models.base import Forecaster, agents_of, arguments, goals_of, true_displacements
 from pedzoo.models.blocks import lines
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
@@ -146,7 +146,7 @@ class SGAN(Forecaster):
 
     def encode(self, batch: TensorDict, steps: int) -> Encoded:
         """Return all that does not depend on the noise."""
-        agents = cast("TensorDict", batch["agents"])
+        agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
         position = history[:, -1]
@@ -228,11 +228,11 @@ class SGAN(Forecaster):
         all its people together, summed over scenes (Gupta et al., eq. 8). Only the winners have a
         gradient, so the candidates are drawn without one and just the winners run again.
         """
-        agents = batch["agents"]
+        agents = agents_of(batch)
         steps = agents["future"].shape[2]
         encoded = self.encode(batch, steps)
         crowd = encoded.crowd
-        truth = crowd.pack(torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2))
+        truth = crowd.pack(true_displacements(batch))
         known = crowd.pack(agents["future_valid"])
         if self.error == "squared_displacement":
             # a displacement is known where both its ends are
