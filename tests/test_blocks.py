@@ -23,8 +23,9 @@ def crowd_of(sizes: Sequence[int]) -> Crowd:
 
 def plain_lstm(lstm: nn.LSTM, inputs: list[Tensor], hidden: Tensor, cell: Tensor) -> tuple[Tensor, Tensor]:
     """Return hidden and cell state after ``inputs``, gate by gate."""
+    w_ih, w_hh, b_ih, b_hh = lstm.parameters()
     for x in inputs:
-        gates = x @ lstm.weight_ih_l0.T + lstm.bias_ih_l0 + hidden @ lstm.weight_hh_l0.T + lstm.bias_hh_l0
+        gates = x @ w_ih.T + b_ih + hidden @ w_hh.T + b_hh
         i, f, g, o = gates.chunk(4, 1)
         cell = f.sigmoid() * cell + i.sigmoid() * g.tanh()
         hidden = o.sigmoid() * cell.tanh()
@@ -67,11 +68,11 @@ def assert_same(
         value = function(*inputs)
         weight = torch.linspace(-1, 2, value.numel(), dtype=value.dtype).view_as(value)
         results.append((value, torch.autograd.grad((weight * value.square()).sum(), leaves)))
-    close = {"rtol": 1e-9, "atol": 1e-9} if inputs[0].dtype == torch.float64 else {"rtol": 4e-6, "atol": 4e-6}
-    torch.testing.assert_close(results[0][0], results[1][0], **close)
+    close = 1e-9 if inputs[0].dtype == torch.float64 else 4e-6
+    torch.testing.assert_close(results[0][0], results[1][0], rtol=close, atol=close)
     for got, wanted in zip(results[0][1], results[1][1], strict=True):
         scale = wanted.abs().max().clamp(min=1)
-        torch.testing.assert_close(got / scale, wanted / scale, **close)
+        torch.testing.assert_close(got / scale, wanted / scale, rtol=close, atol=close)
 
 
 @pytest.fixture(autouse=True)
@@ -136,10 +137,12 @@ SIZES = [(1,), (4,), (3, 3, 3), (2, 5, 1, 5, 3), (1, 1, 9)]
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("sizes", SIZES)
 @pytest.mark.parametrize("buffer", [1, 200, 2**20])
+@pytest.mark.parametrize("at_once", [0, 2**17])
 def test_pooling_is_the_pair_by_pair_one(
-    dtype: torch.dtype, sizes: tuple[int, ...], buffer: int, monkeypatch: pytest.MonkeyPatch
+    dtype: torch.dtype, sizes: tuple[int, ...], buffer: int, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pooling, "_CPU_FLOATS", buffer)
+    monkeypatch.setattr(pooling, "_AT_ONCE", at_once)
     pool = SocialPooling(5, 4, 9, 6).to(dtype)
     init_like_sgan(pool)
     crowd = crowd_of(sizes)

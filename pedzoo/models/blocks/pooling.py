@@ -11,7 +11,7 @@ Backwards, only the winning pair of each person and channel has a gradient.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +26,9 @@ _CPU_FLOATS = 2**20
 
 _GPU_FLOATS = 2**26
 """The same on an accelerator, where only memory limits it."""
+
+_AT_ONCE = 2**17
+"""Numbers in the pairs of scenes so small that only the number of calls counts."""
 
 
 class SocialPooling(nn.Module):
@@ -54,32 +57,24 @@ class SocialPooling(nn.Module):
             position: World positions (P, 2), metres.
             crowd: Who shares a scene with whom.
         """
-        inner, outer = self.mlp[0], self.mlp[2]
+        inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
         # Differences of large coordinates lose digits: positions count from the first person of the scene.
         first = torch.searchsorted(crowd.scene, crowd.scene)
         origin = position.detach()[first] if crowd.shape[0] > 1 else position.detach()[:1]
         away = functional.linear(position - origin, self.embedding.weight)
         u = inner(torch.cat((away + self.embedding.bias, hidden), 1))
         v = away @ inner.weight[:, : away.shape[1]].t()
-        if (
-            not torch.is_grad_enabled()
-            and len(crowd.groups) == 1
-            and u.numel() * crowd.groups[0].shape[1] < 2**16
-        ):
-            # A simulated scene of a few people: what counts is the number of calls.
-            n = crowd.groups[0].shape[1]
-            pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1])).flatten(0, 2)
-            best = (outer.weight @ pairs.t()).view(-1, len(u), n).amax(2).t()
-            return torch.addmm(outer.bias, v, outer.weight.t(), alpha=-1).add_(best).relu_()
         if torch.is_grad_enabled():
             best = _MaxOverPairs.apply(u, v, outer.weight, crowd.groups, first)
+        elif len(crowd.groups) == 1 and u.numel() * crowd.groups[0].shape[1] <= _AT_ONCE:
+            best = _max_over_few_pairs(u, v, outer.weight, crowd.groups[0].shape[1])
         else:
             best = _max_over_pairs(u, v, outer.weight, crowd.groups)[0]
         return torch.relu(best + outer.bias)
 
 
 class _MaxOverPairs(torch.autograd.Function):
-    """The maxima of :func:`_max_over_pairs` with a gradient that visits the winning pairs only."""
+    """The maxima of `_max_over_pairs` with a gradient that visits the winning pairs only."""
 
     @staticmethod
     def forward(
@@ -151,6 +146,13 @@ def _max_over_pairs(
         back = torch.argsort(torch.cat([group.flatten() for group in groups]))
         best, winner = best[back], winner[back]
     return best - v @ weight.t(), winner
+
+
+def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
+    """Return the maxima of `_max_over_pairs` for scenes of ``n`` people each, in as few calls as possible."""
+    pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1]))
+    best = (weight @ pairs.view(-1, u.shape[1]).t()).view(-1, len(u), n).amax(2).t()
+    return torch.addmm(best, v, weight.t(), alpha=-1)
 
 
 def _piece(group: Tensor, pairs: int) -> tuple[int, int, int]:

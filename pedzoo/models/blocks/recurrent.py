@@ -7,6 +7,7 @@ activation, so it disappears in the LSTM's input weights; so does the decoder's 
 from __future__ import annotations
 
 from contextlib import nullcontext
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -74,7 +75,7 @@ class DisplacementDecoder(nn.Module):
         if steps == 1:
             # Folding would cost more than it saves.
             state = (hidden, torch.zeros_like(hidden))
-            state = torch._VF.lstm_cell(self.embedding(first), state, *_weights(self.lstm))  # type: ignore[attr-defined]
+            state = torch._VF.lstm_cell(self.embedding(first), state, *_weights(self.lstm))
             return self.output(state[0]).unsqueeze(1)
         w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
         w_hh = torch.addmm(w_hh, w_in, self.output.weight)
@@ -93,7 +94,7 @@ class DisplacementDecoder(nn.Module):
 
 def _weights(lstm: nn.LSTM) -> list[Tensor]:
     """Return the weights (4H, E), (4H, H) and biases (4H,), (4H,) of ``lstm``."""
-    return [lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0]
+    return cast("list[Tensor]", [lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0])
 
 
 def _folded(lstm: nn.LSTM, embedding: nn.Linear) -> list[Tensor]:
@@ -123,4 +124,4 @@ def _lstm(
     train = torch.is_grad_enabled()
     with cudnn:
         # has biases, layers, dropout, training, bidirectional, batch first
-        return torch._VF.lstm(inputs, state, weights, True, 1, 0.0, train, False, batch_first)  # type: ignore[attr-defined]
+        return torch._VF.lstm(inputs, state, weights, True, 1, 0.0, train, False, batch_first)
