@@ -154,5 +154,5 @@ class ForecastModule(L.LightningModule):
             )
 
 
-_FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight"})
+_FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight", "energy_weight"})
 """Options of a model that may change when a run goes on: losses, not weights."""

@@ -71,6 +71,7 @@ class SGAN(Forecaster):
         error: Literal["squared_displacement", "distance"] = "squared_displacement",
         variety_weight: float = 1.0,
         mode_weight: float = 0.0,
+        energy_weight: float = 0.0,
     ) -> None:
         """Create the parameters.
 
@@ -94,6 +95,8 @@ class SGAN(Forecaster):
                 ``distance`` of positions, which is the ADE itself.
             variety_weight: Weight of the variety loss.
             mode_weight: Weight of the same loss on the noise-free prediction.
+            energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
+                minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
 
         Raises:
             UserError: Options that do not go together.
@@ -118,6 +121,7 @@ class SGAN(Forecaster):
             variety_weight,
             mode_weight,
         )
+        self.energy_weight = energy_weight
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
         self.pooling = (
@@ -239,8 +243,8 @@ class SGAN(Forecaster):
             known = known & functional.pad(known[:, :-1], (1, 0), value=True)
         count = crowd.sum_per_scene(known.sum(1).to(truth.dtype)).clamp(min=1)
 
-        def per_scene(path: Tensor) -> Tensor:  # (K, P, T, 2) -> (B, K)
-            wrong = path - truth
+        def apart(path: Tensor, other: Tensor) -> Tensor:  # (K, P, T, 2) -> (B, K)
+            wrong = path - other
             if self.error == "squared_displacement":
                 wrong = wrong.square().sum(-1)
             else:
@@ -248,22 +252,28 @@ class SGAN(Forecaster):
                 wrong = (wrong.cumsum(-2).square().sum(-1) + 1e-8).sqrt()
             return crowd.sum_per_scene((wrong * known).sum(2).t()) / count.unsqueeze(1)
 
-        z = self.draw(encoded, self.best_k, generator)
-        chosen = z[-1:]
+        z = self.draw(encoded, max(self.best_k, 2), generator)
+        chosen = {"sample": z[-1], "winner": z[-1]}
         if self.best_k > 1 and self.variety_weight:
             with torch.no_grad():
-                best = per_scene(self.decode(encoded, z, steps)).argmin(1)
-            chosen = torch.cat(
-                (z[best[crowd.scene], torch.arange(z.shape[1], device=z.device)][None], chosen)
-            )
+                best = apart(self.decode(encoded, z[-self.best_k :], steps), truth).argmin(1)
+            chosen["winner"] = z[-self.best_k :][best[crowd.scene], torch.arange(z.shape[1], device=z.device)]
+        if self.energy_weight:
+            chosen["other"] = z[-2]
         if self.mode_weight:
-            chosen = torch.cat((chosen, torch.zeros_like(chosen[:1])))
-        path = self.decode(encoded, chosen, steps)
-        errors = per_scene(path).sum(0)  # winner first, then the random sample, then the mode
-        loss = self.variety_weight * errors[0]
+            chosen["mode"] = torch.zeros_like(z[-1])
+        path = dict(zip(chosen, self.decode(encoded, torch.stack(list(chosen.values())), steps), strict=True))
+
+        def cost(name: str, other: Tensor) -> Tensor:
+            return apart(path[name].unsqueeze(0), other).sum()
+
+        loss = self.variety_weight * cost("winner", truth)
+        if self.energy_weight:
+            miss = cost("sample", truth) + cost("other", truth) - cost("sample", path["other"])
+            loss = loss + self.energy_weight * miss / 2
         if self.mode_weight:
-            loss = loss + self.mode_weight * errors[-1]
-        return loss, path[len(path) - 1 - bool(self.mode_weight)], crowd
+            loss = loss + self.mode_weight * cost("mode", truth)
+        return loss, path["sample"], crowd
 
 
 def _into(heading: Tensor | None, vectors: Tensor) -> Tensor:
