@@ -33,7 +33,7 @@ def turn_to_scene(vectors: Tensor, pose: Tensor) -> Tensor:
 
 
 def turn_to_map(vectors: Tensor, pose: Tensor) -> Tensor:
-    """Rotate, then mirror scene directions (B, ..., 2) back into the map's frame: inverse of `turn_to_scene`."""
+    """Turn scene directions (B, ..., 2) back into the map's frame: the inverse of `turn_to_scene`."""
     pose = _align(pose, vectors)
     turned = unrotate(vectors, _direction(pose))
     return torch.stack((turned[..., 0], turned[..., 1] * pose[..., 1]), dim=-1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import cast
+from pathlib import Path
+from typing import Any, cast
 
 import lightning as L
 import torch
@@ -73,9 +74,15 @@ class TrajectoryDataModule(L.LightningDataModule):
             raise UserError(f"--data.obs_len {obs_len} --data.pred_len {pred_len}: expected at least 2 and 1")
         if min(batch_size, max_pairs, min_people) < 1:
             raise UserError("--data.batch_size, --data.max_pairs and --data.min_people must be at least 1")
-        self.fold = fold if files is None else "files"
-        self.obs_len, self.pred_len, self.goal = obs_len, pred_len, cast("GoalProtocol", goal)
+        own = {"dt": dt, "map": map, "homography": homography}
+        if not files and any(own.values()):
+            given = " and ".join(f"--data.{name}" for name, value in own.items() if value)
+            raise UserError(f"{given} given without --data.files: the fold {fold!r} has its own")
+        self.fold = "files" if files else fold
+        self.obs_len, self.pred_len = obs_len, pred_len
+        self.goal: GoalProtocol = goal
         self.source = OwnFiles(files, dt, split, map, homography) if files else open_fold(fold, root, clock)
+        self._grids: dict[Path, OccupancyGrid] = {}
         self.bank = MapBank([])
         self.sets: dict[Split, SceneSet] = {}
 
@@ -83,7 +90,8 @@ class TrajectoryDataModule(L.LightningDataModule):
     def protocol(self) -> dict:
         """What every number made with these data depends on."""
         keys = ("obs_len", "pred_len", "goal", "clock", "people", "min_people")
-        return {"fold": self.fold} | {key: self.hparams[key] for key in keys}
+        own = {"clock": "true"} if self.fold == "files" else {}  # always resampled to a real 0.4 s
+        return {"fold": self.fold} | {key: self.hparams[key] for key in keys} | own
 
     def setup(self, stage: str | None = None) -> None:
         """Read the splits of a Lightning stage (``fit``, ``validate``, ``test``; None for all).
@@ -94,24 +102,21 @@ class TrajectoryDataModule(L.LightningDataModule):
         wanted: dict[str | None, tuple[Split, ...]] = {
             "fit": ("train", "val"), "validate": ("val",), "test": ("test",), None: ("train", "val", "test")
         }  # fmt: skip
-        if all(split in self.sets for split in wanted[stage]):
-            return
-        recordings = {split: self.source.recordings(split) for split in wanted[stage]}
-        plans = {r.plan: None for split in recordings.values() for r in split if r.plan}
-        grids = {plan: OccupancyGrid.from_ros_yaml(plan) for plan in plans}
-        # recorded people walk where the camera did not see the floor: unknown cells are free here
-        self.bank = MapBank(list(grids.values()), unknown="free")
-        for split, found in recordings.items():
-            self.sets[split] = self._scenes(split, found, grids)
+        missing: list[Split] = [split for split in wanted[stage] if split not in self.sets]
+        recordings: dict[Split, list[Recording]] = {s: self.source.recordings(s) for s in missing}
+        plans = {recording.plan for split in missing for recording in recordings[split] if recording.plan}
+        if new := sorted(plans - self._grids.keys()):
+            self._grids |= {plan: OccupancyGrid.from_ros_yaml(plan) for plan in new}
+            # recorded people walk where the camera did not see the floor: unknown cells are free here
+            self.bank = MapBank(list(self._grids.values()), unknown="free")
+        for split in missing:
+            self.sets[split] = self._scenes(recordings[split])
+            _print_counts(f"{self.fold} {split}", self.sets[split])
 
-    def _scenes(self, split: Split, recordings: list[Recording], grids: dict) -> SceneSet:
-        if not recordings:
-            raise UserError(f"the {split} split has no recordings: is --data.split {self.hparams['split']!r} right?")
-        ids = [self.bank.id_of(grids[r.plan].name) if r.plan else -1 for r in recordings]
-        h = self.hparams
-        scenes = SceneSet(recordings, ids, self.obs_len, self.pred_len, cast("People", h["people"]), h["min_people"])
-        _print_counts(split, self.fold, scenes)
-        return scenes
+    def _scenes(self, recordings: list[Recording]) -> SceneSet:
+        ids = [self._grids[r.plan].map_id if r.plan else -1 for r in recordings]
+        people, min_people = cast("People", self.hparams["people"]), self.hparams["min_people"]
+        return SceneSet(recordings, ids, self.obs_len, self.pred_len, people, min_people)
 
     def train_dataloader(self) -> DataLoader:
         """Return shuffled, augmented batches."""
@@ -128,20 +133,24 @@ class TrajectoryDataModule(L.LightningDataModule):
     def _loader(self, split: Split, shuffle: bool = False) -> DataLoader:
         if split not in self.sets:
             self.setup({"train": "fit", "val": "validate", "test": "test"}[split])
-        h, scenes = self.hparams, self.sets[split]
-        rank, replicas = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+        h, scenes, rank, replicas = self.hparams, self.sets[split], 0, 1
+        if (
+            shuffle and self.trainer
+        ):  # every process evaluates all windows: nothing is counted twice or left out
+            rank, replicas = self.trainer.global_rank, self.trainer.world_size
         sampler = BucketSampler(
-            scenes.sizes, h["batch_size"], h["max_pairs"], shuffle, h["seed"], rank, replicas if shuffle else 1
+            scenes.sizes, h["batch_size"], h["max_pairs"], shuffle, h["seed"], rank, replicas
         )
         batches = _Batches(scenes, self.goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
         return DataLoader(batches, sampler=sampler, batch_size=None, collate_fn=_as_it_is)
 
 
-class _Batches(Dataset):
+class _Batches(Dataset[TensorDict]):
     """Turns a sampler's draws into scene batches."""
 
     def __init__(self, scenes: SceneSet, goal: GoalProtocol, rotate: bool, mirror: bool) -> None:
-        self.scenes, self.goal, self.rotate, self.mirror = scenes, goal, rotate, mirror
+        self.scenes, self.rotate, self.mirror = scenes, rotate, mirror
+        self.goal: GoalProtocol = goal
 
     def __getitem__(self, draw: Draw) -> TensorDict:
         generator = torch.Generator().manual_seed(draw.seed)
@@ -152,10 +161,13 @@ class _Batches(Dataset):
         return self.scenes.batch(draw.scenes, self.goal, pose, generator)
 
 
-def _as_it_is(batch: TensorDict) -> TensorDict:
+def _as_it_is(batch: Any) -> Any:
     return batch
 
 
 @rank_zero_only
-def _print_counts(split: str, fold: str, scenes: SceneSet) -> None:
-    print(f"{fold} {split}: {sum(scenes.counts.values(), Counts())}")
+def _print_counts(what: str, scenes: SceneSet) -> None:
+    print(f"{what}: {sum((counts for _, counts in scenes.counts), Counts())}")
+    empty = [name for name, counts in scenes.counts if not counts.windows]
+    if empty:
+        print(f"{what}: no window in {', '.join(empty)}")

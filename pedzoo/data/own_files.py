@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ import numpy as np
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 from pedzoo.errors import UserError
+
+FARTHEST = 20_000.0
+"""Metres from the origin at which float32 still tells 2 mm apart; map projections count in 100 km."""
 
 
 class OwnFiles:
@@ -42,40 +46,67 @@ class OwnFiles:
         self.homography = _homography(homography) if homography else None
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the part of every file that belongs to a split, resampled to 0.4 s; empty parts are left out."""
-        parts = [self._part(file, split) for file in self.files]
-        return [Recording(part, self.plan) for part in parts if len(part)]
+        """Return the part of every file that belongs to a split.
 
-    def _part(self, file: str, split: Split) -> Tracks:
+        Raises:
+            UserError: A file is refused, or the split has nothing.
+        """
+        parts = [self._part(tracks, split) for tracks in self._resampled]
+        if not any(len(part) for part in parts):
+            raise UserError(
+                f"nobody is recorded in the {split} part of {', '.join(self.files)}: it is the share "
+                f"{self.shares[split]:g} of the time; set --data.split (train,val,test)"
+            )
+        return [Recording(part, self.plan) for part in parts]
+
+    @cached_property
+    def _resampled(self) -> list[Tracks]:
+        """All files at steps of 0.4 s, read once for all splits."""
+        return [self._read(file) for file in self.files]
+
+    def _read(self, file: str) -> Tracks:
         tracks = Tracks.read(file)
         if self.homography is not None:
             tracks = tracks.through(self.homography)
-        tracks = tracks.resampled(self.dt)
-        if not len(tracks):
+        if np.abs(tracks.xy).max() > FARTHEST:
             raise UserError(
-                f"recording {file!r} is shorter than one step of 0.4 s at --data.dt {self.dt}: is dt right?"
+                f"recording {file!r} has coordinates up to {np.abs(tracks.xy).max():g}, expected metres to "
+                f"{FARTHEST:g}: subtract an offset from x and y (and from the floor plan's origin)"
             )
-        edges = tracks.frame.min() + np.cumsum((0.0, *self.shares)) * (np.ptp(tracks.frame) + 1)
-        i = ("train", "val", "test").index(split)
-        keep = (tracks.frame >= edges[i]) & (tracks.frame < edges[i + 1])
+        resampled = tracks.resampled(self.dt)
+        if not len(resampled):
+            raise UserError(
+                f"nobody in recording {file!r} is seen for 0.4 s at --data.dt {self.dt:g}: is it right?"
+            )
+        return resampled
+
+    def _part(self, tracks: Tracks, split: Split) -> Tracks:
+        start, steps = tracks.frame.min(), np.ptp(tracks.frame) + 1
+        after = np.cumsum([0.0, *self.shares.values()])
+        after[-1] = 1  # not a rounding error below
+        i = list(self.shares).index(split)
+        keep = (tracks.frame >= start + after[i] * steps) & (tracks.frame < start + after[i + 1] * steps)
         return replace(tracks, frame=tracks.frame[keep], agent=tracks.agent[keep], xy=tracks.xy[keep])
 
 
-def _shares(text: str) -> tuple[float, float, float]:
+def _shares(text: str) -> dict[Split, float]:
     try:
         train, val, test = (float(part) for part in text.split(","))
     except ValueError as error:
         raise UserError(f"--data.split {text!r}: expected three shares such as 0.7,0.15,0.15") from error
-    if min(train, val, test) < 0 or not np.isclose(train + val + test, 1):
-        raise UserError(f"--data.split {text!r} adds up to {train + val + test:g}: expected shares that add up to 1")
-    return train, val, test
+    if not (min(train, val, test) >= 0 and np.isclose(train + val + test, 1)):
+        raise UserError(f"--data.split {text!r}: expected shares of at least 0 that add up to 1")
+    return {"train": train, "val": val, "test": test}
 
 
 def _homography(path: str) -> np.ndarray:
+    expected = "expected a text file of 3 rows of 3 numbers"
     try:
         matrix = np.loadtxt(path)
     except (OSError, ValueError) as error:
-        raise UserError(f"--data.homography {path!r}: {error}; expected a text file of 3 rows of 3 numbers") from error
-    if matrix.shape != (3, 3):
-        raise UserError(f"--data.homography {path!r} has shape {matrix.shape}: expected 3 rows of 3 numbers")
+        raise UserError(f"--data.homography {path!r}: {error}; {expected}") from error
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise UserError(f"--data.homography {path!r} has shape {matrix.shape}: {expected}")
+    if abs(np.linalg.det(matrix / np.abs(matrix).max())) < 1e-12:
+        raise UserError(f"--data.homography {path!r} is singular, it maps the floor to a line: {expected}")
     return matrix

@@ -22,7 +22,8 @@ class BucketSampler(torch.utils.data.Sampler[Draw]):
 
     Scenes are ordered by size with ties in random order and cut into batches of at most ``batch_size``
     scenes and ``max_pairs`` ordered pairs of people; the batches come in random order. An epoch depends
-    on nothing but ``seed`` and its number, so a resumed run sees what an uninterrupted one would.
+    on nothing but ``seed`` and its number, so a resumed run sees what an uninterrupted one would. Without
+    ``shuffle`` all epochs are the same.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class BucketSampler(torch.utils.data.Sampler[Draw]):
 
     def __iter__(self) -> Iterator[Draw]:
         """Yield the batches of the current epoch."""
-        random = np.random.default_rng((self.seed, self.epoch))
+        random = np.random.default_rng((self.seed, self.epoch if self.shuffle else 0))
         tie = random.permutation(len(self.sizes)) if self.shuffle else np.arange(len(self.sizes))
         order = np.lexsort((tie, self.sizes))
         batches = random.permutation(len(self.cuts)) if self.shuffle else np.arange(len(self.cuts))

@@ -12,8 +12,11 @@ from torch import Tensor
 from pedzoo import geometry
 from pedzoo.data.goals import recorded_goals
 from pedzoo.data.recordings import Recording
-from pedzoo.data.windows import Counts, People, cut_windows, why_empty
+from pedzoo.data.windows import People, cut_windows, why_empty
 from pedzoo.types import STEP_SECONDS, GoalProtocol
+
+POSITIONS, DIRECTIONS = {"history", "future", "goal"}, {"velocity", "desired_velocity"}
+"""The keys that a scene pose moves, and those that it only turns."""
 
 
 class SceneSet:
@@ -21,11 +24,11 @@ class SceneSet:
 
     Attributes:
         xy: Positions (N, 2) float32 of all recordings.
-        rows: Rows of ``xy`` (W, L) for each person of each window, -1 where they are not seen.
-        end: Row of the last recorded position (W,) of that person.
+        rows: Rows of ``xy`` (W, L) int32 for each person of each window, -1 where they are not seen.
+        end: Row of the last recorded position (W,) int32 of that person.
         offsets: Where each scene's people start in ``rows`` (S + 1,).
         map_id: Floor plan of each scene (S,), -1 for none.
-        counts: What was kept and dropped, per recording.
+        counts: Each recording's name, and what was kept and dropped of it.
     """
 
     def __init__(
@@ -45,19 +48,20 @@ class SceneSet:
         self.obs_len, self.pred_len = obs_len, pred_len
         cut = [cut_windows(r.tracks, obs_len, pred_len, people, min_people) for r in recordings]
         if not any(windows.counts.windows for windows in cut):
-            raise why_empty(recordings[0].tracks, obs_len, pred_len, people)
-        self.counts: dict[str, Counts] = {r.tracks.name: w.counts for r, w in zip(recordings, cut, strict=True)}
-        first_row = np.cumsum([0] + [len(r.tracks) for r in recordings])
-        rows = [np.where(w.rows >= 0, w.rows + n, -1) for w, n in zip(cut, first_row, strict=False)]
+            raise why_empty([r.tracks for r in recordings], obs_len, pred_len, people, min_people)
+        self.counts = [(r.tracks.name, w.counts) for r, w in zip(recordings, cut, strict=True)]
+        # all recordings in one table: row numbers move up by the rows and people before
+        rows_before = np.cumsum([0] + [len(r.tracks) for r in recordings], dtype=np.int32)
         people_before = np.cumsum([0] + [len(w.rows) for w in cut])
+        rows = [np.where(w.rows >= 0, w.rows + n, -1) for w, n in zip(cut, rows_before, strict=False)]
+        end = [w.end + n for w, n in zip(cut, rows_before, strict=False)]
         offsets = [w.offsets[:-1] + n for w, n in zip(cut, people_before, strict=False)]
         self.xy = torch.from_numpy(np.concatenate([r.tracks.xy for r in recordings])).float()
-        self.rows = torch.from_numpy(np.concatenate(rows)).long()
-        self.end = torch.from_numpy(np.concatenate([w.end + n for w, n in zip(cut, first_row, strict=False)])).long()
+        self.rows = torch.from_numpy(np.concatenate(rows))
+        self.end = torch.from_numpy(np.concatenate(end))
         self.offsets = torch.from_numpy(np.concatenate([*offsets, people_before[-1:]]))
-        self.map_id = torch.repeat_interleave(
-            torch.tensor(list(map_ids)), torch.tensor([w.counts.windows for w in cut])
-        )
+        windows = torch.tensor([w.counts.windows for w in cut])
+        self.map_id = torch.repeat_interleave(torch.tensor(list(map_ids)), windows)
 
     def __len__(self) -> int:
         """Return the number of scenes S."""
@@ -87,7 +91,7 @@ class SceneSet:
         slot = torch.arange(int(sizes.max()))
         mask = slot < sizes.unsqueeze(1)
         person = (self.offsets[scenes].unsqueeze(1) + slot).where(mask, self.offsets[scenes].unsqueeze(1))
-        rows = self.rows[person]  # (B, A, L)
+        rows = self.rows[person].long()  # (B, A, L)
         seen = (rows >= 0) & mask.unsqueeze(2)
         last = rows[..., self.obs_len - 1]
         xy = _filled(self.xy, rows, self.obs_len)
@@ -97,57 +101,50 @@ class SceneSet:
         agents["velocity"] = (history[..., -1, :] - history[..., -2, :]) / STEP_SECONDS
         agents["pref_speed"] = _mean_speed(history, valid)
         if goal != "none":
-            target = recorded_goals(goal, self.xy, last, self.end[person], xy[..., -1, :], generator)
+            target = recorded_goals(goal, self.xy, last, self.end[person].long(), xy[..., -1, :], generator)
             to_goal = target - history[..., -1, :]
             agents["goal"] = target
             agents["desired_velocity"] = agents["pref_speed"] * torch.nn.functional.normalize(to_goal, dim=-1)
+        if pose is None:
+            pose = geometry.identity_pose(len(scenes))
+        else:
+            agents |= {key: geometry.move_to_scene(agents[key], pose) for key in POSITIONS & agents.keys()}
+            agents |= {key: geometry.turn_to_scene(agents[key], pose) for key in DIRECTIONS & agents.keys()}
         agents |= {"mask": mask, "controlled": mask}
-        plain = geometry.identity_pose(len(scenes))
-        nested = TensorDict(agents, batch_size=mask.shape)
-        batch = TensorDict(
-            {"agents": nested, "map_id": self.map_id[scenes].unsqueeze(1), "scene_pose": plain}, batch_size=len(scenes)
+        return TensorDict(
+            {
+                "agents": TensorDict(agents, batch_size=mask.shape),
+                "map_id": self.map_id[scenes].unsqueeze(1),
+                "scene_pose": pose,
+            },
+            batch_size=len(scenes),
         )
-        return batch if pose is None else posed(batch, pose)
-
-
-POSITIONS, DIRECTIONS = ("history", "future", "goal"), ("velocity", "desired_velocity")
-
-
-def posed(batch: TensorDict, pose: Tensor) -> TensorDict:
-    """Return a batch that is still in its map's frame, moved to the scene poses (B, 4)."""
-    agents = batch["agents"]
-    for keys, move in ((POSITIONS, geometry.move_to_scene), (DIRECTIONS, geometry.turn_to_scene)):
-        for key in keys:
-            if key in agents.keys():
-                agents[key] = move(agents[key], pose)
-    batch["scene_pose"] = pose
-    return batch
 
 
 def augmentation(
-    batch_centres: Tensor, rotate: bool, mirror: bool, generator: torch.Generator | None = None
+    centres: Tensor, rotate: bool, mirror: bool, generator: torch.Generator | None = None
 ) -> Tensor:
-    """Draw scene poses (B, 4): a turn about each scene's centre (B, 2) and a mirror image for half of them."""
-    scenes = len(batch_centres)
+    """Draw scene poses (B, 4): turns about centres (B, 2), and a mirror image for half of them."""
+    scenes = len(centres)
     pose = geometry.identity_pose(scenes)
     if rotate:
         pose[:, 0] = torch.rand(scenes, generator=generator) * 2 * torch.pi
     if mirror:
         pose[:, 1] = torch.randint(2, (scenes,), generator=generator) * 2.0 - 1.0
-    pose[:, 2:] = batch_centres - geometry.turn_to_scene(batch_centres, pose)
+    pose[:, 2:] = centres - geometry.turn_to_scene(centres, pose)
     return pose
 
 
 def _filled(xy: Tensor, rows: Tensor, obs_len: int) -> Tensor:
-    """Return positions (B, A, L, 2); before the first sighting the first known one, after the last the last."""
+    """Return positions (B, A, L, 2): the latest known at each step, before the first sighting the first."""
     if bool((rows >= 0).all()):
         return xy[rows]
     steps = torch.arange(rows.shape[-1])
     known = rows >= 0
     latest = torch.where(known, steps, -1).cummax(-1).values
-    # everybody is seen at the last observed step, so a run of unknown first steps ends there at the latest
-    earliest = torch.where(known, steps, rows.shape[-1]).flip(-1).cummin(-1).values.flip(-1).clamp(max=obs_len - 1)
-    step = torch.where(latest >= 0, latest, earliest)
+    # everybody is seen at the last observed step, so the first sighting is there at the latest
+    first = torch.where(known, steps, obs_len - 1).amin(-1, keepdim=True)
+    step = torch.where(latest >= 0, latest, first)
     return xy[rows.gather(-1, step)]
 
 

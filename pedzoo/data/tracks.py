@@ -1,21 +1,16 @@
-"""Recorded people as one table: frame, agent, x, y.
-
-Two text forms are read: Social GAN's (no header, whitespace, ``frame ped x y``) and CSV with a header
-that names at least ``frame``, ``agent``, ``x`` and ``y`` in any order.
-"""
+"""Recorded people as one table: frame, agent, x, y."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from pedzoo.data.text_form import COLUMNS, TextForm
 from pedzoo.errors import UserError
 from pedzoo.types import STEP_SECONDS
-
-COLUMNS = ("frame", "agent", "x", "y")
-ALIASES = {"agent": ("agent", "ped", "id", "track_id"), "frame": ("frame", "frame_id")}
 
 
 @dataclass(frozen=True)
@@ -35,8 +30,15 @@ class Tracks:
     xy: np.ndarray
 
     @classmethod
-    def from_table(cls, name: str, table: np.ndarray) -> Tracks:
+    def from_table(
+        cls, name: str, table: np.ndarray, place: Callable[[int], str] = lambda row: f"row {row + 1}"
+    ) -> Tracks:
         """Return the tracks of rows (N, 4) of frame, agent, x, y in any order.
+
+        Args:
+            name: What messages call the recording.
+            table: The rows.
+            place: Says where in its source a row of the table is, for messages.
 
         Raises:
             UserError: No rows; a NaN or infinite value; a frame or agent that is not a whole number; an
@@ -44,27 +46,26 @@ class Tracks:
         """
         if len(table) == 0:
             raise UserError(f"recording {name!r} is empty: expected rows of {', '.join(COLUMNS)}")
+
+        def refuse(row: int, why: str) -> UserError:
+            values = " ".join(f"{value:g}" for value in table[row])
+            return UserError(f"recording {name!r}, {place(row)} ({values}): {why}")
+
         bad = np.flatnonzero(~np.isfinite(table).all(1))
         if len(bad):
-            raise UserError(
-                f"recording {name!r}, row {bad[0] + 1}: {_row(table[bad[0]])} has a value that is not finite; "
-                "leave out the rows of people who are not seen"
-            )
+            raise refuse(int(bad[0]), "a value is not finite; leave out the rows of people who are not seen")
         whole = np.round(table[:, :2])
-        bad = np.flatnonzero((whole != table[:, :2]).any(1))
+        bad = np.flatnonzero(((whole != table[:, :2]) | (np.abs(whole) > 2**53)).any(1))
         if len(bad):
-            raise UserError(
-                f"recording {name!r}, row {bad[0] + 1}: {_row(table[bad[0]])}: "
-                "frame and agent must be whole numbers (columns: frame, agent, x, y)"
+            raise refuse(
+                bad[0], "frame and agent must be whole numbers (of times in seconds: round(time / dt))"
             )
         order = np.lexsort((whole[:, 0], whole[:, 1]))
         frame, agent = whole[order].astype(np.int64).T
         twice = np.flatnonzero((np.diff(agent) == 0) & (np.diff(frame) == 0))
         if len(twice):
-            i = twice[0]
-            raise UserError(
-                f"recording {name!r}: agent {agent[i]} is twice in frame {frame[i]}; every (frame, agent) may occur once"
-            )
+            i = int(twice[0]) + 1
+            raise refuse(int(order[i]), f"agent {agent[i]} is twice in frame {frame[i]}; expected once")
         return cls(name, frame, agent, table[order, 2:])
 
     @classmethod
@@ -76,22 +77,14 @@ class Tracks:
         """
         path = Path(path)
         if not path.is_file():
-            raise UserError(f"no recording at {str(path)!r}: expected a file of rows frame, agent, x, y")
-        with path.open() as file:
-            head = file.readline()
-        options = _csv_options(path, head) if any(c.isalpha() for c in head.lower().replace("e", "")) else {}
-        if not head.strip():
-            raise UserError(f"recording {str(path)!r} is empty: expected rows of {', '.join(COLUMNS)}")
+            raise UserError(f"no recording at {str(path)!r}: expected a file of rows {', '.join(COLUMNS)}")
         try:
-            table = np.loadtxt(path, ndmin=2, **options)
-        except ValueError as error:
-            raise UserError(f"recording {str(path)!r}: {error} (expected numbers: {', '.join(COLUMNS)})") from error
-        if table.size and table.shape[1] != 4:
-            raise UserError(
-                f"recording {str(path)!r} has {table.shape[1]} columns: expected the 4 of frame, agent, x, y, "
-                "or a CSV whose header names them"
-            )
-        return cls.from_table(path.stem, table)
+            form = TextForm.of(path)
+            table = form.numbers(path)
+        except UnicodeDecodeError as error:
+            raise UserError(f"recording {str(path)!r} is not a text file ({error.reason})") from error
+        tracks = cls.from_table(str(path), table, lambda row: f"line {form.line_of(path, row)}")
+        return replace(tracks, name=path.stem)
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -103,8 +96,15 @@ class Tracks:
         return len(np.unique(self.agent))
 
     def through(self, homography: np.ndarray) -> Tracks:
-        """Return the tracks with positions mapped by a homography (3, 3), image (x, y, 1) to world metres."""
+        """Return the tracks with positions mapped by a homography (3, 3), image (x, y, 1) to world metres.
+
+        Raises:
+            UserError: It maps a position to infinity.
+        """
         mapped = np.column_stack((self.xy, np.ones(len(self)))) @ homography.T
+        if not mapped[:, 2].all():
+            x, y = self.xy[np.flatnonzero(mapped[:, 2] == 0)[0]]
+            raise UserError(f"the homography maps ({x:g}, {y:g}) of recording {self.name!r} to infinity")
         return replace(self, xy=mapped[:, :2] / mapped[:, 2:])
 
     def rounded(self, decimals: int) -> Tracks:
@@ -112,18 +112,20 @@ class Tracks:
         return replace(self, xy=np.around(self.xy, decimals))
 
     def resampled(self, seconds_per_frame: float, step: float = STEP_SECONDS) -> Tracks:
-        """Return the tracks at every ``step`` seconds of real time; frame k is the time k x step.
+        """Return the tracks at every ``step`` seconds; frame k is k x step after the recording's first row.
 
         Positions are interpolated linearly between two rows of an agent. Where an agent was not seen for
         more than two of their usual intervals (and more than one step), the track ends there and goes on
-        under a new agent number, so that nobody is invented in a hole.
+        under a new agent number, so that nobody is invented in a hole. Rows that are already one step apart
+        are kept to the last bit.
         """
-        time = self.frame * seconds_per_frame
-        if np.array_equal(np.round(time / step), time / step) and len(np.unique(np.diff(np.unique(time)))) <= 1:
-            return replace(self, frame=np.round(time / step).astype(np.int64))
+        time = (self.frame - self.frame.min()) * seconds_per_frame
         gap, same = np.diff(time), np.diff(self.agent) == 0
+        on_grid = np.round(time / step)
+        if np.allclose(on_grid * step, time, rtol=0, atol=1e-6) and (np.diff(on_grid)[same] == 1).all():
+            return replace(self, frame=on_grid.astype(np.int64))
         usual = np.median(gap[same]) if same.any() else step
-        breaks = ~same | (gap > max(2 * usual, step) + 1e-9)
+        breaks = ~same | (gap > max(2 * usual, step) + 1e-6)
         piece = np.concatenate(([0], np.cumsum(breaks)))
         starts = np.flatnonzero(np.concatenate(([True], breaks)))
         ends = np.concatenate((starts[1:], [len(self)])) - 1
@@ -131,11 +133,15 @@ class Tracks:
         count = np.maximum(np.floor(time[ends] / step + 1e-6).astype(np.int64) - first + 1, 0)
         of_piece = np.repeat(np.arange(len(starts)), count)
         frame = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[of_piece]
-        # one searchsorted for all people: time is made increasing over the table by an offset for each piece
-        span = time.max() - time.min() + 2 * step
-        known, wanted = time + piece * span, frame * step + of_piece * span
-        xy = np.column_stack([np.interp(wanted, known, self.xy[:, axis]) for axis in (0, 1)])
-        return Tracks(self.name, frame, _piece_agents(self.agent[starts])[of_piece], xy)
+        wanted = np.clip(frame * step, time[starts][of_piece], time[ends][of_piece])
+        # one interpolation for all people: an offset for each piece makes time increase over the whole table
+        span = time.max() + step
+        xy = np.column_stack(
+            [np.interp(wanted + of_piece * span, time + piece * span, self.xy[:, axis]) for axis in (0, 1)]
+        )
+        agent = _piece_agents(self.agent[starts])[of_piece]
+        order = np.lexsort((frame, agent))
+        return Tracks(self.name, frame[order], agent[order], xy[order])
 
 
 def _piece_agents(agent: np.ndarray) -> np.ndarray:
@@ -144,21 +150,3 @@ def _piece_agents(agent: np.ndarray) -> np.ndarray:
     numbers = agent.copy()
     numbers[repeated] = agent.max() + 1 + np.arange(repeated.sum())
     return numbers
-
-
-def _csv_options(path: Path, head: str) -> dict:
-    names = [name.strip().strip('"').lower() for name in head.split(",")]
-    columns = []
-    for column in COLUMNS:
-        found = [names.index(alias) for alias in ALIASES.get(column, (column,)) if alias in names]
-        if not found:
-            raise UserError(
-                f"recording {str(path)!r} has no column {column!r}: its header is {head.strip()!r}, "
-                f"expected {','.join(COLUMNS)} (any order, more columns are ignored)"
-            )
-        columns.append(found[0])
-    return {"delimiter": ",", "skiprows": 1, "usecols": columns}
-
-
-def _row(values: np.ndarray) -> str:
-    return " ".join(f"{value:g}" for value in values)

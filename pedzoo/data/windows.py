@@ -6,6 +6,7 @@ looked at), one for every frame. Nothing is copied: a window is rows of the trac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,7 +20,17 @@ People = Literal["complete", "present"]
 
 @dataclass(frozen=True)
 class Counts:
-    """Windows and people kept and dropped, for the line that every run prints."""
+    """Windows and people kept and dropped, for the line that every run prints.
+
+    Everybody who is seen at the last observed step of a window is counted once for that window, as exactly
+    one of ``people``, ``dropped_partial`` and ``dropped_lone``.
+
+    Attributes:
+        windows: Windows kept.
+        people: People in them.
+        dropped_partial: People who are not seen in enough of the window (see `cut_windows`).
+        dropped_lone: People who are, but with too few others beside them.
+    """
 
     windows: int = 0
     people: int = 0
@@ -33,8 +44,8 @@ class Counts:
     def __str__(self) -> str:
         """Return the line that every run prints."""
         return (
-            f"{self.windows} windows with {self.people} people; dropped {self.dropped_lone} alone in a window "
-            f"and {self.dropped_partial} partly present"
+            f"{self.windows} windows with {self.people} people (counted once per window); left out: "
+            f"{self.dropped_partial} seen only in part of a window, {self.dropped_lone} with too few others"
         )
 
 
@@ -71,16 +82,21 @@ def cut_windows(
     length = obs_len + pred_len
     frames, step = np.unique(tracks.frame, return_inverse=True)
     person = np.unique(tracks.agent, return_inverse=True)[1]
-    # key of (person, step): increasing over the table, so one search finds any person's row at any step
-    key = person * (len(frames) + length) + step
     start = step - (obs_len - 1)
     here = np.flatnonzero((start >= 0) & (start + length <= len(frames)))
-    wanted = key[here, None] + np.arange(length) - (obs_len - 1)
-    rows = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-    rows[key[rows] != wanted] = -1
-    keep = (rows >= 0).all(1) if people == "complete" else rows[:, obs_len - 2] >= 0
+    if people == "complete":
+        # the table is sorted, so L rows of one person that span L steps have none missing
+        first, last = here - (obs_len - 1), here + pred_len
+        keep = (first >= 0) & (last < len(step))
+        first, last = first[keep], last[keep]
+        keep[keep] = (person[first] == person[last]) & (step[last] - step[first] == length - 1)
+        rows = here[keep, None] + np.arange(-obs_len + 1, pred_len + 1)
+    else:
+        rows = _find_rows(person, step, here, obs_len, pred_len)
+        keep = rows[:, obs_len - 2] >= 0
+        rows = rows[keep]
     partial = len(here) - int(keep.sum())
-    here, rows = here[keep], rows[keep]
+    here = here[keep]
     window, size = np.unique(start[here], return_inverse=True, return_counts=True)[1:]
     alone = size[window] < min_people
     here, rows, window = here[~alone], rows[~alone], start[here][~alone]
@@ -88,23 +104,45 @@ def cut_windows(
     sizes = np.unique(window, return_counts=True)[1]
     last = np.searchsorted(person, person[here[order]], side="right") - 1
     return Windows(
-        rows=rows[order].astype(np.int32),
+        rows=rows[order].astype(np.int32, copy=False),
         end=last.astype(np.int32),
         offsets=np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
         counts=Counts(len(sizes), len(order), int(alone.sum()), partial),
     )
 
 
-def why_empty(tracks: Tracks, obs_len: int, pred_len: int, people: People) -> UserError:
-    """Return the error for a recording that gives no window, with the reason and the way out."""
-    steps, length = len(np.unique(tracks.frame)), obs_len + pred_len
-    if steps < length:
+def _find_rows(
+    person: np.ndarray, step: np.ndarray, here: np.ndarray, obs_len: int, pred_len: int
+) -> np.ndarray:
+    """Return the rows (W, L) around each of the rows ``here`` (W,), -1 where that person is not seen."""
+    # key of (person, step): increasing over the table, so one search finds any person's row at any step
+    key = person * (step.max(initial=0) + 1 + obs_len + pred_len) + step
+    rows = np.empty((len(here), obs_len + pred_len), dtype=np.int32)
+    for column in range(rows.shape[1]):  # one at a time: all at once would take eight times the memory
+        wanted = key[here] + column - (obs_len - 1)
+        found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        rows[:, column] = np.where(key[found] == wanted, found, -1)
+    return rows
+
+
+def why_empty(
+    recordings: Sequence[Tracks], obs_len: int, pred_len: int, people: People, min_people: int
+) -> UserError:
+    """Return the error for recordings that give no window, with the reason and the way out."""
+    length, steps = obs_len + pred_len, [len(np.unique(tracks.frame)) for tracks in recordings]
+    found = ", ".join(
+        f"{tracks.name!r} ({tracks.people} people, {n} steps)"
+        for tracks, n in zip(recordings, steps, strict=True)
+    )
+    if max(steps) < length:
         return UserError(
-            f"recording {tracks.name!r} has {steps} steps, but a window needs obs_len + pred_len = "
-            f"{obs_len} + {pred_len} = {length}: record longer, or set --data.obs_len / --data.pred_len"
+            f"a window needs obs_len + pred_len = {obs_len} + {pred_len} = {length} steps, but "
+            f"there is only {found}: record longer, or lower --data.obs_len or --data.pred_len"
         )
-    hint = "" if people == "present" else "; --data.people present --data.min_people 1 keeps lone and partly seen people"
+    ways = ["--data.people present keeps partly seen people"] * (people == "complete")
+    ways += ["--data.min_people 1 keeps lone people"] * (min_people > 1)
+    part = "all" if people == "complete" else "enough"
     return UserError(
-        f"recording {tracks.name!r} ({tracks.people} people, {steps} steps) has no window of {length} steps with "
-        f"enough people{hint}"
+        f"no window of {length} steps has {min_people} people who are seen in {part} of it: {found}; "
+        f"{', '.join(ways) or 'record more'}"
     )

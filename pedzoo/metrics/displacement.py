@@ -30,11 +30,11 @@ def average(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """Return per-agent means over the known steps (B, K, A) and whether there is any (B, A)."""
     known = valid.unsqueeze(1)
     count = known.sum(-1)
-    return (error * known).sum(-1) / count.clamp(min=1), (count > 0).squeeze(1)
+    return error.where(known, 0).sum(-1) / count.clamp(min=1), (count > 0).squeeze(1)
 
 
 def final(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the error (B, K, A) at the last step and whether it is known (B, A)."""
+    """Return the error (B, K, A) at the last step and whether the truth is known there (B, A)."""
     return error[..., -1], valid[..., -1]
 
 
@@ -45,7 +45,7 @@ def next_step(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
 
 def min_per_scene(per_agent: Tensor, there: Tensor) -> Tensor:
     """Return each agent's error (B, A) in the one sample that is best for their whole scene."""
-    total = (per_agent * there.unsqueeze(1)).sum(-1)
+    total = per_agent.where(there.unsqueeze(1), 0).sum(-1)
     best = total.argmin(1)
     return per_agent[torch.arange(len(best), device=best.device), best]
 
@@ -83,7 +83,7 @@ class AgentMean(Metric):
         """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
         per_agent, there = self.of(error, valid)
         value = self.over_samples(per_agent, there)
-        self.total += (value * there).sum(dtype=torch.float64)
+        self.total += value.where(there, 0).sum(dtype=torch.float64)
         self.count += there.sum()
 
     def compute(self) -> Tensor:
@@ -166,16 +166,17 @@ class SampleDistance(Metric):
     def update(self, prediction: Tensor, mask: Tensor) -> None:
         """Add a batch: ``prediction`` displacements (B, K, A, T, 2), ``mask`` (B, A)."""
         samples = prediction.shape[1]
-        if samples < 2:
-            return
-        position = prediction.cumsum(-2)
-        first, second = torch.triu_indices(samples, samples, 1)
-        people = position.movedim(1, -2)[mask]  # (P, T, K, 2)
+        people = prediction.cumsum(-2).movedim(1, -2)[mask]  # (P, T, K, 2)
+        self.count += people.shape[0] * people.shape[1]
+        if samples == 1:
+            return  # a deterministic model: one sample stands for all, at distance 0
+        first, second = torch.triu_indices(samples, samples, 1, device=mask.device)
         # a few people at a time: all pairs of all people at once would not fit a cache
         for some in people.split(256):
-            self.total += (some[..., first, :] - some[..., second, :]).norm(dim=-1).mean(-1).sum(dtype=torch.float64)
-        self.count += people.shape[0] * people.shape[1]
+            self.total += (
+                (some[..., first, :] - some[..., second, :]).norm(dim=-1).mean(-1).sum(dtype=torch.float64)
+            )
 
     def compute(self) -> Tensor:
-        """Return the mean distance, metres; NaN where nothing with two samples was added."""
+        """Return the mean distance, metres; NaN before anybody."""
         return self.total / self.count

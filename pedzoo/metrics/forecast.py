@@ -57,9 +57,13 @@ class ForecastScore(nn.Module):
 
     def compute(self) -> dict[str, float]:
         """Return all metrics by name; a deterministic model has sample distance 0."""
-        found = {name: float(value) for of in (self.of_mode, self.of_samples) for name, value in of.compute().items()}
+        found = {
+            name: float(value)
+            for of in (self.of_mode, self.of_samples)
+            for name, value in of.compute().items()
+        }
         if self.spread is not None:
-            found["sample_distance_m"] = float(self.spread.compute()) if self.spread.count else 0.0
+            found["sample_distance_m"] = float(self.spread.compute())
         return found
 
     def reset(self) -> None:

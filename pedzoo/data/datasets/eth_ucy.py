@@ -1,8 +1,9 @@
 """ETH/UCY: five outdoor scenes of real people, leave one scene out.
 
 Pellegrini et al., "You'll never walk alone", ICCV 2009; Lerner et al., "Crowds by example", 2007; the
-split of Gupta et al., "Social GAN", CVPR 2018. ``splits.json`` in the data root lists the files of
-every fold, the floor plan of every recording and the true time between two annotated steps.
+split of Gupta et al., "Social GAN", CVPR 2018. Two layouts of the data root are read: Social GAN's
+(``zara1/train/*.txt``), and one with floor plans, whose ``splits.json`` lists the files of every fold, the
+floor plan of every recording and the true time between two annotated steps.
 """
 
 from __future__ import annotations
@@ -14,40 +15,66 @@ from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 from pedzoo.errors import UserError
 from pedzoo.paths import data_root
-from pedzoo.types import Clock
+from pedzoo.types import STEP_SECONDS, Clock
 
 FOLDS = ["eth", "hotel", "univ", "zara1", "zara2"]
 
 FRAMES_PER_STEP = 10
 """One annotated step is 10 in the frame column of every file."""
 
+TRUE_SECONDS = {"biwi_eth": 2 / 3}
+"""Real time of an annotated step where it is not 0.4 s: biwi_eth has every tenth frame of a 15 Hz video."""
+
+HOW_TO_GET = (
+    "`git clone https://github.com/abduallahmohamed/Social-STGCNN` has the files (--data.root "
+    "Social-STGCNN/datasets), as has Social GAN's scripts/download_data.sh"
+)
+
 
 class EthUcy:
     """The recordings of one fold."""
 
     def __init__(self, fold: str, root: str | None, clock: Clock = "benchmark") -> None:
-        """Read the split lists below ``root`` (or PEDZOO_DATA)."""
-        base = data_root(root)
-        found = [folder for folder in (base, base / "eth_ucy") if (folder / "splits.json").is_file()]
-        if not found:
-            raise UserError(
-                f"no ETH/UCY recordings in {str(base)!r}: expected splits.json there or in its folder eth_ucy; "
-                "set --data.root or PEDZOO_DATA to the folder that holds it"
-            )
-        self.root = found[0]
-        self.clock = clock
-        self.splits = json.loads((self.root / "splits.json").read_text())
-        self.fold = self.splits["folds"][fold]
+        """Find the fold's files below ``root`` (or PEDZOO_DATA).
+
+        Raises:
+            UserError: There are none; the message says how to get them.
+        """
+        try:
+            base = data_root(root)
+        except UserError as error:
+            raise UserError(f"{error}; {HOW_TO_GET}") from error
+        self.clock, self.fold = clock, fold
+        for folder in (base, base / "eth_ucy", base / "datasets"):
+            self.root, lists = folder, folder / "splits.json"
+            if lists.is_file():
+                splits = json.loads(lists.read_text())
+                self.files: dict[Split, list[str]] = splits["folds"][fold]
+                self.plans, self.seconds = splits["map_of_recording"], splits["true_seconds_per_step"]
+                return
+            if (folder / fold / "test").is_dir():
+                self.files = {split: self._below(split) for split in ("train", "val", "test")}
+                self.plans, self.seconds = {}, TRUE_SECONDS
+                return
+        raise UserError(
+            f"no recordings of {fold!r} in {str(base)!r}: expected splits.json or {fold}/train/*.txt there; "
+            f"{HOW_TO_GET}"
+        )
 
     def recordings(self, split: Split) -> list[Recording]:
         """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN."""
-        return [self._recording(self.root / file) for file in self.fold[split]]
+        return [self._recording(self.root / file) for file in self.files[split]]
+
+    def _below(self, split: Split) -> list[str]:
+        folder = self.root / self.fold / split
+        if not (found := sorted(folder.glob("*.txt"))):
+            raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
+        return [str(path.relative_to(self.root)) for path in found]
 
     def _recording(self, path: Path) -> Recording:
         name = path.stem.removesuffix("_train").removesuffix("_val")
         tracks = Tracks.read(path).rounded(4)
         if self.clock == "true":
-            seconds = self.splits["true_seconds_per_step"][name]
-            tracks = tracks.resampled(seconds / FRAMES_PER_STEP)
-        plan = self.splits["map_of_recording"][name]
+            tracks = tracks.resampled(self.seconds.get(name, STEP_SECONDS) / FRAMES_PER_STEP)
+        plan = self.plans.get(name)
         return Recording(tracks, self.root / "maps" / f"{plan}.yaml" if plan else None)

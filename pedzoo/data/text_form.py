@@ -1,0 +1,119 @@
+"""The text forms that recordings come in.
+
+Social GAN's (no header, white space, ``frame ped x y``) and CSV with a header that names at least ``frame``,
+``agent``, ``x`` and ``y`` in any order. A header over white space and CSV without one work, too.
+"""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from pedzoo.errors import UserError
+
+COLUMNS = ("frame", "agent", "x", "y")
+ALIASES = {"agent": ("agent", "ped", "id", "track_id"), "frame": ("frame", "frame_id")}
+ENCODING = "utf-8-sig"
+"""UTF-8, with or without the mark that spreadsheets put in front."""
+
+
+@dataclass(frozen=True)
+class TextForm:
+    """How a text file holds its table.
+
+    Attributes:
+        delimiter: What stands between two values; None for white space.
+        header: Whether the first line names the columns.
+        columns: Where frame, agent, x and y stand.
+    """
+
+    delimiter: str | None
+    header: bool
+    columns: tuple[int, ...]
+
+    @classmethod
+    def of(cls, path: Path) -> TextForm:
+        """Find out from the first line of a file.
+
+        Raises:
+            UserError: It names no or other columns, or there are not four.
+        """
+        with path.open(encoding=ENCODING) as file:
+            head = file.readline()
+        delimiter = "," if "," in head else None
+        names = [name.strip().lower() for name in _fields(head.lstrip("# "), delimiter)]
+        if any(_is_number(name) for name in names) or not head.strip():
+            if len(names) not in (0, 4):
+                raise UserError(
+                    f"recording {str(path)!r} has {len(names)} columns: expected {', '.join(COLUMNS)}, or a "
+                    "first line that names the columns"
+                )
+            return cls(delimiter, False, (0, 1, 2, 3))
+        columns = []
+        for column in COLUMNS:
+            found = [names.index(alias) for alias in ALIASES.get(column, (column,)) if alias in names]
+            if not found:
+                raise UserError(
+                    f"recording {str(path)!r} has no column {column!r}: its first line is {head.strip()!r}, "
+                    f"expected {','.join(COLUMNS)} (any order, more columns are ignored)"
+                )
+            columns.append(found[0])
+        return cls(delimiter, True, tuple(columns))
+
+    def numbers(self, path: Path) -> np.ndarray:
+        """Return the table (N, 4).
+
+        Raises:
+            UserError: Text in a number's place, or a value is missing.
+        """
+        try:
+            with warnings.catch_warnings(action="ignore"):  # of an empty file: our callers have words for it
+                return np.loadtxt(
+                    path,
+                    ndmin=2,
+                    encoding=ENCODING,
+                    comments=None,
+                    quotechar='"',
+                    delimiter=self.delimiter,
+                    skiprows=int(self.header),
+                    usecols=self.columns if self.header else None,
+                )
+        except UnicodeDecodeError:
+            raise
+        except ValueError as error:
+            for number, fields in self._lines(path):
+                wrong = len(fields) <= max(self.columns) or (len(fields) != 4 and not self.header)
+                if wrong or not all(_is_number(fields[column]) for column in self.columns):
+                    raise UserError(
+                        f"recording {str(path)!r}, line {number}: expected numbers {', '.join(COLUMNS)}, "
+                        f"got {(self.delimiter or ' ').join(fields)!r}"
+                    ) from error
+            raise UserError(f"recording {str(path)!r}: {error}") from error
+
+    def line_of(self, path: Path, row: int) -> int:
+        """Return the number of the line that holds a row of the table."""
+        return next(islice(self._lines(path), row, None))[0]
+
+    def _lines(self, path: Path) -> Iterator[tuple[int, list[str]]]:
+        with path.open(encoding=ENCODING) as file:
+            for number, line in enumerate(file, 1):
+                if line.strip() and number > self.header:
+                    yield number, _fields(line, self.delimiter)
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    return next(csv.reader([line.strip()], skipinitialspace=True), []) if delimiter else line.split()
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
