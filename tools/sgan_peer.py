@@ -67,13 +67,25 @@ class Peer:
     def batch(self, dataset: Any, scenes: Tensor) -> Batch:
         """Return its batch of these scenes (B,)."""
         # its encoder takes views of what older versions of torch had laid out contiguously
-        return tuple(part.contiguous() for part in self.data.seq_collate([dataset[i] for i in scenes.tolist()]))
+        return tuple(
+            part.contiguous() for part in self.data.seq_collate([dataset[i] for i in scenes.tolist()])
+        )
 
-    def scene(self, people: int) -> Batch:
-        """Return a batch of one random scene in its form."""
-        obs = torch.randn(8, people, 2).mul(0.4).cumsum(0) + torch.randn(people, 2) * 5
-        rel = torch.cat((torch.zeros(1, people, 2), obs.diff(dim=0)))
-        return obs, obs, rel, rel, torch.zeros(people), torch.ones(people, 16), torch.tensor([[0, people]])
+    def scenes(self, count: int, people: int) -> Batch:
+        """Return a batch of ``count`` random scenes of ``people`` in its form."""
+        rows = count * people
+        obs = torch.randn(8, rows, 2).mul(0.4).cumsum(0) + torch.randn(rows, 2) * 5
+        rel = torch.cat((torch.zeros(1, rows, 2), obs.diff(dim=0)))
+        start = torch.arange(0, rows, people)
+        return (
+            obs,
+            obs,
+            rel,
+            rel,
+            torch.zeros(rows),
+            torch.ones(rows, 16),
+            torch.stack((start, start + people), 1),
+        )
 
     def networks(self, pooling: bool) -> tuple[nn.Module, nn.Module]:
         """Return generator and discriminator of SGAN-20VP-20 or, without ``pooling``, SGAN-20V-20."""
@@ -113,7 +125,7 @@ class Peer:
         return float(ade), float(fde)
 
     def one_step(self, generator: nn.Module, batch: Batch, noise: Tensor | None = None) -> Tensor:
-        """Return the next displacements (P, 2) of one scene; ``noise`` (B, 8)."""
+        """Return the next displacements (P, 2); ``noise`` (B, 8)."""
         generator.decoder.seq_len = 1  # type: ignore[union-attr]
         try:
             return generator(batch[0], batch[2], batch[-1], user_noise=noise)[0]
