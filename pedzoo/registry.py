@@ -42,7 +42,7 @@ class Registry:
         return (ast.get_docstring(ast.parse(path.read_text())) or "").partition("\n")[0]
 
     def constant(self, name: str, variable: str) -> Any:
-        """Return a literal module-level ``variable`` of a drop-in without importing it, None where it has none."""
+        """Return a literal module-level ``variable`` of a drop-in without importing it, None if it has none."""
         path = self.folder / f"{name}.py"
         body = ast.parse(path.read_text()).body if path.is_file() else []
         for node in body:
@@ -72,7 +72,11 @@ class Registry:
 
     def _plugins(self) -> dict[str, Any]:
         prefix = f"{self.kind}."
-        return {point.name.removeprefix(prefix): point for point in _entry_points() if point.name.startswith(prefix)}
+        return {
+            point.name.removeprefix(prefix): point
+            for point in _entry_points()
+            if point.name.startswith(prefix)
+        }
 
 
 @cache  # reading the metadata of everything installed takes 30 ms

@@ -108,7 +108,7 @@ class Record(Callback):
         self.run, self.config, self.argv = run, config, argv
 
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Write ``config.yaml`` and ``versions.json``; data and model fit together by now, so the run starts."""
+        """Write ``config.yaml`` and ``versions.json``: data and model are known to fit together by now."""
         if trainer.is_global_zero:
             print(f"run folder: {self.run.path}", flush=True)
             (self.run.path / "config.yaml").write_text(yaml.safe_dump(self.config, sort_keys=False))
