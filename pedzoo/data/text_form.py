@@ -86,15 +86,22 @@ class TextForm:
                 )
         except UnicodeDecodeError:
             raise
-        except ValueError as error:
-            for number, fields in self._lines(path):
-                wrong = len(fields) <= max(self.columns) or (len(fields) != 4 and not self.header)
-                if wrong or not all(_is_number(fields[column]) for column in self.columns):
-                    raise UserError(
-                        f"recording {str(path)!r}, line {number}: expected numbers {', '.join(COLUMNS)}, "
-                        f"got {(self.delimiter or ' ').join(fields)!r}"
-                    ) from error
-            raise UserError(f"recording {str(path)!r}: {error}") from error
+        except ValueError:
+            return np.array(list(self._one_by_one(path)))
+
+    def _one_by_one(self, path: Path) -> Iterator[list[float]]:
+        """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""
+        for number, fields in self._lines(path):
+            try:
+                row = [float(fields[column]) for column in self.columns]
+            except (ValueError, IndexError):
+                row = []
+            if not row or (len(fields) != 4 and not self.header):
+                raise UserError(
+                    f"recording {str(path)!r}, line {number}: expected numbers {', '.join(COLUMNS)}, "
+                    f"got {(self.delimiter or ' ').join(fields)!r}"
+                )
+            yield row
 
     def line_of(self, path: Path, row: int) -> int:
         """Return the number of the line that holds a row of the table."""
