@@ -37,9 +37,12 @@ class DisplacementEncoder(nn.Module):
         weights, width = _folded(self.lstm, self.embedding), self.lstm.hidden_size
         zero = displacements.new_zeros(1, displacements.shape[0], width)
         rows = _rows(displacements.shape[1] * width, displacements)
+        if len(displacements) <= rows:
+            return _lstm(displacements, (zero, zero), weights, batch_first=True)[1][0]
         pieces = zip(displacements.split(rows), zero.split(rows, 1), strict=True)
-        last = [_lstm(moved, (start, start), weights, batch_first=True)[1][0] for moved, start in pieces]
-        return last[0] if len(last) == 1 else torch.cat(last)
+        return torch.cat(
+            [_lstm(moved, (start, start), weights, batch_first=True)[1][0] for moved, start in pieces]
+        )
 
 
 class DisplacementDecoder(nn.Module):
