@@ -1,0 +1,103 @@
+"""Hand-made scene batches for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo import geometry
+from pedzoo.models.base import Forecaster, agents_of
+
+STEPS = 8
+
+
+def make_batch(
+    sizes: Sequence[int],
+    goal: bool = True,
+    partly: bool = False,
+    dtype: torch.dtype = torch.float32,
+    padding: float = float("nan"),
+    steps: int = STEPS,
+    seed: int = 0,
+) -> TensorDict:
+    """Return scenes of ``sizes`` people who walk with a random, wavering velocity.
+
+    Args:
+        sizes: People in each scene.
+        goal: With ``window_end`` goals.
+        partly: Some people leave, and one is lost from sight for two steps.
+        dtype: Of all positions.
+        padding: What stands where nobody is: whoever reads it is found out.
+        steps: Future steps.
+        seed: Of everybody's walk.
+    """
+    random = torch.Generator().manual_seed(seed)
+    scenes, people = len(sizes), max(sizes)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=random, dtype=torch.float64).to(dtype)
+
+    mask = torch.arange(people) < torch.tensor(sizes).unsqueeze(1)
+    speed = 0.5 * torch.nn.functional.normalize(normal(scenes, people, 1, 2), dim=-1)
+    moved = speed + 0.06 * normal(scenes, people, 8 + steps, 2)
+    xy = 4 * normal(scenes, people, 1, 2) + moved.cumsum(2)
+    known = torch.ones(scenes, people, 8 + steps, dtype=torch.bool)
+    if partly:
+        known[0, 0, 8 + steps // 2 :] = False
+        known[-1, 0, 9:11] = False
+        known[-1, 1, 8:] = False
+    for step in range(8, 8 + steps):
+        # as recordings do: where somebody is not seen stands their last known position
+        xy[:, :, step] = torch.where(known[:, :, step, None], xy[:, :, step], xy[:, :, step - 1])
+    xy[~mask] = padding
+    history, future = xy.split((8, steps), 2)
+    agents = {
+        "history": history,
+        "valid": known[..., :8] & mask[..., None],
+        "future": future,
+        "future_valid": known[..., 8:] & mask[..., None],
+        "velocity": (history[:, :, -1] - history[:, :, -2]) / 0.4,
+        "pref_speed": speed.norm(dim=-1) / 0.4,
+        "mask": mask,
+        "controlled": mask,
+    }
+    if goal:
+        agents["goal"] = xy[:, :, -1]
+        to_goal = torch.nn.functional.normalize(xy[:, :, -1] - history[:, :, -1], dim=-1)
+        agents["desired_velocity"] = agents["pref_speed"] * to_goal
+    return TensorDict(
+        {
+            "agents": TensorDict(agents, batch_size=[scenes, people]),
+            "map_id": torch.full((scenes, 1), -1),
+            "scene_pose": geometry.identity_pose(scenes).to(dtype),
+        },
+        batch_size=scenes,
+    )
+
+
+def changed(batch: TensorDict, **agents: Tensor) -> TensorDict:
+    """Return a copy of a batch with other values for its people."""
+    copy = cast("TensorDict", batch.clone())
+    for key, value in agents.items():
+        agents_of(copy)[key] = value
+    return copy
+
+
+def of_people(batch: TensorDict, key: str) -> Tensor:
+    """Return ``key`` of all people of a batch (P, ...), in the order of scenes."""
+    agents = agents_of(batch)
+    return agents[key][agents["mask"]]
+
+
+def random_weights(model: Forecaster, seed: int = 0) -> Forecaster:
+    """Draw all parameters anew, those that start at zero included, and return the model."""
+    random = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            noise = torch.randn(parameter.shape, generator=random, dtype=torch.float64)
+            parameter.copy_(0.3 * noise)
+    return model
