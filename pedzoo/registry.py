@@ -42,7 +42,7 @@ class Registry:
         return (ast.get_docstring(ast.parse(path.read_text())) or "").partition("\n")[0]
 
     def constant(self, name: str, variable: str) -> Any:
-        """Return a literal module-level ``variable`` of a drop-in without importing it, None if it has none."""
+        """Return a literal module-level ``variable`` of a drop-in without importing it, or None."""
         path = self.folder / f"{name}.py"
         body = ast.parse(path.read_text()).body if path.is_file() else []
         for node in body:

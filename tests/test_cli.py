@@ -9,6 +9,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import torch
+from torch.utils._pytree import tree_flatten
 
 import pedzoo
 from pedzoo.cli.commands.models import read_metadata
@@ -18,7 +20,9 @@ from pedzoo.paths import config_names
 
 ROOT = Path(pedzoo.__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
-QUICK = ["--trainer.limit_train_batches", "1", "--trainer.limit_val_batches", "1"]
+QUICK = [
+    f"--trainer.{key}=1" for key in ("limit_train_batches", "limit_val_batches", "check_val_every_n_epoch")
+]
 QUIET = ["--trainer.enable_progress_bar", "false", "--model.samples", "2", "--model.generator.best_k", "2"]
 
 
@@ -176,16 +180,31 @@ def test_second_run_gets_its_own_folder(elsewhere):
     assert {path.name for path in Path("runs/sgan_goal").iterdir()} == {"embedded-seed3", "embedded-seed3-2"}
 
 
-def test_interrupted_fit_prints_how_to_go_on(capsys, monkeypatch):
+def test_interrupted_fit_ends_like_an_uninterrupted_one(capsys, monkeypatch):
+    """Ctrl-C, the printed command, and the same weights of both networks and states of both optimisers."""
     from pedzoo.train.module import ForecastModule
 
     def interrupt(self):
         if self.current_epoch == 1:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(ForecastModule, "on_train_epoch_start", interrupt, raising=False)
-    assert main([*FIT, *QUICK, *QUIET, "--trainer.max_epochs", "3"]) == 130
-    assert "pedzoo fit --resume runs/sgan_goal/embedded-seed0" in capsys.readouterr().out
+    fit = ["fit", "--config", "sgan", "--data.fold", "embedded", "--trainer.max_epochs", "3", *QUICK, *QUIET]
+    with monkeypatch.context() as patch:
+        patch.setattr(ForecastModule, "on_train_epoch_start", interrupt, raising=False)
+        assert main(fit) == 130
+    assert "continue with: pedzoo fit --resume runs/sgan/embedded-seed0\n" in capsys.readouterr().out
+    assert main(["fit", "--resume", "runs/sgan/embedded-seed0"]) == 0
+    assert main([*fit, "--runs", "whole"]) == 0
+    ends = [
+        torch.load(Path(runs, "sgan/embedded-seed0/checkpoints/last.ckpt"), weights_only=True)
+        for runs in ("runs", "whole")
+    ]
+    for key in ("state_dict", "optimizer_states"):
+        resumed, whole = (
+            [leaf for leaf in tree_flatten(end[key])[0] if isinstance(leaf, torch.Tensor)] for end in ends
+        )
+        assert len(resumed) == len(whole) > 0
+        assert all(torch.equal(a, b) for a, b in zip(resumed, whole, strict=True))
 
 
 def test_models_lists_architectures_and_weights(capsys, elsewhere):
