@@ -1,0 +1,213 @@
+"""Sliding windows: counted by hand, against Social GAN's own loop, and against the published counts."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pedzoo.data.datasets.eth_ucy import EthUcy
+from pedzoo.data.recordings import Recording, Split
+from pedzoo.data.scenes import SceneSet
+from pedzoo.data.tracks import Tracks
+from pedzoo.data.windows import Counts, People, Windows, cut_windows
+from pedzoo.errors import UserError
+
+FRAMES = (0, 10, 20, 30, 40, 100)  # six steps; the hole before the last is not looked at
+SEEN = {1: (0, 1, 2, 3, 4, 5), 2: (0, 1, 2, 3), 3: (1, 2, 3, 4, 5), 4: (2,), 5: (1, 2, 4, 5)}
+
+
+def recording(seen: dict[int, tuple[int, ...]], name: str = "hand") -> Tracks:
+    rows = [(FRAMES[step], agent, agent, step) for agent, steps in seen.items() for step in steps]
+    return Tracks.from_table(name, np.array(rows, dtype=float))
+
+
+def listed(tracks: Tracks, windows: Windows) -> list[dict[int, list[int | None]]]:
+    """Return the windows as {agent: steps, None where not seen}."""
+    scenes = []
+    for start, stop in zip(windows.offsets[:-1], windows.offsets[1:], strict=True):
+        scene = {}
+        for rows in windows.rows[start:stop]:
+            (agent,) = {int(tracks.agent[row]) for row in rows if row >= 0}
+            scene[agent] = [FRAMES.index(tracks.frame[row]) if row >= 0 else None for row in rows]
+        scenes.append(scene)
+    return scenes
+
+
+def test_complete_people_of_every_window() -> None:
+    """Windows of 2 + 2 steps start at steps 0, 1 and 2; at their second step 4, 5 and 3 people are seen."""
+    tracks = recording(SEEN)
+    windows = cut_windows(tracks, 2, 2)
+    assert listed(tracks, windows) == [
+        {1: [0, 1, 2, 3], 2: [0, 1, 2, 3]},
+        {1: [1, 2, 3, 4], 3: [1, 2, 3, 4]},
+        {1: [2, 3, 4, 5], 3: [2, 3, 4, 5]},
+    ]
+    assert windows.counts == Counts(windows=3, people=6, dropped_lone=0, dropped_partial=6)
+    assert (tracks.agent[windows.end] == [1, 2, 1, 3, 1, 3]).all()
+    assert (tracks.frame[windows.end] == [100, 30, 100, 100, 100, 100]).all()
+
+
+def test_who_is_alone_is_dropped_and_counted() -> None:
+    tracks = recording({agent: SEEN[agent] for agent in (1, 2)})
+    windows = cut_windows(tracks, 2, 2)
+    assert listed(tracks, windows) == [{1: [0, 1, 2, 3], 2: [0, 1, 2, 3]}]
+    assert windows.counts == Counts(windows=1, people=2, dropped_lone=2, dropped_partial=2)
+    kept = cut_windows(tracks, 2, 2, min_people=1).counts
+    assert kept == Counts(windows=3, people=4, dropped_lone=0, dropped_partial=2)
+    none = cut_windows(tracks, 2, 2, min_people=3).counts
+    assert none == Counts(windows=0, people=0, dropped_lone=4, dropped_partial=2)
+
+
+def test_present_keeps_who_is_seen_at_the_last_two_observed_steps() -> None:
+    tracks = recording(SEEN)
+    windows = cut_windows(tracks, 2, 2, "present")
+    assert listed(tracks, windows) == [
+        {1: [0, 1, 2, 3], 2: [0, 1, 2, 3]},
+        {1: [1, 2, 3, 4], 2: [1, 2, 3, None], 3: [1, 2, 3, 4], 5: [1, 2, None, 4]},
+        {1: [2, 3, 4, 5], 2: [2, 3, None, None], 3: [2, 3, 4, 5]},
+    ]
+    assert windows.counts == Counts(windows=3, people=9, dropped_lone=0, dropped_partial=3)
+
+
+def test_present_looks_back_over_the_whole_history() -> None:
+    tracks = recording({1: (0, 1, 2, 3, 4, 5), 2: (2, 3), 3: (0, 3, 4), 4: (0, 2, 3, 4)})
+    windows = cut_windows(tracks, 4, 1, "present", min_people=1)
+    assert listed(tracks, windows) == [
+        {1: [0, 1, 2, 3, 4], 2: [None, None, 2, 3, None], 4: [0, None, 2, 3, 4]},
+        {1: [1, 2, 3, 4, 5], 3: [None, None, 3, 4, None], 4: [None, 2, 3, 4, None]},
+    ]
+
+
+def random_recording(seed: int) -> Tracks:
+    random = np.random.default_rng(seed)
+    seen = random.random((12, 30)) < 0.93
+    seen &= np.abs(np.arange(30) - random.integers(30, size=(12, 1))) < random.integers(3, 25, size=(12, 1))
+    seen[:, random.integers(30)] = False  # a step in which nobody is seen is no step at all
+    agent, step = np.nonzero(seen)
+    return Tracks.from_table("random", np.column_stack((step * 10, agent * 7 + 3, agent, step)).astype(float))
+
+
+def by_social_gans_loop(tracks: Tracks, obs_len: int, pred_len: int) -> list[list[tuple[int, list[int]]]]:
+    """Cut windows as the paper's code does: frame lists, one after the other."""
+    rows = np.column_stack((tracks.frame, tracks.agent))
+    frames, length = np.unique(tracks.frame), obs_len + pred_len
+    windows = []
+    for i in range(len(frames) - length + 1):
+        inside = np.isin(rows[:, 0], frames[i : i + length])
+        people = []
+        for agent in np.unique(rows[inside, 1]):
+            own = np.flatnonzero(inside & (rows[:, 1] == agent))
+            if len(own) == length:
+                people.append((int(agent), own.tolist()))
+        if len(people) > 1:
+            windows.append(people)
+    return windows
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("people", ["complete", "present"])
+def test_random_recordings_agree_with_the_loop_and_nobody_is_lost(seed: int, people: People) -> None:
+    tracks = random_recording(seed)
+    windows = cut_windows(tracks, 4, 3, people)
+    found = [
+        [(int(tracks.agent[rows.max()]), rows.tolist()) for rows in windows.rows[a:b] if (rows >= 0).all()]
+        for a, b in zip(windows.offsets[:-1], windows.offsets[1:], strict=True)
+    ]
+    loop = by_social_gans_loop(tracks, 4, 3)
+    assert len(loop) > 3
+    if people == "complete":
+        assert found == loop
+    else:
+        assert [scene for scene in found if len(scene) > 1] == loop
+    frames = np.unique(tracks.frame)
+    last_observed = frames[3 : len(frames) - 3]
+    counts = windows.counts
+    candidates = int(np.isin(tracks.frame, last_observed).sum())
+    assert counts.people + counts.dropped_lone + counts.dropped_partial == candidates
+
+
+def test_counts_are_printed_in_words_and_add_up() -> None:
+    total = Counts(3, 6, 0, 6) + Counts(1, 2, 2, 2)
+    assert total == Counts(4, 8, 2, 8)
+    assert str(total) == (
+        "4 windows with 8 people (counted once per window); "
+        "left out: 8 seen only in part of a window, 2 with too few others"
+    )
+
+
+def scenes_of(*tracks: Tracks, people: People = "complete", min_people: int = 2) -> SceneSet:
+    return SceneSet([Recording(one) for one in tracks], [-1] * len(tracks), 2, 2, people, min_people)
+
+
+def test_a_window_longer_than_the_recording_names_the_lengths_and_the_way_out() -> None:
+    short = recording({1: (0, 1, 2), 2: (0, 1, 2)}, "short")
+    with pytest.raises(UserError, match=r"2 \+ 2 = 4 steps.*'short' \(2 people, 3 steps\).*--data\.pred_len"):
+        scenes_of(short)
+    with pytest.raises(UserError, match=r"'short' \(2 people, 3 steps\), 'tiny' \(1 people, 2 steps\)"):
+        scenes_of(short, recording({1: (0, 1)}, "tiny"))
+
+
+def test_one_person_only_is_refused_with_the_option_that_keeps_them() -> None:
+    alone = recording({7: (0, 1, 2, 3, 4)}, "alone")
+    with pytest.raises(UserError, match=r"has 2 people.*'alone' \(1 people, 5 steps\).*--data\.min_people 1"):
+        scenes_of(alone)
+    assert scenes_of(alone, min_people=1).sizes.tolist() == [1, 1]
+    passing = recording({1: (0, 1, 2), 2: (1, 2, 3)}, "passing")
+    with pytest.raises(UserError, match=r"--data\.people present keeps partly seen people"):
+        scenes_of(passing, min_people=1)
+
+
+def test_recordings_without_a_window_are_no_error_beside_one_with() -> None:
+    scenes = scenes_of(recording(SEEN, "a"), recording({1: (0, 1)}, "b"), recording(SEEN, "a"))
+    assert [name for name, _ in scenes.counts] == ["a", "b", "a"]
+    assert [counts.windows for _, counts in scenes.counts] == [3, 0, 3]
+    assert len(scenes) == 6
+
+
+TABLES = {  # (train windows, people), (val), (test), lone people of the test scene
+    8: {
+        "eth": ((3149, 34764), (765, 6520), (195, 614), 183),
+        "hotel": ((2930, 33866), (733, 6304), (443, 1714), 167),
+        "univ": ((2509, 11812), (667, 3547), (955, 27349), 0),
+        "zara1": ((2692, 32686), (721, 6361), (702, 2875), 63),
+        "zara2": ((2518, 30048), (642, 5365), (956, 6622), 62),
+    },
+    12: {
+        "eth": ((2785, 29809), (660, 5349), (70, 181), 183),
+        "hotel": ((2594, 29152), (621, 5136), (301, 1053), 144),
+        "univ": ((2076, 9231), (530, 2708), (947, 24334), 0),
+        "zara1": ((2322, 28010), (605, 5118), (602, 2253), 103),
+        "zara2": ((2112, 25507), (501, 4173), (921, 5833), 77),
+    },
+}
+
+
+@pytest.mark.parametrize("fold", list(TABLES[8]))
+def test_eth_ucy_counts_equal_the_published_tables(shared: Path, fold: str) -> None:
+    dataset = EthUcy(fold, str(shared / "data"))
+    splits: tuple[Split, ...] = ("train", "val", "test")
+    recordings = {split: dataset.recordings(split) for split in splits}
+    for pred_len, table in TABLES.items():
+        counts = {
+            split: sum((cut_windows(r.tracks, 8, pred_len).counts for r in recordings[split]), Counts())
+            for split in splits
+        }
+        assert tuple((counts[split].windows, counts[split].people) for split in splits) == table[fold][:3]
+        assert counts["test"].dropped_lone == table[fold][3]
+
+
+@pytest.mark.parametrize("people", ["complete", "present"])
+def test_a_huge_recording_stays_small_in_memory(people: People) -> None:
+    """2000 people at once for 20 s, 2.5 Hz after resampling: 100 000 rows."""
+    frame, agent = (part.ravel() for part in np.meshgrid(np.arange(50), np.arange(2000)))
+    tracks = Tracks("huge", frame.T.copy(), agent.copy(), np.zeros((len(frame), 2)))
+    tracemalloc.start()
+    scenes = SceneSet([Recording(tracks)], [-1], 8, 8, people)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert scenes.sizes.tolist() == [2000] * 35
+    # the windows themselves: 35 * 2000 of 16 four-byte rows
+    assert peak < 8 * (35 * 2000 * 16 * 4)
