@@ -1,0 +1,27 @@
+"""Every shipped config trains, on the embedded recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pedzoo.cli.main import main
+from pedzoo.paths import config_names
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_config_trains(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    if "alexnet" in name:
+        weights = request.getfixturevalue("shared") / "weights" / "alexnet_imagenet_features_fp16.safetensors"
+        monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
+    options = {"data.fold": "embedded", "runs": str(tmp_path), "trainer.enable_progress_bar": "false"}
+    options |= {"trainer.max_epochs": "1", "trainer.check_val_every_n_epoch": "1"}
+    options |= {"trainer.limit_train_batches": "2", "trainer.limit_val_batches": "1"}
+    words = [word for key, value in options.items() for word in (f"--{key}", value)]
+    assert main(["fit", "--config", name, *words]) == 0
+    (run,) = (tmp_path / name).iterdir()
+    assert (run / "checkpoints" / "best.ckpt").is_file()
+    assert "val/ade" in (run / "metrics.csv").read_text().splitlines()[0]
