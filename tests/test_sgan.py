@@ -340,7 +340,6 @@ def test_unknown_steps_change_nothing() -> None:
     agents = agents_of(batch)
     unknown = (~agents["future_valid"] & agents["mask"][..., None]).unsqueeze(-1)
     assert unknown.sum() == 14
-    # where somebody comes back into sight, the position before it stays what recordings fill in
     elsewhere = changed(batch, future=torch.where(unknown, agents["future"] + 3.0, agents["future"]))
     for error in ("squared_displacement", "distance"):
         model = cast("SGAN", random_weights(SGAN(error=error, mode_weight=1.0)))  # type: ignore[arg-type]

@@ -6,6 +6,8 @@ import hashlib
 import inspect
 import json
 import os
+import pickle
+import struct
 import sys
 from fnmatch import fnmatch
 from pathlib import Path
@@ -23,6 +25,9 @@ from pedzoo.types import GoalProtocol
 
 SUFFIX = ".safetensors"
 SUMS = "SHA256SUMS"
+
+_DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
+"""What reading a damaged checkpoint can end in."""
 
 
 def list_models(pattern: str = "*") -> list[str]:
@@ -126,13 +131,11 @@ def _from_safetensors(path: Path, checked: bool = False) -> Forecaster:
 
 
 def _from_checkpoint(path: Path) -> Forecaster:
-    from pickle import UnpicklingError
-
     if not path.is_file():
         raise UserError(f"no checkpoint at {str(path)!r}")
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, UnpicklingError, EOFError) as error:
+    except _DAMAGED as error:
         raise UserError(
             f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?"
         ) from error
