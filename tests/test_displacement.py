@@ -1,0 +1,223 @@
+"""Displacement metrics on a case small enough to compute by hand, and the baselines' published numbers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import cast
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchmetrics import Metric
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.metrics import displacement as d
+from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.models.architectures.bent_line import BentLine
+from pedzoo.models.architectures.constant_velocity import ConstantVelocity
+from pedzoo.models.architectures.straight_line import StraightLine
+from pedzoo.models.base import Forecaster
+
+# one scene, two samples, two people, two steps; per person ADE of sample 0: 2 and 5, of sample 1: 3 and 1
+ERROR = torch.tensor([[[[1.0, 3.0], [4.0, 6.0]], [[2.0, 4.0], [0.5, 1.5]]]])
+KNOWN = torch.ones(1, 2, 2, dtype=torch.bool)
+
+# ADE per scene: sample 0 costs 7, sample 1 costs 4: (3 + 1) / 2; per agent: (2 + 1) / 2
+# FDE per scene: 3 + 6 against 4 + 1.5; per agent: 3 and 1.5
+BY_HAND: list[tuple[type[Metric], float]] = [
+    (d.ADE, (2 + 5 + 3 + 1) / 4),
+    (d.FDE, (3 + 6 + 4 + 1.5) / 4),
+    (d.NextStepError, (1 + 4 + 2 + 0.5) / 4),
+    (d.MinADEScene, 2.0),
+    (d.MinFDEScene, 2.75),
+    (d.MinADEAgent, 1.5),
+    (d.MinFDEAgent, 2.25),
+]
+
+
+def value(kind: type[Metric], *batches: tuple[Tensor, Tensor]) -> float:
+    metric = kind()
+    for error, valid in batches:
+        metric.update(error, valid)
+    return float(metric.compute())
+
+
+@pytest.mark.parametrize(("kind", "expected"), BY_HAND)
+def test_values_by_hand(kind: type[Metric], expected: float) -> None:
+    assert value(kind, (ERROR, KNOWN)) == pytest.approx(expected)
+
+
+def test_the_samples_that_are_best_by_ade_and_by_fde_may_differ() -> None:
+    error = torch.tensor([[[[0.0, 5.0]], [[4.0, 4.0]]]])  # one person: sample 0 has ADE 2.5, sample 1 FDE 4
+    known = torch.ones(1, 1, 2, dtype=torch.bool)
+    for kind in (d.MinADEScene, d.MinADEAgent):
+        assert value(kind, (error, known)) == 2.5
+    for kind in (d.MinFDEScene, d.MinFDEAgent):
+        assert value(kind, (error, known)) == 4.0
+
+
+def test_partly_known_futures_count_where_they_are_known() -> None:
+    """Person 1's second step is not known: ADE over one step, no FDE, and the best samples change."""
+    valid = torch.tensor([[[True, True], [True, False]]])
+    assert value(d.ADE, (ERROR, valid)) == pytest.approx((2 + 4 + 3 + 0.5) / 4)
+    assert value(d.FDE, (ERROR, valid)) == pytest.approx((3 + 4) / 2)
+    assert value(d.NextStepError, (ERROR, valid)) == pytest.approx((1 + 4 + 2 + 0.5) / 4)
+    assert value(d.MinADEScene, (ERROR, valid)) == pytest.approx((3 + 0.5) / 2)  # 6 against 3.5
+    assert value(d.MinFDEScene, (ERROR, valid)) == pytest.approx(3)  # person 0 alone: sample 0
+    assert value(d.MinADEAgent, (ERROR, valid)) == pytest.approx((2 + 0.5) / 2)
+    assert value(d.MinFDEAgent, (ERROR, valid)) == pytest.approx(3)
+
+
+@pytest.mark.parametrize(("kind", "expected"), BY_HAND)
+def test_padding_counts_for_nothing_whatever_it_holds(kind: type[Metric], expected: float) -> None:
+    error = torch.cat((ERROR, torch.full((1, 2, 1, 2), math.nan)), dim=2)
+    valid = torch.cat((KNOWN, torch.zeros(1, 1, 2, dtype=torch.bool)), dim=1)
+    assert value(kind, (error, valid)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("kind", [kind for kind, _ in BY_HAND])
+def test_batches_add_up_by_people_and_reset_forgets(kind: type[Metric]) -> None:
+    generator = torch.Generator().manual_seed(0)
+    error = torch.rand(9, 5, 4, 3, generator=generator)
+    valid = torch.rand(9, 4, 3, generator=generator) < 0.7
+    whole = value(kind, (error, valid))
+    parts = [(error[part], valid[part]) for part in (slice(0, 1), slice(1, 7), slice(7, 9))]
+    assert value(kind, *parts) == pytest.approx(whole)
+    metric = kind()
+    assert math.isnan(float(metric.total / metric.count))  # type: ignore[operator]
+    metric.update(error, valid)
+    metric.reset()
+    metric.update(ERROR, KNOWN)
+    assert float(metric.compute()) == pytest.approx(value(kind, (ERROR, KNOWN)))
+
+
+@pytest.mark.parametrize("kind", [kind for kind, _ in BY_HAND])
+def test_nothing_known_is_nan(kind: type[Metric]) -> None:
+    assert math.isnan(value(kind, (ERROR, ~KNOWN)))
+
+
+def test_float64_sums_do_not_drift() -> None:
+    """A float32 sum of 2 000 000 errors of 0.1 is off in the third digit."""
+    error, valid = torch.full((2000, 1, 100, 1), 0.1), torch.ones(2000, 100, 1, dtype=torch.bool)
+    assert value(d.ADE, *[(error, valid)] * 10) == pytest.approx(0.1, abs=1e-7)
+
+
+def test_errors_are_distances_of_summed_displacements_from_the_last_position() -> None:
+    history = torch.tensor([[[[9.0, 9.0], [1.0, 1.0]]]])
+    future = torch.tensor([[[[2.0, 1.0], [3.0, 1.0]]]])
+    prediction = torch.tensor([[[[[1.0, 0.0], [1.0, 0.0]]], [[[1.0, 3.0], [1.0, 1.0]]]]])
+    error = d.displacement_error(prediction, history, future)
+    assert torch.allclose(error, torch.tensor([[[[0.0, 0.0]], [[3.0, 4.0]]]]))
+
+
+def test_sample_distance_by_hand() -> None:
+    """Three samples of one person walk 0, 1 and 3 m per step: pairs are 1, 3, 2 apart, then 2, 6, 4."""
+    prediction = torch.zeros(1, 3, 2, 2, 2)
+    prediction[0, 1, 0, :, 0], prediction[0, 2, 0, :, 0] = 1.0, 3.0
+    prediction[0, :, 1] = torch.randn(3, 2, 2)  # padding
+    mask = torch.tensor([[True, False]])
+    metric = d.SampleDistance()
+    assert math.isnan(float(d.SampleDistance().total / metric.count))
+    metric.update(prediction, mask)
+    assert float(metric.compute()) == pytest.approx((2 + 4) / 2)
+    metric.update(torch.ones(1, 3, 2, 2, 2), mask)  # equal samples of as many people halve it
+    assert float(metric.compute()) == pytest.approx(1.5)
+    metric.reset()
+    metric.update(prediction[:, :1], mask)  # a deterministic model
+    assert float(metric.compute()) == 0.0
+
+
+class TwoWays(Forecaster):
+    """Walks (0, 0) as its mode, and (0, 0) or (0, 1) per step as its samples."""
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return every other sample on the second way."""
+        scenes, people = cast("Tensor", batch["agents", "mask"]).shape
+        walk = torch.zeros(scenes, samples, people, steps, 2)
+        walk[:, 1::2, :, :, 1] = 1.0
+        return walk
+
+
+def scene(future: list[tuple[float, float]]) -> TensorDict:
+    people = {
+        "history": torch.zeros(1, 1, 2, 2),
+        "future": torch.tensor([[future]]),
+        "future_valid": torch.ones(1, 1, len(future), dtype=torch.bool),
+        "mask": torch.ones(1, 1, dtype=torch.bool),
+    }
+    return TensorDict({"agents": TensorDict(people, batch_size=(1, 1))}, batch_size=(1,))
+
+
+def test_score_keeps_mode_samples_and_best_apart() -> None:
+    score = ForecastScore(2)
+    score.update(TwoWays(), scene([(0.0, 1.0), (0.0, 2.0)]))
+    expected = {
+        "ade_m": 1.5,
+        "fde_m": 2.0,
+        "next_step_m": 1.0,
+        "ade_sampled_m": 0.75,
+        "fde_sampled_m": 1.0,
+        "min_ade_2_scene_m": 0.0,
+        "min_fde_2_scene_m": 0.0,
+        "min_ade_2_agent_m": 0.0,
+        "min_fde_2_agent_m": 0.0,
+        "sample_distance_m": 1.5,
+    }
+    assert score.compute() == pytest.approx(expected)
+    score.reset()
+    score.update(ConstantVelocity(), scene([(0.0, 1.0), (0.0, 2.0)]))
+    found = score.compute()
+    assert (found["ade_m"], found["min_ade_2_scene_m"], found["sample_distance_m"]) == (1.5, 1.5, 0.0)
+    alone = ForecastScore(0)
+    alone.update(TwoWays(), scene([(0.0, 1.0)]))
+    assert alone.compute() == {"ade_m": 1.0, "fde_m": 1.0, "next_step_m": 1.0}
+
+
+# -- trivial baselines on ETH/UCY: ADE and FDE as two independent scripts computed them
+
+ROWS = [
+    f"{name} {error}"
+    for name in (
+        "constant_velocity",
+        "straight_line window_end",
+        "bent_line window_end",
+        "straight_line destination",
+    )
+    for error in ("ADE", "FDE")
+]
+PUBLISHED = {
+    ("eth", 8): (0.668, 1.356, 0.233, 0.0, 0.207, 0.0, 0.479, 0.594),
+    ("hotel", 8): (0.258, 0.477, 0.066, 0.0, 0.085, 0.0, 0.160, 0.226),
+    ("univ", 8): (0.311, 0.667, 0.103, 0.0, 0.078, 0.0, 0.411, 0.710),
+    ("zara1", 8): (0.253, 0.541, 0.084, 0.0, 0.065, 0.0, 0.291, 0.481),
+    ("zara2", 8): (0.207, 0.448, 0.070, 0.0, 0.051, 0.0, 0.230, 0.395),
+    ("zara1", 12): (0.431, 0.960, 0.152, 0.0, 0.120, 0.0, 0.428, 0.714),
+}
+
+
+@pytest.mark.parametrize(("fold", "pred_len"), list(PUBLISHED))
+def test_baselines_equal_the_published_tables(shared: Path, fold: str, pred_len: int) -> None:
+    found = []
+    for goal, models in {
+        "window_end": [ConstantVelocity(), StraightLine("window_end"), BentLine("window_end")],
+        "destination": [StraightLine("destination")],
+    }.items():
+        data = TrajectoryDataModule(fold, str(shared / "data"), pred_len=pred_len, goal=goal)  # type: ignore[arg-type]
+        batches = list(data.test_dataloader())
+        for model in models:
+            score = ForecastScore(1)
+            for batch in batches:
+                score.update(model, batch)
+            metrics = score.compute()
+            found += [metrics["ade_m"], metrics["fde_m"]]
+            assert metrics["min_ade_1_scene_m"] == pytest.approx(metrics["ade_m"])
+    wrong = [
+        (name, here, there)
+        for name, here, there in zip(ROWS, found, PUBLISHED[fold, pred_len], strict=True)
+        if abs(here - there) > 0.00051
+    ]
+    assert not wrong
