@@ -36,7 +36,7 @@ class OwnFiles:
             plan: ROS yaml of the floor plan of all files.
             homography: Text file of a 3x3 matrix from the files' (x, y, 1) to world metres.
         """
-        if dt is None or not dt > 0:
+        if dt is None or not 0 < dt < 5:
             raise UserError(
                 f"--data.dt is {dt}: give the seconds between two consecutive frame numbers of --data.files "
                 "(0.04 for a 25 Hz video whose frames are numbered one by one)"
@@ -74,9 +74,10 @@ class OwnFiles:
                 f"{FARTHEST:g}: subtract an offset from x and y (and from the floor plan's origin)"
             )
         resampled = tracks.resampled(self.dt)
-        if not len(resampled):
+        if np.ptp(resampled.frame) == 0:
+            seconds = np.ptp(tracks.frame) * self.dt
             raise UserError(
-                f"nobody in recording {file!r} is seen for 0.4 s at --data.dt {self.dt:g}: is it right?"
+                f"recording {file!r} lasts {seconds:.3g} s at --data.dt {self.dt:g}: is dt right?"
             )
         return resampled
 
@@ -107,6 +108,6 @@ def _homography(path: str) -> np.ndarray:
         raise UserError(f"--data.homography {path!r}: {error}; {expected}") from error
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise UserError(f"--data.homography {path!r} has shape {matrix.shape}: {expected}")
-    if abs(np.linalg.det(matrix / np.abs(matrix).max())) < 1e-12:
+    if np.linalg.matrix_rank(matrix) < 3:
         raise UserError(f"--data.homography {path!r} is singular, it maps the floor to a line: {expected}")
     return matrix

@@ -72,6 +72,11 @@ class SceneSet:
         """People in each scene (S,)."""
         return self.offsets.diff()
 
+    def speeds(self) -> Tensor:
+        """Return the current speed (W,) of each person of each window, m/s."""
+        before, last = self.rows[:, self.obs_len - 2 : self.obs_len].long().unbind(1)
+        return (self.xy[last] - self.xy[before]).norm(dim=1) / STEP_SECONDS
+
     def batch(
         self,
         scenes: Tensor,

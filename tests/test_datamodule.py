@@ -1,0 +1,289 @@
+"""Folds, own files and the embedded people as the command line sees them: counts, clocks, maps, refusals."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from jsonargparse import ArgumentParser
+from torch import Tensor
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.recordings import Split
+from pedzoo.errors import UserError
+
+SPLITS: tuple[Split, ...] = ("train", "val", "test")
+TURN = np.array([[0.0, -0.1, 30.0], [0.1, 0.0, 2.0], [0.0, 0.0, 1.0]])
+"""Pixels to metres in the recording below: a quarter turn, 0.1 m per pixel, and a shift."""
+
+
+def write_recording(folder: Path, name: str = "lobby.csv", people: int = 30, every: int = 25) -> Path:
+    """Write people who walk 1 m/s to the right on lines of their own: 10 Hz, pixels of `TURN`, unsorted."""
+    rows = []
+    for agent in range(people):
+        for frame in range(agent * every, agent * every + 100):
+            world = np.array([0.1 * (frame - agent * every), 0.5 * agent, 1.0])
+            pixel = np.linalg.inv(TURN) @ world
+            rows.append(f"{pixel[1]:.6f},{agent},{frame},someone,{pixel[0]:.6f}\n")
+    np.random.default_rng(0).shuffle(rows)
+    path = folder / name
+    path.write_text("y,agent,frame,note,x\n" + "".join(rows))
+    return path
+
+
+def own_files(folder: Path, **options: Any) -> dict[str, Any]:
+    """Return the --data options of a recording with homography and floor plan."""
+    np.savetxt(folder / "H.txt", TURN)
+    cv2.imwrite(str(folder / "lobby.png"), np.full((40, 30), 255, np.uint8))
+    (folder / "lobby.yaml").write_text(
+        "image: lobby.png\nresolution: 0.5\norigin: [-2, -2, 0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    given = {
+        "files": [str(write_recording(folder))],
+        "dt": 0.1,
+        "map": str(folder / "lobby.yaml"),
+        "homography": str(folder / "H.txt"),
+    }
+    return given | options
+
+
+def refused(**options: Any) -> str:
+    with pytest.raises(UserError) as error:
+        TrajectoryDataModule(**options).setup(None)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+# -- own files
+
+
+def test_own_files_end_to_end_by_their_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Files, clock, split, map and homography, written as on the command line."""
+    options = own_files(tmp_path, split="0.6,0.2,0.2", goal="destination")
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_class_arguments(TrajectoryDataModule, "data")
+    parsed = parser.parse_args(
+        [f"--data.{key}={json.dumps(value) if key == 'files' else value}" for key, value in options.items()]
+    )
+    data = cast("Any", parser.instantiate_classes(parsed)).data
+    assert isinstance(data, TrajectoryDataModule)
+    data.setup(None)
+
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in printed] == ["files train", "files val", "files test"]
+    for line, split in zip(printed, SPLITS, strict=True):
+        assert f"{len(data.sets[split])} windows with {int(data.sets[split].sizes.sum())} people" in line
+        assert line.endswith("median speed 1.00 m/s")
+    assert data.sets["train"].offsets[-1] > 2 * data.sets["val"].offsets[-1] > 0
+
+    batches = list(data.test_dataloader())
+    for batch in batches:
+        mask = cast("Tensor", batch["agents", "mask"])
+        velocity = cast("Tensor", batch["agents", "velocity"])[mask]
+        assert torch.allclose(velocity, torch.tensor([1.0, 0.0]).expand_as(velocity), atol=1e-3)
+        step = cast("Tensor", batch["agents", "history"])[mask].diff(dim=1)
+        assert torch.allclose(step, torch.tensor([0.4, 0.0]).expand_as(step), atol=1e-4)
+        assert (batch["map_id"] == data.bank.id_of("lobby")).all()
+    goal = cast("Tensor", batches[0]["agents", "goal"])[cast("Tensor", batches[0]["agents", "mask"])]
+    assert (goal[:, 0] > 6).all()  # where they leave, 10 m ahead, or where the part ends
+    assert data.protocol["fold"] == "files"
+    assert data.protocol["clock"] == "true"
+
+
+def test_splits_are_cut_in_time_without_overlap(tmp_path: Path) -> None:
+    data = TrajectoryDataModule(**own_files(tmp_path))
+    parts = [data.source.recordings(split)[0].tracks for split in SPLITS]
+    whole = TrajectoryDataModule(**own_files(tmp_path, split="1,0,0")).source.recordings("train")[0].tracks
+    assert sum(map(len, parts)) == len(whole)
+    for early, late in pairwise(parts):
+        assert early.frame.max() < late.frame.min()
+    ends = [part.frame.max() / whole.frame.max() for part in parts]
+    assert ends == pytest.approx([0.7, 0.85, 1.0], abs=0.02)
+
+
+def test_several_files_are_one_split_and_those_without_a_window_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [write_recording(tmp_path), write_recording(tmp_path, "short.csv", people=2, every=3)]
+    one = TrajectoryDataModule(files=[str(paths[0])], dt=0.1)
+    one.setup("test")
+    capsys.readouterr()
+    both = TrajectoryDataModule(files=[str(path) for path in paths], dt=0.1)
+    both.setup("test")
+    assert len(both.sets["test"]) == len(one.sets["test"])
+    assert "files test: no window in short" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"dt": None}, ["--data.dt is None", "seconds between two consecutive frame numbers"]),
+        ({"dt": -0.1}, ["--data.dt is -0.1"]),
+        ({"dt": 1e-6}, ["lobby.csv", "lasts 0.000824 s", "--data.dt 1e-06"]),
+        ({"dt": 25}, ["--data.dt is 25"]),
+        ({"split": "0.7,0.3"}, ["--data.split '0.7,0.3'", "0.7,0.15,0.15"]),
+        ({"split": "most,some,few"}, ["--data.split 'most,some,few'"]),
+        ({"split": "0.7,0.2,0.2"}, ["--data.split '0.7,0.2,0.2'", "add up to 1"]),
+        ({"split": "1.5,-0.5,0"}, ["--data.split '1.5,-0.5,0'", "at least 0"]),
+        ({"split": "nan,0.5,0.5"}, ["--data.split 'nan,0.5,0.5'"]),
+        ({"split": "1,0,0"}, ["nobody", "val part", "lobby.csv", "share 0", "--data.split"]),
+        ({"split": "0.98,0.01,0.01"}, ["16 steps", "only", "lobby"]),
+        ({"homography": "nowhere.txt"}, ["--data.homography", "nowhere.txt", "3 rows of 3 numbers"]),
+        ({"homography": "{folder}/two.txt"}, ["--data.homography", "(2, 3)"]),
+        ({"homography": "{folder}/flat.txt"}, ["--data.homography", "singular"]),
+        ({"homography": "{folder}/far.txt"}, ["lobby.csv", "subtract an offset"]),
+        ({"map": "{folder}/no.yaml"}, ["no.yaml"]),
+        ({"files": ["{folder}/no.csv"]}, ["no recording at", "no.csv"]),
+        ({"pred_len": 400}, ["8 + 400 = 408", "lobby"]),
+        ({"obs_len": 1}, ["--data.obs_len 1"]),
+        ({"batch_size": 0}, ["--data.batch_size"]),
+    ],
+)
+def test_bad_own_files_are_refused(tmp_path: Path, options: dict[str, Any], words: list[str]) -> None:
+    given = own_files(tmp_path, **options)
+    np.savetxt(tmp_path / "two.txt", TURN[:2])
+    np.savetxt(tmp_path / "flat.txt", np.ones((3, 3)))
+    np.savetxt(tmp_path / "far.txt", TURN + np.array([[0, 0, 5e5], [0, 0, 0], [0, 0, 0]]))
+    for name in ("homography", "map"):
+        given[name] = given[name].format(folder=tmp_path)
+    given["files"] = [file.format(folder=tmp_path) for file in given["files"]]
+    message = refused(**given)
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize("option", [{"dt": 0.1}, {"map": "m.yaml"}, {"homography": "H.txt"}])
+def test_options_of_own_files_mean_nothing_without_files(option: dict[str, Any]) -> None:
+    assert f"--data.{next(iter(option))} given without --data.files" in refused(**option)
+
+
+# -- folds
+
+
+def test_embedded_needs_no_root(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    data = TrajectoryDataModule()
+    data.setup(None)
+    assert data.bank.names == ("plaza",)
+    assert len(capsys.readouterr().out.splitlines()) == 3
+    batch = next(iter(data.train_dataloader()))
+    assert (batch["map_id"] == data.bank.id_of("plaza")).all()
+
+
+def test_unknown_folds_and_missing_roots_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    message = refused(fold="zarra1")
+    assert "unknown fold 'zarra1': did you mean 'zara1'?" in message
+    assert "embedded, eth, hotel, univ, zara1, zara2" in message
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    how = ["--data.root", "PEDZOO_DATA", "git clone https://", "embedded"]
+    for root, words in ((None, how), (str(tmp_path / "no"), [*how, "is not a folder"])):
+        message = refused(fold="zara1", root=root)
+        assert all(word in message for word in words), message
+    message = refused(fold="zara1", root=str(tmp_path))
+    assert all(word in message for word in (str(tmp_path), "splits.json", "zara1/train/*.txt", "git clone"))
+
+
+def test_stages_read_what_they_need_once(shared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = TrajectoryDataModule("zara1", str(shared / "data"))
+    data.setup("fit")
+    assert list(data.sets) == ["train", "val"]
+    before = dict(data.sets)
+    capsys.readouterr()
+    data.setup("validate")
+    data.setup("fit")
+    data.setup("test")
+    assert capsys.readouterr().out == (
+        "zara1 test: 702 windows with 2875 people (counted once per window); "
+        "left out: 2126 seen only in part of a window, 63 with too few others; median speed 1.10 m/s\n"
+    )
+    assert all(data.sets[split] is before[split] for split in before)
+    # training goes on after a test: the bank knows the floor plans of both
+    ids = torch.cat([scenes.map_id for scenes in data.sets.values()])
+    assert data.bank.index(ids).max() == 4
+
+
+def test_present_people_and_protocol_options_reach_the_batches(shared: Path) -> None:
+    data = TrajectoryDataModule("zara1", str(shared / "data"), people="present", min_people=1, pred_len=12)
+    data.setup("test")
+    batch = next(iter(data.test_dataloader()))
+    assert batch["agents", "future"].shape[2] == 12
+    assert int(data.sets["test"].sizes.min()) == 1
+    known = torch.cat(
+        [batch["agents", "future_valid"][batch["agents", "mask"]] for batch in data.test_dataloader()]
+    )
+    assert 0.5 < known.float().mean() < 1
+    assert {"goal": "none", "clock": "benchmark", "pred_len": 12}.items() <= data.protocol.items()
+
+
+def test_the_true_clock_reaches_the_batches(shared: Path) -> None:
+    speeds = {}
+    for clock in ("benchmark", "true"):
+        data = TrajectoryDataModule("eth", str(shared / "data"), clock=clock)  # type: ignore[arg-type]
+        speed = torch.cat(
+            [
+                batch["agents", "velocity"][batch["agents", "mask"]].norm(dim=-1)
+                for batch in data.test_dataloader()
+            ]
+        )
+        speeds[clock] = float(speed[speed > 0.3].median())
+    assert 2.2 < speeds["benchmark"] < 2.8
+    assert 1.3 < speeds["true"] < 1.7
+
+
+def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path) -> None:
+    """The layout that one can download: zara1/{train,val,test}/*.txt, no floor plans."""
+    pack = shared / "data" / "eth_ucy"
+    for split, files in json.loads((pack / "splits.json").read_text())["folds"]["zara1"].items():
+        folder = tmp_path / "datasets" / "zara1" / split
+        folder.mkdir(parents=True)
+        for file in files:
+            shutil.copy(pack / file, folder)
+    for root in (tmp_path, tmp_path / "datasets"):
+        data = TrajectoryDataModule("zara1", str(root))
+        data.setup(None)
+        assert [(len(data.sets[s]), int(data.sets[s].offsets[-1])) for s in SPLITS] == [
+            (2692, 32686),
+            (721, 6361),
+            (702, 2875),
+        ]
+        assert (data.sets["test"].map_id == -1).all()
+    fold = TrajectoryDataModule("zara1", str(tmp_path)).source.recordings("train")[0].tracks
+    true = TrajectoryDataModule("zara1", str(tmp_path), clock="true").source.recordings("train")[0].tracks
+    assert fold.name == true.name == "biwi_eth_train"
+    assert np.ptp(true.frame) * 0.4 == pytest.approx(np.ptp(fold.frame) / 10 * 2 / 3, abs=0.4)
+    shutil.rmtree(tmp_path / "datasets" / "zara1" / "val")
+    assert "git clone" in refused(fold="zara1", root=str(tmp_path))
+
+
+# -- loaders
+
+
+def test_training_repeats_with_the_seed_and_differs_between_epochs() -> None:
+    def histories(seed: int, epoch: int) -> list[Tensor]:
+        data = TrajectoryDataModule(seed=seed, rotate=True, mirror=True, goal="random_future")
+        loader = data.train_dataloader()
+        cast("Any", loader.sampler).set_epoch(epoch)
+        return [torch.cat((b["agents", "history"][:, :, -1], b["agents", "goal"]), -1) for b in loader]
+
+    first = histories(0, 3)
+    assert all(torch.equal(a, b) for a, b in zip(first, histories(0, 3), strict=True))
+    for other in (histories(1, 3), histories(0, 4)):
+        assert any(a.shape != b.shape or not torch.equal(a, b) for a, b in zip(first, other, strict=True))
+
+
+def test_every_process_evaluates_all_windows() -> None:
+    class Second:
+        global_rank, world_size = 1, 2
+
+    alone, second = TrajectoryDataModule(), TrajectoryDataModule()
+    second.trainer = cast("Any", Second())
+    assert len(list(second.val_dataloader())) == len(list(alone.val_dataloader()))
+    assert len(list(second.train_dataloader())) == -(-len(list(alone.train_dataloader())) // 2)
