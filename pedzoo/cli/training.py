@@ -8,7 +8,7 @@ import shlex
 import warnings
 from argparse import SUPPRESS
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import yaml
 from lightning.fabric.utilities.exceptions import MisconfigurationException
@@ -20,6 +20,7 @@ from pedzoo.cli.output import write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
+from pedzoo.models.zoo import read_checkpoint
 from pedzoo.train.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb
 from pedzoo.versions import versions
@@ -117,6 +118,9 @@ class TrainingCLI(LightningCLI):
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
+        if file := self.config["ckpt_path"]:
+            # Lightning would ask, too, but only after its logger has removed an earlier run's metrics.
+            cast("ForecastModule", self.model).check(read_checkpoint(file))
         options = self.config_init["trainer"]
         callbacks = list(options.get("callbacks") or [])
         if options.get("enable_progress_bar") is not False:

@@ -130,7 +130,13 @@ def _from_safetensors(path: Path, checked: bool = False) -> Forecaster:
     return fill(build(config), state, str(path))
 
 
-def _from_checkpoint(path: Path) -> Forecaster:
+def read_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Return what ``pedzoo fit`` wrote into a Lightning checkpoint; nothing in it is run.
+
+    Raises:
+        UserError: No such file, or it is damaged or of another program.
+    """
+    path = Path(path)
     if not path.is_file():
         raise UserError(f"no checkpoint at {str(path)!r}")
     try:
@@ -141,6 +147,11 @@ def _from_checkpoint(path: Path) -> Forecaster:
         ) from error
     if not isinstance(checkpoint, dict) or "pedzoo" not in checkpoint:
         raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
+    return checkpoint
+
+
+def _from_checkpoint(path: Path) -> Forecaster:
+    checkpoint = read_checkpoint(path)
     prefix = "generator."
     state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
     return fill(build(checkpoint["pedzoo"]), state, str(path))

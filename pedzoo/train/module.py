@@ -126,6 +126,14 @@ class ForecastModule(L.LightningModule):
         Raises:
             UserError: It was written by another program, for another architecture, or in another training.
         """
+        self.check(checkpoint)
+
+    def check(self, checkpoint: dict[str, Any]) -> None:
+        """Check that a checkpoint is of this training; a run asks before it touches its records.
+
+        Raises:
+            UserError: As `on_load_checkpoint`.
+        """
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
