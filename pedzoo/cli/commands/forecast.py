@@ -38,7 +38,7 @@ def run(argv: list[str]) -> int:
     settings = options.data.as_dict()
     if not given(argv, "--data.goal"):  # then every model that has a goal protocol is asked for its own
         own = (load(name).goal_protocol for name in options.models)
-        settings["goal"] = next((goal for goal in own if goal), "none")
+        settings["goal"] = next((goal for goal in own if goal not in (None, "none")), "none")
     data = TrajectoryDataModule(**settings)
     with progress_bar() as progress:
         report = forecast(options.models, data, options.samples, options.seed, options.split, progress)
