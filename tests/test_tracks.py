@@ -120,6 +120,15 @@ def test_rounding_is_social_gans() -> None:
     ]
 
 
+def test_folds_are_rounded_as_in_social_gan(tmp_path: Path) -> None:
+    for split in ("train", "val", "test"):
+        (tmp_path / "zara1" / split).mkdir(parents=True)
+        save(tmp_path / "zara1" / split, "0 1 1.23456 0\n", "crowds_zara01.txt")
+    (recording,) = EthUcy("zara1", str(tmp_path)).recordings("test")
+    assert recording.tracks.xy.tolist() == [[1.2346, 0.0]]
+    assert recording.plan is None
+
+
 def walk(frames: np.ndarray, agent: int, start: tuple[float, float], step: tuple[float, float]) -> np.ndarray:
     """Rows of a straight walk: at frame 0 ``start``, ``step`` per frame."""
     xy = np.array(start) + frames[:, None] * np.array(step)

@@ -134,9 +134,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         if split not in self.sets:
             self.setup({"train": "fit", "val": "validate", "test": "test"}[split])
         h, scenes, rank, replicas = self.hparams, self.sets[split], 0, 1
-        if (
-            shuffle and self.trainer
-        ):  # every process evaluates all windows: nothing is counted twice or left out
+        # every process evaluates all windows: nothing is counted twice or left out
+        if shuffle and self.trainer:
             rank, replicas = self.trainer.global_rank, self.trainer.world_size
         sampler = BucketSampler(
             scenes.sizes, h["batch_size"], h["max_pairs"], shuffle, h["seed"], rank, replicas
