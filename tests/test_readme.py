@@ -14,7 +14,14 @@ from pedzoo.paths import config_names, shipped
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-SHORT = ["--trainer.max_epochs", "1", "--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1"]
+SHORT = [
+    "--trainer.max_epochs",
+    "1",
+    "--trainer.limit_train_batches",
+    "2",
+    "--trainer.limit_val_batches",
+    "1",
+]
 SHORT += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
 
 
@@ -45,7 +52,9 @@ def somebodys_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     mine.mkdir(parents=True)
     source = (shipped("configs").parent / "pedzoo/models/architectures/constant_velocity.py").read_text()
     (mine / "mine.py").write_text(source.replace("ConstantVelocity", "Mine"))
-    (tmp_path / "mine.yaml").write_text((shipped("configs") / "sgan.yaml").read_text().replace("zara1", "embedded"))
+    (tmp_path / "mine.yaml").write_text(
+        (shipped("configs") / "sgan.yaml").read_text().replace("zara1", "embedded")
+    )
     return tmp_path
 
 
@@ -86,6 +95,13 @@ def test_every_config_is_in_the_table_and_every_name_in_the_table_is_a_config() 
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--out", str(tmp_path / "demo"), "--epochs", "1"]) == 0
     printed = capsys.readouterr().out
-    for name in ("constant_velocity", "straight_line", "bent_line", "sgan_goal", "forecasts.png", "forecast.json"):
+    for name in (
+        "constant_velocity",
+        "straight_line",
+        "bent_line",
+        "sgan_goal",
+        "forecasts.png",
+        "forecast.json",
+    ):
         assert name in printed
     assert (tmp_path / "demo" / "forecasts.png").read_bytes().startswith(b"\x89PNG")

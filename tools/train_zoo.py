@@ -1,7 +1,7 @@
 """Train the weights in checkpoints/ and make their table: python tools/train_zoo.py train | export | table.
 
-``train`` runs ``pedzoo fit`` for every model, fold and seed, as a user would, skips what is finished and resumes what
-was interrupted. ``export`` copies the seed that is best on the validation windows into checkpoints/ and
+``train`` runs ``pedzoo fit`` for every model, fold and seed, as a user would, skips what is finished and
+resumes what was interrupted. ``export`` copies the seed that is best in validation into checkpoints/ and
 writes their sums. ``table`` evaluates every seed on the test scenes and writes checkpoints/FORECAST.md
 and FORECAST.json. The recordings are found by PEDZOO_DATA.
 """
@@ -82,7 +82,9 @@ def train(recipe: Recipe, seed: int, runs: Path) -> None:
     log.parent.mkdir(parents=True, exist_ok=True)
     quiet = [*command, "--trainer.enable_progress_bar", "false"]
     with log.open("a") as out:
-        code = subprocess.run(quiet, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"}).returncode
+        code = subprocess.run(
+            quiet, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"}
+        ).returncode
     if code:
         raise SystemExit(f"{' '.join(command)} failed: see {log}")
     (run / "finished").touch()
@@ -111,7 +113,12 @@ def export(runs: Path) -> None:
     for recipe in RECIPES:
         if recipe.shipped and (seeds := finished(recipe, runs)):
             best = min(seeds, key=lambda seed: validation(recipe, seed, runs))
-            training = {"config": recipe.config, "fold": recipe.fold, "seed": best, "chosen_by": recipe.monitor}
+            training = {
+                "config": recipe.config,
+                "fold": recipe.fold,
+                "seed": best,
+                "chosen_by": recipe.monitor,
+            }
             digest = save_weights(
                 load(checkpoint(recipe, best, runs)), target / f"{recipe.name}.safetensors", training=training
             )
@@ -143,14 +150,16 @@ def rows(runs: Path) -> Iterator[dict]:
             "n": by_seed[0]["n"],
             "seeds": len(seeds),
             "metrics": {key: statistics.fmean(values) for key, values in metrics.items()},
-            "spread": {key: statistics.stdev(values) if len(values) > 1 else None for key, values in metrics.items()},
+            "spread": {
+                key: statistics.stdev(values) if len(values) > 1 else None for key, values in metrics.items()
+            },
             "per_seed": metrics,
         }
 
 
 HEADER = """# Open-loop results
 
-Made by `python tools/train_zoo.py train && python tools/train_zoo.py table` (machine-readable: FORECAST.json).
+Made by `python tools/train_zoo.py train && python tools/train_zoo.py table`; for machines: FORECAST.json.
 8 observed and 8 predicted steps of 0.4 s, Social GAN's windows, metres; the checkpoint of every run is
 chosen on the validation windows of the other scenes. Mean of the seeds, their standard deviation behind ±.
 
@@ -162,7 +171,8 @@ sample; `best of 20` takes one sample for all people of a window together (scene
 COLUMNS = {
     "ade_m": "ade", "fde_m": "fde", "next_step_m": "next step", "ade_sampled_m": "sampled ade",
     "min_ade_20_scene_m": "best of 20 ade, scene", "min_fde_20_scene_m": "fde, scene",
-    "min_ade_20_agent_m": "ade, agent", "min_fde_20_agent_m": "fde, agent", "sample_distance_m": "samples apart",
+    "min_ade_20_agent_m": "ade, agent", "min_fde_20_agent_m": "fde, agent",
+    "sample_distance_m": "samples apart",
 }  # fmt: skip
 
 
@@ -174,7 +184,10 @@ def table(runs: Path) -> None:
     for fold, goal in cases:
         mine = [row for row in found if (row["case"]["fold"], row["case"]["goal"]) == (fold, goal)]
         lines += [f"## {fold}, goal `{goal}`, {mine[0]['n']} people\n"]
-        lines += ["| model | seeds | " + " | ".join(COLUMNS.values()) + " |", "|---" * (len(COLUMNS) + 2) + "|"]
+        lines += [
+            "| model | seeds | " + " | ".join(COLUMNS.values()) + " |",
+            "|---" * (len(COLUMNS) + 2) + "|",
+        ]
         for row in mine:
             cells = [_cell(row, key) for key in COLUMNS]
             lines.append(f"| {row['name']} | {row['seeds']} | " + " | ".join(cells) + " |")
@@ -193,7 +206,9 @@ def _cell(row: dict, key: str) -> str:
 
 def main() -> None:
     """Parse and run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=["train", "export", "table"])
     parser.add_argument("--runs", type=Path, default=Path("runs/zoo"))
     parser.add_argument("--jobs", type=int, default=2, help="trainings at a time")

@@ -44,11 +44,10 @@ def print_report(report: dict[str, Any]) -> None:
             table.add_column(_broken(name), justify="right", no_wrap=True)
         for row in rows:
             values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in part]
-            table.add_row(row["name"], str(row["n"]), *values)
+            note = ", ".join(str(value) for value in row["case"].values())
+            name = f"{row['name']} ({note})" if note else row["name"]
+            table.add_row(name, str(row["n"]), *values)
         console.print(table)
-    for row in rows:
-        if note := ", ".join(str(value) for value in row["case"].values()):
-            console.print(f"{row['name']}: {note}", highlight=False)
 
 
 def _parts(metrics: list[str], width: int) -> list[list[str]]:

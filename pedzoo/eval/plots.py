@@ -22,7 +22,12 @@ MARGIN = 2.0
 
 @torch.no_grad()
 def plot_forecasts(
-    model: Forecaster, data: TrajectoryDataModule, path: str | Path, panels: int = 6, samples: int = 20, seed: int = 0
+    model: Forecaster,
+    data: TrajectoryDataModule,
+    path: str | Path,
+    panels: int = 6,
+    samples: int = 20,
+    seed: int = 0,
 ) -> None:
     """Draw ``panels`` scenes, evenly spread over the test split, into a PNG.
 
@@ -60,11 +65,22 @@ def plot_forecasts(
         if grid is not None:
             draw_floor_plan(axes, grid)
         goal = agents["goal"][i, here] if "goal" in agents.keys() else None
-        _draw_people(axes, agents["history"][i, here], agents["future"][i, here], futures[i][:, here], mode[i, 0][here], goal)
+        _draw_people(
+            axes,
+            agents["history"][i, here],
+            agents["future"][i, here],
+            futures[i][:, here],
+            mode[i, 0][here],
+            goal,
+        )
         _frame(axes, torch.cat((agents["history"], agents["future"]), 2)[i, here])
         axes.set_title(f"test window {int(chosen[i])}", fontsize=9)
-    figure.legend(handles=_legend(samples, "goal" in agents.keys()), loc="outside lower center", ncols=5, frameon=False)
-    figure.suptitle(f"{type(model).__name__}: {data.obs_len} steps seen, {data.pred_len} predicted, goal: {data.goal}")
+    figure.legend(
+        handles=_legend(samples, "goal" in agents.keys()), loc="outside lower center", ncols=5, frameon=False
+    )
+    figure.suptitle(
+        f"{type(model).__name__}: {data.obs_len} steps seen, {data.pred_len} predicted, goal: {data.goal}"
+    )
     figure.savefig(path, dpi=110)
 
 
@@ -87,10 +103,18 @@ def _draw_people(
     for person in range(len(history)):
         last = history[person, -1:]
         for sample in futures[:, person]:
-            axes.plot(*torch.cat((last, sample)).T.numpy(), color="tab:orange", alpha=0.25, linewidth=1, zorder=2)
+            axes.plot(
+                *torch.cat((last, sample)).T.numpy(), color="tab:orange", alpha=0.25, linewidth=1, zorder=2
+            )
         axes.plot(*history[person].T.numpy(), color="black", linewidth=1.5, zorder=3)
         axes.plot(*torch.cat((last, future[person])).T.numpy(), color="tab:green", linewidth=2, zorder=3)
-        axes.plot(*torch.cat((last, mode[person])).T.numpy(), color="tab:red", linewidth=1.5, linestyle="--", zorder=4)
+        axes.plot(
+            *torch.cat((last, mode[person])).T.numpy(),
+            color="tab:red",
+            linewidth=1.5,
+            linestyle="--",
+            zorder=4,
+        )
         axes.plot(*last[0].numpy(), "o", color="black", markersize=4, zorder=5)
         if goal is not None:
             axes.plot(*goal[person].numpy(), "x", color="tab:blue", markersize=6, zorder=5)

@@ -13,8 +13,12 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.arguments import Arguments
 
     parser = Arguments("demo", HELP, EXAMPLE)
-    parser.add_argument("--out", default="demo", metavar="FOLDER", help="where everything goes (default: demo)")
-    parser.add_argument("--epochs", type=int, default=40, help="epochs of training (default: 40, about a minute)")
+    parser.add_argument(
+        "--out", default="demo", metavar="FOLDER", help="where everything goes (default: demo)"
+    )
+    parser.add_argument(
+        "--epochs", type=int, default=40, help="epochs of training (default: 40, about a minute)"
+    )
     options = parser.parse_args(argv)
 
     from pedzoo.cli.output import print_report, write_json
@@ -26,7 +30,10 @@ def run(argv: list[str]) -> int:
     from pedzoo.versions import versions
 
     out = Path(options.out)
-    print("1/3 training SGAN+goal on the embedded recordings (synthetic people, no results to quote)", flush=True)
+    print(
+        "1/3 training SGAN+goal on the embedded recordings (synthetic people, no results to quote)",
+        flush=True,
+    )
     arguments = ["--config", "demo", "--runs", str(out / "runs"), "--trainer.max_epochs", str(options.epochs)]
     every = min(4, options.epochs)
     if code := train("fit", [*arguments, "--trainer.check_val_every_n_epoch", str(every)], HELP, EXAMPLE):
