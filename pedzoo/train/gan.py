@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from pedzoo.errors import UserError
-from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.architectures.sgan import SGAN, Encoded
 from pedzoo.models.base import agents_of, true_displacements
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
@@ -68,10 +68,12 @@ class GANModule(ForecastModule):
         """Make one discriminator and one generator step on a batch."""
         g_optimizer, d_optimizer = cast("list[Any]", self.optimizers())
         generator, random = cast("SGAN", self.generator), self.random()
-        log = {}
-        if self.adversarial_weight:
+        judged, log = bool(self.adversarial_weight), {}
+        # the generator is the same in both steps, and so is all of it that does not depend on the noise
+        encoded = generator.encode(batch, agents_of(batch)["future"].shape[2])
+        if judged:
             self.toggle_optimizer(d_optimizer)
-            log["train/discriminator"] = loss = self.discriminator_loss(batch, random)
+            log["train/discriminator"] = loss = self.discriminator_loss(batch, random, encoded)
             d_optimizer.zero_grad()
             self.manual_backward(loss)
             for group in d_optimizer.param_groups:
@@ -79,11 +81,12 @@ class GANModule(ForecastModule):
             d_optimizer.step()
             self.untoggle_optimizer(d_optimizer)
         self.toggle_optimizer(g_optimizer)
-        loss, fake, crowd = generator.variety(batch, random)
+        loss, fake = generator.variety(batch, random, encoded, sample=judged)
         log["train/variety"] = loss / len(batch)
-        if self.adversarial_weight:
-            window, start = _windows(batch, crowd, fake)
-            score = self.discriminator(window, start, crowd)
+        if fake is not None and judged:
+            crowd = encoded.crowd
+            observed, start = _observed(batch, crowd)
+            score = self.discriminator.of_futures(observed, fake.unsqueeze(0), start, crowd)
             adversarial = _cross_entropy(score, _soft_one(score, random), _known(batch, crowd))
             log["train/adversarial"] = adversarial
             loss = loss + self.adversarial_weight * adversarial
@@ -98,30 +101,36 @@ class GANModule(ForecastModule):
         detached = {key: value.detach() for key, value in log.items()}
         self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch))
 
-    def discriminator_loss(self, batch: TensorDict, random: torch.Generator) -> Tensor:
-        """Return the loss of telling real from generated windows, judged in one batch of twice the scenes."""
+    def discriminator_loss(
+        self, batch: TensorDict, random: torch.Generator, encoded: Encoded | None = None
+    ) -> Tensor:
+        """Return the loss of telling real from generated windows, judged in one batch of twice the scenes.
+
+        Args:
+            batch: Recorded scenes.
+            random: Draws the noise and the label.
+            encoded: What the generator's ``encode`` gives for this batch, where that is known already.
+        """
         agents, generator = agents_of(batch), cast("SGAN", self.generator)
         steps = agents["future"].shape[2]
         with torch.no_grad():
-            encoded = generator.encode(batch, steps)
-            fake = generator.decode(encoded, generator.draw(encoded, 1, random), steps)[0]
+            encoded = encoded or generator.encode(batch, steps)
+            made = generator.decode(encoded, generator.draw(encoded, 1, random), steps)[0]
         crowd = encoded.crowd
-        real, start = _windows(batch, crowd, crowd.pack(true_displacements(batch)))
-        made, _ = _windows(batch, crowd, fake)
+        futures = torch.stack((crowd.pack(true_displacements(batch)), made))
+        observed, start = _observed(batch, crowd)
         both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
-        score = self.discriminator(torch.cat((real, made)), start.repeat(2, 1), both)
-        score_real, score_made = score.chunk(2)
+        score_real, score_made = self.discriminator.of_futures(observed, futures, start, both).chunk(2)
         known = _known(batch, crowd)
         return _cross_entropy(score_real, _soft_one(score_real, random), known) + _cross_entropy(
             score_made, torch.zeros_like(score_made), known
         )
 
 
-def _windows(batch: TensorDict, crowd: Crowd, future: Tensor) -> tuple[Tensor, Tensor]:
-    """Return displacements of whole windows (P, 8 + T, 2), the first zero as published, and their start."""
-    history = crowd.pack(batch["agents", "history"])
-    moved = torch.nn.functional.pad(history.diff(dim=1), (0, 0, 1, 0))
-    return torch.cat((moved, future), 1), history[:, 0]
+def _observed(batch: TensorDict, crowd: Crowd) -> tuple[Tensor, Tensor]:
+    """Return observed displacements (P, 8, 2), the first zero as published, and where they start (P, 2)."""
+    history = crowd.pack(agents_of(batch)["history"])
+    return torch.nn.functional.pad(history.diff(dim=1), (0, 0, 1, 0)), history[:, 0]
 
 
 def _known(batch: TensorDict, crowd: Crowd) -> Tensor:

@@ -221,20 +221,30 @@ class SGAN(Forecaster):
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the variety loss, summed over scenes."""
-        return self.variety(batch, generator)[0]
+        return self.variety(batch, generator, sample=False)[0]
 
     def variety(
-        self, batch: TensorDict, generator: torch.Generator | None = None
-    ) -> tuple[Tensor, Tensor, Crowd]:
-        """Return the variety loss, one random sample (P, T, 2) for a discriminator, and the packing.
+        self,
+        batch: TensorDict,
+        generator: torch.Generator | None = None,
+        encoded: Encoded | None = None,
+        sample: bool = True,
+    ) -> tuple[Tensor, Tensor | None]:
+        """Return the variety loss and one random sample (P, T, 2) for a discriminator.
 
         For each scene the mean squared displacement error of the best of ``best_k`` samples, best for
         all its people together, summed over scenes (Gupta et al., eq. 8). Only the winners have a
         gradient, so the candidates are drawn without one and just the winners run again.
+
+        Args:
+            batch: Recorded scenes.
+            generator: Draws the noise.
+            encoded: What `encode` gives for this batch, where that is known already.
+            sample: Whether the random sample is wanted.
         """
         agents = agents_of(batch)
         steps = agents["future"].shape[2]
-        encoded = self.encode(batch, steps)
+        encoded = encoded or self.encode(batch, steps)
         crowd = encoded.crowd
         truth = crowd.pack(true_displacements(batch))
         known = crowd.pack(agents["future_valid"])
@@ -253,7 +263,8 @@ class SGAN(Forecaster):
             return crowd.sum_per_scene((wrong * known).sum(2).t()) / count.unsqueeze(1)
 
         z = self.draw(encoded, max(self.best_k, 2), generator)
-        chosen = {"sample": z[-1], "winner": z[-1]}
+        chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
+        chosen["winner"] = z[-1]
         if self.best_k > 1 and self.variety_weight:
             with torch.no_grad():
                 best = apart(self.decode(encoded, z[-self.best_k :], steps), truth).argmin(1)
@@ -273,7 +284,7 @@ class SGAN(Forecaster):
             loss = loss + self.energy_weight * miss / 2
         if self.mode_weight:
             loss = loss + self.mode_weight * cost("mode", truth)
-        return loss, path["sample"], crowd
+        return loss, path.get("sample")
 
 
 def _into(heading: Tensor | None, vectors: Tensor) -> Tensor:

@@ -47,7 +47,22 @@ class Discriminator(nn.Module):
             start: World positions at the start of the window (P, 2).
             crowd: Who shares a scene with whom.
         """
-        hidden = self.encoder(displacements)
+        return self._classify(self.encoder(displacements), start, crowd)
+
+    def of_futures(self, observed: Tensor, futures: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
+        """Return scores (N * P,) of N futures of the same people; what was observed is read only once.
+
+        Args:
+            observed: Displacements (P, 8, 2), metres.
+            futures: Displacements after them (N, P, T, 2).
+            start: World positions at the start of the window (P, 2).
+            crowd: Who shares a scene with whom, in N copies of all scenes.
+        """
+        hidden, cell = (state.repeat(1, len(futures), 1) for state in self.encoder.states(observed))
+        hidden, _ = self.encoder.states(futures.flatten(0, 1), (hidden, cell))
+        return self._classify(hidden[0], start.repeat(len(futures), 1), crowd)
+
+    def _classify(self, hidden: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
         if self.pooling is not None:
             hidden = self.pooling(hidden, start, crowd)
         return self.classifier(hidden).squeeze(-1)

@@ -34,15 +34,22 @@ class DisplacementEncoder(nn.Module):
 
     def forward(self, displacements: Tensor) -> Tensor:
         """Return the last hidden state (P, hidden_dim) of ``displacements`` (P, T, 2), metres per step."""
+        return self.states(displacements)[0][0]
+
+    def states(
+        self, displacements: Tensor, start: tuple[Tensor, Tensor] | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return hidden and cell state (1, P, hidden_dim) after ``displacements``, from ``start`` or zero."""
         weights, width = _folded(self.lstm, self.embedding), self.lstm.hidden_size
-        zero = displacements.new_zeros(1, displacements.shape[0], width)
+        if start is None:
+            zero = displacements.new_zeros(1, displacements.shape[0], width)
+            start = zero, zero
         rows = _rows(displacements.shape[1] * width, displacements)
         if len(displacements) <= rows:
-            return _lstm(displacements, (zero, zero), weights, batch_first=True)[1][0]
-        pieces = zip(displacements.split(rows), zero.split(rows, 1), strict=True)
-        return torch.cat(
-            [_lstm(moved, (start, start), weights, batch_first=True)[1][0] for moved, start in pieces]
-        )
+            return _lstm(displacements, start, weights, batch_first=True)[1:]
+        pieces = zip(displacements.split(rows), start[0].split(rows, 1), start[1].split(rows, 1), strict=True)
+        ends = [_lstm(moved, (h, c), weights, batch_first=True)[1:] for moved, h, c in pieces]
+        return torch.cat([end[0] for end in ends], 1), torch.cat([end[1] for end in ends], 1)
 
 
 class DisplacementDecoder(nn.Module):
