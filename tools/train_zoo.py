@@ -21,6 +21,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import BASELINES, forecast
 from pedzoo.models.zoo import load, save_weights
@@ -119,9 +121,10 @@ def export(runs: Path) -> None:
                 "seed": best,
                 "chosen_by": recipe.monitor,
             }
-            digest = save_weights(
-                load(checkpoint(recipe, best, runs)), target / f"{recipe.name}.safetensors", training=training
-            )
+            source = checkpoint(recipe, best, runs)
+            protocol = torch.load(source, weights_only=True)["pedzoo"]["protocol"]
+            file = target / f"{recipe.name}.safetensors"
+            digest = save_weights(load(source), file, protocol=protocol, training=training)
             print(f"{recipe.name}: seed {best}, sha256 {digest}")
     files = sorted(target.glob("*.safetensors"))
     sums = "".join(f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in files)
