@@ -185,7 +185,7 @@ def test_the_command_writes_what_the_function_returns(
     assert {key: written[key] for key in direct} == json.loads(json.dumps(direct))
     printed = capsys.readouterr().out
     assert "goal window_end" in printed and "constant_velocity" in printed and "bent_line" in printed
-    assert "trained for destination goals" in printed
+    assert written["rows"][1]["case"] == {"note": "trained for destination goals"}
 
 
 def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_path: Path) -> None:
