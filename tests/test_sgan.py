@@ -148,7 +148,7 @@ def plain_loss(model: SGAN, batch: TensorDict, seed: int) -> Tensor:
         {"residual": "constant_velocity", "mode_weight": 0.5, "best_k": 1},
         {"variety_weight": 0.0, "mode_weight": 1.0},
         {"energy_weight": 0.6, "error": "distance", "mode_weight": 1.0},
-        {"energy_weight": 1.0, "variety_weight": 0.0, "best_k": 1, "noise": "agent"},
+        {"energy_weight": 1.0, "error": "distance", "variety_weight": 0.0, "best_k": 1, "noise": "agent"},
     ],
     ids=str,
 )
@@ -429,3 +429,8 @@ def test_shipped_variants_learn(
     assert (("map" in model.needs) == ("map" in name)) and (("goal" in model.needs) == ("goal" in name))
     assert not any("features." in key or "offsets" in key for key in model.state_dict())
     assert of_people(batch, "history").shape[0] == int(agents_of(batch)["mask"].sum())
+
+
+def test_energy_of_squared_errors_is_refused() -> None:
+    with pytest.raises(UserError, match="rewards the mean alone"):
+        SGAN(energy_weight=1.0)

@@ -15,11 +15,11 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo import geometry
 from pedzoo.data.goals import TIMED
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, agents_of, arguments, goals_of, true_displacements
+from pedzoo.models.base import Forecaster, agents_of, arguments, goals_of
+from pedzoo.models.blocks import frame as frames
 from pedzoo.models.blocks import lines
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
@@ -27,6 +27,7 @@ from pedzoo.models.blocks.map_patch import PatchEncoder
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
 from pedzoo.models.blocks.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
+from pedzoo.models.blocks.scene_error import Kind, SceneError
 from pedzoo.types import GoalProtocol
 
 
@@ -68,7 +69,7 @@ class SGAN(Forecaster):
         frame: Literal["world", "heading"] = "world",
         residual: Literal["none", "constant_velocity", "bent_line"] = "none",
         best_k: int = 20,
-        error: Literal["squared_displacement", "distance"] = "squared_displacement",
+        error: Kind = "squared_displacement",
         variety_weight: float = 1.0,
         mode_weight: float = 0.0,
         energy_weight: float = 0.0,
@@ -91,8 +92,7 @@ class SGAN(Forecaster):
                 scene turns the answer (pooling stays in the world).
             residual: The trivial continuation that the output is added to.
             best_k: Samples of the variety loss.
-            error: What the loss is made of: ``squared_displacement`` per step as published, or the
-                ``distance`` of positions, which is the ADE itself.
+            error: What losses are made of; see `pedzoo.models.blocks.scene_error`.
             variety_weight: Weight of the variety loss.
             mode_weight: Weight of the same loss on the noise-free prediction.
             energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
@@ -109,19 +109,18 @@ class SGAN(Forecaster):
             )
         if best_k < 1:
             raise UserError(f"best_k {best_k}: expected at least 1 sample")
+        if energy_weight and error != "distance":
+            raise UserError(
+                "energy_weight needs error: distance; a squared error's energy score rewards the mean alone"
+            )
         if residual == "bent_line" and not goal_dim:
             raise UserError(
                 "residual bent_line bends to the goal: set goal_dim, or residual constant_velocity"
             )
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
-        self.best_k, self.error, self.variety_weight, self.mode_weight = (
-            best_k,
-            error,
-            variety_weight,
-            mode_weight,
-        )
-        self.energy_weight = energy_weight
+        self.best_k, self.error = best_k, error
+        self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
         self.pooling = (
@@ -160,15 +159,15 @@ class SGAN(Forecaster):
         if self.goal is not None:
             to_goal, desired = goals_of(batch, "this model")
             goal, wanted = crowd.pack(to_goal) - position, crowd.pack(desired)
-        heading = _heading(moved, goal) if self.frame == "heading" or self.map is not None else None
+        heading = frames.heading(moved, goal) if self.frame == "heading" or self.map is not None else None
         frame = heading if self.frame == "heading" else None
-        moved = _into(frame, moved)
+        moved = frames.into(frame, moved)
         hidden = self.encoder(functional.pad(moved, (0, 0, 1, 0)))
         features = [hidden]
         if self.pooling is not None:
             features.append(self.pooling(hidden, position, crowd))
         if self.goal is not None and goal is not None and wanted is not None:
-            features.append(self.goal(torch.cat((_into(frame, goal), _into(frame, wanted)), -1)))
+            features.append(self.goal(torch.cat((frames.into(frame, goal), frames.into(frame, wanted)), -1)))
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
             features.append(self.map(position, heading, map_id, pose))
@@ -201,8 +200,7 @@ class SGAN(Forecaster):
             # the network's own output is fed back: the residual, of which nothing has been observed yet
             first = torch.zeros_like(first)
         path = self.decoder(hidden, first.repeat(samples, 1), steps).view(samples, people, steps, 2)
-        if encoded.heading is not None:
-            path = geometry.rotate(path, encoded.heading.unsqueeze(1))
+        path = frames.out_of(encoded.heading, path)
         return path if encoded.base is None else path + encoded.base
 
     def sample(
@@ -242,32 +240,16 @@ class SGAN(Forecaster):
             encoded: What `encode` gives for this batch, where that is known already.
             sample: Whether the random sample is wanted.
         """
-        agents = agents_of(batch)
-        steps = agents["future"].shape[2]
+        steps = agents_of(batch)["future"].shape[2]
         encoded = encoded or self.encode(batch, steps)
         crowd = encoded.crowd
-        truth = crowd.pack(true_displacements(batch))
-        known = crowd.pack(agents["future_valid"])
-        if self.error == "squared_displacement":
-            # a displacement is known where both its ends are
-            known = known & functional.pad(known[:, :-1], (1, 0), value=True)
-        count = crowd.sum_per_scene(known.sum(1).to(truth.dtype)).clamp(min=1)
-
-        def apart(path: Tensor, other: Tensor) -> Tensor:  # (K, P, T, 2) -> (B, K)
-            wrong = path - other
-            if self.error == "squared_displacement":
-                wrong = wrong.square().sum(-1)
-            else:
-                # the root has no slope at zero
-                wrong = (wrong.cumsum(-2).square().sum(-1) + 1e-8).sqrt()
-            return crowd.sum_per_scene((wrong * known).sum(2).t()) / count.unsqueeze(1)
-
+        error = SceneError(self.error, batch, crowd)
         z = self.draw(encoded, max(self.best_k, 2), generator)
         chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
         chosen["winner"] = z[-1]
         if self.best_k > 1 and self.variety_weight:
             with torch.no_grad():
-                best = apart(self.decode(encoded, z[-self.best_k :], steps), truth).argmin(1)
+                best = error(self.decode(encoded, z[-self.best_k :], steps)).argmin(1)
             chosen["winner"] = z[-self.best_k :][best[crowd.scene], torch.arange(z.shape[1], device=z.device)]
         if self.energy_weight:
             chosen["other"] = z[-2]
@@ -275,32 +257,13 @@ class SGAN(Forecaster):
             chosen["mode"] = torch.zeros_like(z[-1])
         path = dict(zip(chosen, self.decode(encoded, torch.stack(list(chosen.values())), steps), strict=True))
 
-        def cost(name: str, other: Tensor) -> Tensor:
-            return apart(path[name].unsqueeze(0), other).sum()
+        def cost(name: str, other: Tensor | None = None) -> Tensor:
+            return error(path[name].unsqueeze(0), other).sum()
 
-        loss = self.variety_weight * cost("winner", truth)
+        loss = self.variety_weight * cost("winner")
         if self.energy_weight:
-            miss = cost("sample", truth) + cost("other", truth) - cost("sample", path["other"])
+            miss = cost("sample") + cost("other") - cost("sample", path["other"])
             loss = loss + self.energy_weight * miss / 2
         if self.mode_weight:
-            loss = loss + self.mode_weight * cost("mode", truth)
+            loss = loss + self.mode_weight * cost("mode")
         return loss, path.get("sample")
-
-
-def _into(heading: Tensor | None, vectors: Tensor) -> Tensor:
-    """Turn world vectors (P, 2) or (P, T, 2) into everybody's frame."""
-    if heading is None:
-        return vectors
-    return geometry.unrotate(vectors, heading if vectors.dim() == 2 else heading.unsqueeze(1))
-
-
-def _heading(moved: Tensor, goal: Tensor | None) -> Tensor:
-    """Return everybody's direction (P, 2): of their last displacement, else of the goal, else world x.
-
-    A displacement under 5 cm has no reliable direction, so the longest of those is blended in smoothly.
-    """
-    towards = moved[:, -1] + 0.1 * moved.sum(1)
-    if goal is not None:
-        towards = towards + 0.05 * functional.normalize(goal, dim=-1)
-    towards = towards + torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
-    return functional.normalize(towards, dim=-1)
