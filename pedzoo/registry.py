@@ -16,6 +16,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from pedzoo.errors import UserError, unknown
 
@@ -90,7 +91,7 @@ def _class_in_file(spec: str) -> type:
     path = Path(file).expanduser().resolve()
     if not path.is_file():
         raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:Class")
-    module_name = f"pedzoo_user_{path.stem}"
+    module_name = f"pedzoo_user_{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
     module_spec = importlib.util.spec_from_file_location(module_name, path)
     assert module_spec and module_spec.loader
     module = importlib.util.module_from_spec(module_spec)

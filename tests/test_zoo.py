@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 from batches import make_batch, random_weights
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 import pedzoo
 from pedzoo.errors import UserError
@@ -20,7 +20,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.models import zoo
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.zoo import list_models, load, read_config, save_weights
+from pedzoo.models.zoo import fill, list_models, load, read_config, save_weights
 
 OPTIONS: dict[str, Any] = {
     "bottleneck_dim": 8,
@@ -260,7 +260,8 @@ def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> Non
     assert model.sample(make_batch((2,)), 3, 8).unique().tolist() == [0.25]
     random_weights(model)
     save_weights(model, tmp_path / "mine.safetensors")
-    assert torch.equal(answers(load(tmp_path / "mine.safetensors")), answers(model))
+    again = fill(load(f"{own}:Drifting"), load_file(tmp_path / "mine.safetensors"), "mine")
+    assert torch.equal(answers(again), answers(model))
     for name, message in {
         "Forgetful": "cannot be saved: keep its arguments",
         "Needy": "cannot be built .*'size'",
@@ -297,3 +298,11 @@ def test_no_map_and_no_frozen_network_is_saved(
         assert path.stat().st_size < 4 * parameters + 8_000
         with pytest.raises(UserError, match="call bind"):
             load(path).sample(batch, 1, 8)
+
+
+def test_weights_never_make_a_file_of_code_run(own: Path, tmp_path: Path) -> None:
+    path = tmp_path / "drifting.safetensors"
+    save_weights(load(f"{own}:Drifting"), path)
+    own.write_text("raise SystemExit('this must not run')")
+    with pytest.raises(UserError, match="never makes code run"):
+        load(str(path))

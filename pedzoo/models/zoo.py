@@ -127,6 +127,11 @@ def _from_safetensors(path: Path, checked: bool = False) -> Forecaster:
     with _opened(path) as file:
         config = _config(file, path)
         state = {key: file.get_tensor(key) for key in file.keys()}
+    if ".py:" in config["architecture"]:
+        raise UserError(
+            f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
+            "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.fill"
+        )
     return fill(build(config), state, str(path))
 
 
