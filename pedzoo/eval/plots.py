@@ -85,7 +85,8 @@ def plot_forecasts(
 
 
 def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:
-    """Draw walls dark and unknown cells grey, in world coordinates."""
+    """Draw walls dark, and unknown cells and all beyond the plan grey, in world coordinates."""
+    axes.set_facecolor("0.85")
     height, width = grid.cells.shape
     shade = torch.full((height, width), 0.85)
     shade[torch.from_numpy(grid.cells == FREE)] = 1.0
