@@ -119,7 +119,8 @@ class SGAN(Forecaster):
             )
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
-        self.best_k, self.error = best_k, error
+        self.best_k = best_k
+        self.error: Kind = error
         self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
