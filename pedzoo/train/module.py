@@ -68,7 +68,14 @@ class ForecastModule(L.LightningModule):
 
     def random(self) -> torch.Generator:
         """Return the source of everything random in this iteration."""
-        return torch.Generator().manual_seed(self.seed * 1_000_003 + int(self.iteration))
+        return torch.Generator().manual_seed(self._seed_of_iteration())
+
+    def on_train_batch_start(self, *_: Any) -> None:
+        """Seed torch's own generator too: dropout and users' models draw from that."""
+        torch.manual_seed(self._seed_of_iteration())
+
+    def _seed_of_iteration(self) -> int:
+        return self.seed * 1_000_003 + int(self.iteration)
 
     def iterations(self) -> float:
         """Return how many iterations the whole training will have; infinite where nothing ends it.
@@ -162,5 +169,5 @@ class ForecastModule(L.LightningModule):
             )
 
 
-_FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight", "energy_weight"})
+_FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "map_dropout"})
 """Options of a model that may change when a run goes on: losses, not weights."""

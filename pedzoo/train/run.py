@@ -101,7 +101,7 @@ class RunFolder:
 
 
 class Record(Callback):
-    """Writes configuration and versions, and seeds every epoch."""
+    """Writes configuration and versions."""
 
     def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:
         """Record a run of the resolved ``config``, started by the command line ``argv``."""
@@ -114,9 +114,3 @@ class Record(Callback):
             (self.run.path / "config.yaml").write_text(yaml.safe_dump(self.config, sort_keys=False))
             record = {"command": self.argv, "versions": versions()}
             (self.run.path / "versions.json").write_text(json.dumps(record, indent=2) + "\n")
-
-    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Seed by seed, epoch and rank: a resumed run then draws what an uninterrupted one would."""
-        seed = int(self.config["seed_everything"])
-        drawn = (seed * 1_000_003 + trainer.current_epoch) * 1_009 + trainer.global_rank
-        L.seed_everything(drawn % 2**32, verbose=False)

@@ -8,7 +8,7 @@ variant: an option that is off costs nothing and leaves the published network.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 from tensordict import TensorDict
@@ -66,6 +66,7 @@ class SGAN(Forecaster):
         goal_protocol: GoalProtocol = "none",
         map: Literal["patch", "alexnet"] | None = None,
         map_dim: int = 32,
+        map_dropout: float = 0.0,
         frame: Literal["world", "heading"] = "world",
         residual: Literal["none", "constant_velocity", "bent_line"] = "none",
         best_k: int = 20,
@@ -88,6 +89,8 @@ class SGAN(Forecaster):
             goal_protocol: The goal protocol of the training data.
             map: Floor plan encoder; None for no floor plan.
             map_dim: Width of its features.
+            map_dropout: Share of them left out in training: recordings have few floor plans, which a
+                network soon knows by heart.
             frame: Directions in the ``world``, or in everybody's own ``heading`` so that turning the
                 scene turns the answer (pooling stays in the world).
             residual: The trivial continuation that the output is added to.
@@ -138,6 +141,10 @@ class SGAN(Forecaster):
         # after the published initialisation: a map encoder brings its own
         encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder}
         self.map = encoders[map](dim=map_dim) if map else None
+        self.map_dropout = nn.Dropout(map_dropout)
+        if map:
+            # the untrained network does not look at the map: it is listened to as far as it helps
+            nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -map_dim:])
         if residual != "none":
             # the untrained network is the trivial continuation itself
             nn.init.zeros_(self.decoder.output.weight)
@@ -171,7 +178,7 @@ class SGAN(Forecaster):
             features.append(self.goal(torch.cat((frames.into(frame, goal), frames.into(frame, wanted)), -1)))
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
-            features.append(self.map(position, heading, map_id, pose))
+            features.append(self.map_dropout(self.map(position, heading, map_id, pose)))
         context = self.to_decoder(torch.cat(features, -1))
         return Encoded(context, moved[:, -1], self._base(last_step, goal, steps), frame, crowd)
 
