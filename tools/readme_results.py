@@ -1,0 +1,69 @@
+"""Copy the main rows of checkpoints/FORECAST.json into the README: python tools/readme_results.py."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pedzoo.eval.forecast import BASELINES
+
+ROOT = Path(__file__).parents[1]
+BEGIN, END = "<!-- results: tools/readme_results.py -->\n", "<!-- end of results -->"
+
+INTRODUCTION = """
+zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of three seeds ± their
+standard deviation, chosen on the validation windows of the other scenes.
+
+| goal | model | most likely | one random sample | best of 20, per scene | next step |
+|---|---|---|---|---|---|
+"""
+
+READING = """
+`sgan` is made for the best of 20: one of its random samples is worse than constant velocity. `window_end` is the
+paper's protocol and leaks the answer. The most likely prediction of `sgan_goal` beside the lines on every fold, ADE:
+
+| fold | `sgan_goal` | `bent_line` | `straight_line` |
+|---|---|---|---|
+"""
+
+
+def main() -> None:
+    """Write the tables between the README's two markers."""
+    rows = json.loads((ROOT / "checkpoints" / "FORECAST.json").read_text())["rows"]
+    text = INTRODUCTION
+    for goal in ("none", "window_end", "destination"):
+        for row in rows:
+            if row["case"] == {"fold": "zara1", "goal": goal} and (
+                row["seeds"] > 1 or row["name"] in BASELINES
+            ):
+                text += f"| `{goal}` | `{row['name']}` | {' | '.join(_cells(row))} |\n"
+    text += READING
+    for fold in ("eth", "hotel", "univ", "zara1", "zara2"):
+        here = {row["name"]: row for row in rows if row["case"] == {"fold": fold, "goal": "window_end"}}
+        cells = [_value(here[name], "ade_m") for name in ("sgan_goal", "bent_line", "straight_line")]
+        text += f"| {fold} | {' | '.join(cells)} |\n"
+    readme = ROOT / "README.md"
+    before, _, rest = readme.read_text().partition(BEGIN)
+    after = rest.partition(END)[2]
+    readme.write_text(f"{before}{BEGIN}{text}\n{END}{after}")
+
+
+def _cells(row: dict) -> list[str]:
+    pairs = [
+        ("ade_m", "fde_m"),
+        ("ade_sampled_m", "fde_sampled_m"),
+        ("min_ade_20_scene_m", "min_fde_20_scene_m"),
+    ]
+    if row["name"] in BASELINES:
+        pairs[1:] = []
+    cells = [f"{_value(row, ade)} / {_value(row, fde)}" for ade, fde in pairs]
+    return [*cells, *[""] * (3 - len(cells)), _value(row, "next_step_m")]
+
+
+def _value(row: dict, metric: str) -> str:
+    spread = row.get("spread", {}).get(metric)
+    return f"{row['metrics'][metric]:.4f}" + (f" ± {spread:.4f}" if spread is not None else "")
+
+
+if __name__ == "__main__":
+    main()
