@@ -19,8 +19,9 @@ standard deviation, chosen on the validation windows of the other scenes.
 """
 
 READING = """
-`sgan` is made for the best of 20: one of its random samples is worse than constant velocity. `window_end` is the
-paper's protocol and leaks the answer. The most likely prediction of `sgan_goal` beside the lines on every fold, ADE:
+`sgan` is made for the best of 20: one of its random samples is worse than constant velocity. `window_end`
+is the paper's protocol and leaks the answer. ADE of the most likely prediction of `sgan_goal` beside the
+lines, on every fold:
 
 | fold | `sgan_goal` | `bent_line` | `straight_line` |
 |---|---|---|---|
