@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pedzoo.models.blocks import pooling
 from pedzoo.models.blocks.crowd import Crowd
@@ -33,7 +34,8 @@ def plain_lstm(lstm: nn.LSTM, inputs: list[Tensor], hidden: Tensor, cell: Tensor
 
 
 def plain_encoder(encoder: DisplacementEncoder, displacements: Tensor) -> Tensor:
-    """Return what ``encoder`` should, step by step."""
+    """Return what ``encoder`` should, step by step from a displacement of zero."""
+    displacements = functional.pad(displacements, (0, 0, 1, 0))
     zero = displacements.new_zeros(len(displacements), encoder.lstm.hidden_size)
     return plain_lstm(encoder.lstm, [encoder.embedding(d) for d in displacements.unbind(1)], zero, zero)[0]
 

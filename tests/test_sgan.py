@@ -57,9 +57,7 @@ def plain_path(model: SGAN, batch: TensorDict, scene: int, z: Tensor) -> Tensor:
     there = agents["mask"][scene]
     history, steps = agents["history"][scene, there], agents["future"].shape[2]
     here, last = history[:, -1], history[:, -1] - history[:, -2]
-    observed = torch.zeros_like(history)
-    for step in range(1, 8):
-        observed[:, step] = history[:, step] - history[:, step - 1]
+    observed = torch.stack([history[:, step] - history[:, step - 1] for step in range(1, 8)], 1)
     features = [plain_encoder(model.encoder, observed)]
     if model.pooling is not None:
         one = Crowd.of(torch.ones(1, len(here), dtype=torch.bool))

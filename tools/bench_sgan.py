@@ -177,7 +177,7 @@ def differences(
     wanted = theirs[0](original[0], original[2], original[-1], user_noise=z).transpose(0, 1)
     encoded = ours[0].encode(batch, 8)
     got = ours[0].decode(encoded, z[encoded.crowd.scene].unsqueeze(0), 8)[0]
-    window = torch.cat((original[2].transpose(0, 1), got), 1)
+    window = torch.cat((original[2][1:].transpose(0, 1), got), 1)
     position = torch.cat((original[0], original[1]))
     displacement = torch.cat((original[2], wanted.transpose(0, 1)))
     score = theirs[1](position, displacement, original[-1]).squeeze()

@@ -128,9 +128,9 @@ class GANModule(ForecastModule):
 
 
 def _observed(batch: TensorDict, crowd: Crowd) -> tuple[Tensor, Tensor]:
-    """Return observed displacements (P, 8, 2), the first zero as published, and where they start (P, 2)."""
+    """Return observed displacements (P, 7, 2) and where they start (P, 2)."""
     history = crowd.pack(agents_of(batch)["history"])
-    return torch.nn.functional.pad(history.diff(dim=1), (0, 0, 1, 0)), history[:, 0]
+    return history.diff(dim=1), history[:, 0]
 
 
 def _known(batch: TensorDict, crowd: Crowd) -> Tensor:

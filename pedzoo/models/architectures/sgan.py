@@ -7,13 +7,11 @@ variant: an option that is off costs nothing and leaves the published network.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal, NamedTuple, cast
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
-from torch.nn import functional
 
 from pedzoo.data.goals import TIMED
 from pedzoo.errors import UserError
@@ -22,6 +20,8 @@ from pedzoo.models.base import Forecaster, agents_of, arguments, goals_of
 from pedzoo.models.blocks import frame as frames
 from pedzoo.models.blocks import lines
 from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.folded import NOTHING, Folded, fold
+from pedzoo.models.blocks.kept import Kept
 from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.map_patch import PatchEncoder
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
@@ -31,8 +31,7 @@ from pedzoo.models.blocks.scene_error import Kind, SceneError
 from pedzoo.types import GoalProtocol
 
 
-@dataclass(frozen=True)
-class Encoded:
+class Encoded(NamedTuple):
     """What does not depend on the noise: computed once for all samples of a batch.
 
     Attributes:
@@ -137,6 +136,7 @@ class SGAN(Forecaster):
             decoder_dim - noise_dim,
         )
         self.decoder = DisplacementDecoder(embedding_dim, decoder_dim)
+        self._kept = Kept(_fold, NOTHING)
         init_like_sgan(self)
         # after the published initialisation: a map encoder brings its own
         encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder}
@@ -155,8 +155,8 @@ class SGAN(Forecaster):
         if self.map is not None:
             self.map.bind(bank)
 
-    def encode(self, batch: TensorDict, steps: int) -> Encoded:
-        """Return all that does not depend on the noise."""
+    def encode(self, batch: TensorDict, steps: int, folded: Folded = NOTHING) -> Encoded:
+        """Return all that does not depend on the noise; ``folded`` saves time, see `Folded`."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
@@ -170,16 +170,17 @@ class SGAN(Forecaster):
         heading = frames.heading(moved, goal) if self.frame == "heading" or self.map is not None else None
         frame = heading if self.frame == "heading" else None
         moved = frames.into(frame, moved)
-        hidden = self.encoder(functional.pad(moved, (0, 0, 1, 0)))
+        hidden = self.encoder(moved, folded.encoder)
         features = [hidden]
-        if self.pooling is not None:
-            features.append(self.pooling(hidden, position, crowd))
+        pooling = self.pooling
+        if pooling is not None:
+            features.append(pooling(hidden, position, crowd, folded.pooling))
         if self.goal is not None and goal is not None and wanted is not None:
             features.append(self.goal(torch.cat((frames.into(frame, goal), frames.into(frame, wanted)), -1)))
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
             features.append(self.map_dropout(self.map(position, heading, map_id, pose)))
-        context = self.to_decoder(torch.cat(features, -1))
+        context = self.to_decoder(torch.cat(features, -1), folded.to_decoder)
         return Encoded(context, moved[:, -1], self._base(last_step, goal, steps), frame, crowd)
 
     def _base(self, last_step: Tensor, goal: Tensor | None, steps: int) -> Tensor | None:
@@ -192,37 +193,45 @@ class SGAN(Forecaster):
     def draw(self, encoded: Encoded, samples: int, generator: torch.Generator | None = None) -> Tensor:
         """Return noise (K, P, noise_dim), the same for all people of a scene or not, as ``noise`` says."""
         crowd, like = encoded.crowd, encoded.context
-        rows = crowd.shape[0] if self.noise == "scene" else len(crowd.scene)
-        device = generator.device if generator else like.device
-        z = torch.randn(
-            samples, rows, self.noise_dim, generator=generator, device=device, dtype=like.dtype
-        ).to(like.device)
-        return z[:, crowd.scene] if self.noise == "scene" else z
+        rows = crowd.shape[0] if self.noise == "scene" else len(like)
+        size = samples, rows, self.noise_dim
+        if generator is None:
+            z = torch.randn(size, device=like.device, dtype=like.dtype)
+        else:
+            z = torch.randn(size, generator=generator, device=generator.device, dtype=like.dtype).to(
+                like.device
+            )
+        return crowd.to_people(z) if self.noise == "scene" else z
 
-    def decode(self, encoded: Encoded, z: Tensor, steps: int) -> Tensor:
+    def decode(self, encoded: Encoded, z: Tensor, steps: int, folded: Folded = NOTHING) -> Tensor:
         """Return displacements in the world (K, P, T, 2) for noise ``z`` (K, P, noise_dim)."""
         samples, people = z.shape[:2]
-        hidden = torch.cat((encoded.context.expand(samples, -1, -1), z), -1).flatten(0, 1)
-        first = encoded.first
+        context, first = encoded.context, encoded.first
         if encoded.base is not None:
             # the network's own output is fed back: the residual, of which nothing has been observed yet
             first = torch.zeros_like(first)
-        path = self.decoder(hidden, first.repeat(samples, 1), steps).view(samples, people, steps, 2)
-        path = frames.out_of(encoded.heading, path)
+        if samples > 1:
+            context, first = context.repeat(samples, 1), first.repeat(samples, 1)
+        hidden = torch.cat((context, z.flatten(0, 1)), 1)
+        path = self.decoder(hidden, first, steps, folded.first, folded.decoder)
+        path = frames.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2)."""
-        encoded = self.encode(batch, steps)
-        path = self.decode(encoded, self.draw(encoded, samples, generator), steps)
+        folded = self._kept(self)
+        encoded = self.encode(batch, steps, folded)
+        path = self.decode(encoded, self.draw(encoded, samples, generator), steps, folded)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
-        encoded = self.encode(batch, steps)
-        path = self.decode(encoded, encoded.context.new_zeros(1, len(encoded.context), self.noise_dim), steps)
+        folded = self._kept(self)
+        encoded = self.encode(batch, steps, folded)
+        zero = encoded.context.new_zeros(1, len(encoded.context), self.noise_dim)
+        path = self.decode(encoded, zero, steps, folded)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
@@ -275,3 +284,7 @@ class SGAN(Forecaster):
         if self.mode_weight:
             loss = loss + self.mode_weight * cost("mode")
         return loss, path.get("sample")
+
+
+def _fold(model: SGAN) -> Folded:
+    return fold(model.encoder, model.pooling, model.to_decoder, model.decoder)

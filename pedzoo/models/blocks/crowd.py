@@ -6,56 +6,75 @@ row, (P, ...), and pooling runs over groups of scenes of equal size, so nothing 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 
-@dataclass(frozen=True)
 class Crowd:
-    """Who is where: the packed order of a batch's people.
+    """Who is where: the packed order of a batch's people, of which only what is asked for is computed.
 
     Attributes:
-        scene: Scene of each person (P,), ascending.
-        slot: Column of each person in the padded batch (P,).
-        groups: For each distinct crowd size n, the people (G, n) of the G scenes of that size.
         shape: The padded (B, A).
         full: Nothing is padding, as in most simulations: packing is a matter of shape.
     """
 
-    scene: Tensor
-    slot: Tensor
-    groups: tuple[Tensor, ...]
-    shape: tuple[int, int]
-    full: bool = False
+    def __init__(self, mask: Tensor, full: bool) -> None:
+        """Take a presence mask (B, A) bool, and whether all of it is true; see `of`."""
+        self._mask, self.full = mask, full
+        self.shape = (mask.shape[0], mask.shape[1])
 
     @classmethod
     def of(cls, mask: Tensor) -> Crowd:
         """Return the packing of a presence mask (B, A) bool."""
-        scene, slot = mask.nonzero(as_tuple=True)
-        shape = (mask.shape[0], mask.shape[1])
-        if 0 < len(scene) == mask.numel():
-            return cls(scene, slot, (torch.arange(len(scene), device=mask.device).view(shape),), shape, True)
-        sizes = mask.sum(1)
+        return cls(mask, mask.numel() > 0 and bool(mask.all()))
+
+    @cached_property
+    def _there(self) -> tuple[Tensor, Tensor]:
+        scene, slot = self._mask.nonzero(as_tuple=True)
+        return scene, slot
+
+    @property
+    def scene(self) -> Tensor:
+        """Scene of each person (P,), ascending."""
+        return self._there[0]
+
+    @cached_property
+    def first(self) -> Tensor:
+        """The first person of each person's scene (P,)."""
+        return torch.searchsorted(self.scene, self.scene)
+
+    @cached_property
+    def groups(self) -> tuple[Tensor, ...]:
+        """For each distinct crowd size n, the people (G, n) of the G scenes of that size."""
+        device = self._mask.device
+        if self.full:
+            return (torch.arange(self._mask.numel(), device=device).view(self.shape),)
+        sizes = self._mask.sum(1)
         starts = sizes.cumsum(0) - sizes
-        groups = tuple(
-            starts[sizes == n].unsqueeze(1) + torch.arange(n, device=mask.device)
+        return tuple(
+            starts[sizes == n].unsqueeze(1) + torch.arange(n, device=device)
             for n in sizes.unique().tolist()
             if n > 0
         )
-        return cls(scene, slot, groups, shape)
 
     def pack(self, padded: Tensor) -> Tensor:
         """Return the people (P, ...) of a padded tensor (B, A, ...)."""
-        return padded.flatten(0, 1) if self.full else padded[self.scene, self.slot]
+        return padded.flatten(0, 1) if self.full else padded[self._there]
 
     def unpack(self, packed: Tensor) -> Tensor:
         """Return the padded tensor (B, A, ...) of packed people (P, ...), zero where nobody is."""
         if self.full:
-            return packed.unflatten(0, self.shape)
+            return packed.view(*self.shape, *packed.shape[1:])
         padded = packed.new_zeros(*self.shape, *packed.shape[1:])
-        return padded.index_put((self.scene, self.slot), packed)
+        return padded.index_put(self._there, packed)
+
+    def to_people(self, values: Tensor) -> Tensor:
+        """Return for each person (K, P, C) what ``values`` (K, B, C) say about the scene."""
+        if self.full and self.shape[0] == 1:
+            return values.expand(-1, self.shape[1], -1)
+        return values[:, self.scene]
 
     def sum_per_scene(self, values: Tensor) -> Tensor:
         """Return the sums (B, ...) over the people of each scene of ``values`` (P, ...)."""

@@ -43,7 +43,7 @@ class Discriminator(nn.Module):
         """Return scores (P,), never negative as in the published code; real people should score high.
 
         Args:
-            displacements: Observed and then predicted ones (P, T, 2), metres.
+            displacements: Observed and then predicted ones (P, T, 2), metres; before them goes a zero.
             start: World positions at the start of the window (P, 2).
             crowd: Who shares a scene with whom.
         """
@@ -53,7 +53,7 @@ class Discriminator(nn.Module):
         """Return scores (N * P,) of N futures of the same people; what was observed is read only once.
 
         Args:
-            observed: Displacements (P, 8, 2), metres.
+            observed: Displacements (P, 7, 2), metres.
             futures: Displacements after them (N, P, T, 2).
             start: World positions at the start of the window (P, 2).
             crowd: Who shares a scene with whom, in N copies of all scenes.

@@ -3,11 +3,29 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TypeAlias
 
-from torch import nn
+from torch import Tensor, nn
+from torch.nn import functional
+
+Layers: TypeAlias = list[tuple[Tensor, Tensor]]
 
 
-def mlp(*dims: int) -> nn.Sequential:
+class MLP(nn.Sequential):
+    """The layers of `mlp`."""
+
+    def forward(self, input: Tensor, folded: Layers | None = None) -> Tensor:
+        """Return the last layer's output (P, D); ``folded`` is what `fold` returned for these parameters."""
+        for weight, bias in folded or self.fold():
+            input = functional.linear(input, weight, bias).relu_()
+        return input
+
+    def fold(self) -> Layers:
+        """Return weight and bias of each layer."""
+        return [(layer.weight, layer.bias) for layer in self if isinstance(layer, nn.Linear)]
+
+
+def mlp(*dims: int) -> MLP:
     """Return Linear + ReLU for each pair of neighbouring ``dims``.
 
     The ReLU follows the last linear layer too, as in the published code: contexts, pooled vectors and even
@@ -16,7 +34,7 @@ def mlp(*dims: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for fan_in, fan_out in pairwise(dims):
         layers += [nn.Linear(fan_in, fan_out), nn.ReLU()]
-    return nn.Sequential(*layers)
+    return MLP(*layers)
 
 
 def init_like_sgan(module: nn.Module) -> None:

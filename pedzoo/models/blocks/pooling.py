@@ -11,7 +11,7 @@ Backwards, only the winning pair of each person and channel has a gradient.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -29,6 +29,26 @@ _GPU_FLOATS = 2**26
 
 _AT_ONCE = 2**17
 """Numbers in the pairs of scenes so small that only the number of calls counts."""
+
+
+class PoolingWeights(NamedTuple):
+    """The layers with W_e and b_e put into W_1 and b_1.
+
+    Attributes:
+        w_u: Weight (D, 2 + H) of u from [p; h].
+        b_u: Its bias (D,).
+        w_v: Weight (D, 2) of v from p.
+        w_2: W_2 (C, D).
+        b_2: b_2 (C,).
+        minus_w_2: - W_2.
+    """
+
+    w_u: Tensor
+    b_u: Tensor
+    w_v: Tensor
+    w_2: Tensor
+    b_2: Tensor
+    minus_w_2: Tensor
 
 
 class SocialPooling(nn.Module):
@@ -49,32 +69,43 @@ class SocialPooling(nn.Module):
         self.embedding = nn.Linear(2, embedding_dim)
         self.mlp = mlp(embedding_dim + hidden_dim, mlp_dim, bottleneck_dim)
 
-    def forward(self, hidden: Tensor, position: Tensor, crowd: Crowd) -> Tensor:
+    def forward(
+        self, hidden: Tensor, position: Tensor, crowd: Crowd, folded: PoolingWeights | None = None
+    ) -> Tensor:
         """Return the pooled vectors (P, bottleneck_dim).
 
         Args:
             hidden: Hidden states (P, hidden_dim).
             position: World positions (P, 2), metres.
             crowd: Who shares a scene with whom.
+            folded: What `fold` returned for the same parameters.
         """
-        inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
+        folded = folded or self.fold()
         # Differences of large coordinates lose digits: positions count from the first person of the scene.
-        first = torch.searchsorted(crowd.scene, crowd.scene)
-        origin = position.detach()[first] if crowd.shape[0] > 1 else position.detach()[:1]
-        away = functional.linear(position - origin, self.embedding.weight)
-        u = inner(torch.cat((away + self.embedding.bias, hidden), 1))
-        v = away @ inner.weight[:, : away.shape[1]].t()
+        origin = position[:1] if crowd.shape[0] == 1 else position[crowd.first]
+        away = position - origin
+        u = functional.linear(torch.cat((away, hidden), 1), folded.w_u, folded.b_u)
+        v = functional.linear(away, folded.w_v)
         if torch.is_grad_enabled():
-            best = _MaxOverPairs.apply(u, v, outer.weight, crowd.groups, first)
-        elif len(crowd.groups) == 1 and u.numel() * crowd.groups[0].shape[1] <= _AT_ONCE:
-            best = _max_over_few_pairs(u, v, outer.weight, crowd.groups[0].shape[1])
+            return torch.relu(_MaxOverPairs.apply(u, v, folded.w_2, crowd.groups, crowd.first) + folded.b_2)
+        if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
+            best = _max_over_few_pairs(u, v, folded.w_2, crowd.shape[1])
         else:
-            best = _max_over_pairs(u, v, outer.weight, crowd.groups)[0]
-        return torch.relu(best + outer.bias)
+            best = _max_over_pairs(u, v, folded.w_2, crowd.groups)[0]
+        return functional.linear(v, folded.minus_w_2, folded.b_2).add_(best).relu_()
+
+    def fold(self) -> PoolingWeights:
+        """Return what follows from the parameters alone."""
+        inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
+        w_e, b_e, w_1 = self.embedding.weight, self.embedding.bias, inner.weight
+        w_1e, w_1h = w_1[:, : len(w_e)], w_1[:, len(w_e) :]
+        w_v = w_1e @ w_e
+        w_u, b_u = torch.cat((w_v, w_1h), 1), torch.addmv(inner.bias, w_1e, b_e)
+        return PoolingWeights(w_u, b_u, w_v, outer.weight, outer.bias, -outer.weight)
 
 
 class _MaxOverPairs(torch.autograd.Function):
-    """The maxima of `_max_over_pairs` with a gradient that visits the winning pairs only."""
+    """max_j W ReLU(u_j - v_i) with a gradient that visits the winning pairs only."""
 
     @staticmethod
     def forward(
@@ -83,7 +114,7 @@ class _MaxOverPairs(torch.autograd.Function):
         """Return the maxima (P, C); ``first`` (P,) is the first person of each person's scene."""
         best, winner = _max_over_pairs(u, v, weight, groups)
         ctx.save_for_backward(u, v, weight, winner.add_(first.unsqueeze(1)))
-        return best
+        return best - v @ weight.t()
 
     @staticmethod
     @once_differentiable
@@ -114,16 +145,16 @@ class _MaxOverPairs(torch.autograd.Function):
 def _max_over_pairs(
     u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...]
 ) -> tuple[Tensor, Tensor]:
-    """Return max_j W ReLU(u_j - v_i) over the scene of i (P, C), and which of its people won (P, C) long.
+    """Return max_j W max(u_j, v_i) over the scene of i (P, C), and which of its people won (P, C) long.
 
     Args:
         u: What each person is to others (P, D).
-        v: What is subtracted from it for each person who looks (P, D).
+        v: What will be subtracted from it for each person who looks (P, D).
         weight: The last layer's W (C, D).
         groups: The people (G, n) of the scenes of each size n.
     """
     if not groups:
-        return v @ weight.t(), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
+        return v.new_zeros(0, len(weight)), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
     width, pairs = u.shape[1], max(1, _buffer_size(u) // u.shape[1])
     pieces = [_piece(group, pairs) for group in groups]
     buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
@@ -145,14 +176,13 @@ def _max_over_pairs(
     if len(groups) > 1:
         back = torch.argsort(torch.cat([group.flatten() for group in groups]))
         best, winner = best[back], winner[back]
-    return best - v @ weight.t(), winner
+    return best, winner
 
 
 def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
     """Return the maxima of `_max_over_pairs` for scenes of ``n`` people each, in as few calls as possible."""
-    pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1]))
-    best = (weight @ pairs.view(-1, u.shape[1]).t()).view(-1, len(u), n).amax(2).t()
-    return torch.addmm(best, v, weight.t(), alpha=-1)
+    pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1])).view(-1, u.shape[1])
+    return functional.linear(weight, pairs).view(-1, len(u), n).amax(2).t()
 
 
 def _piece(group: Tensor, pairs: int) -> tuple[int, int, int]:

@@ -6,8 +6,7 @@ activation, so it disappears in the LSTM's input weights; so does the decoder's 
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-from typing import cast
+from typing import TypeAlias, cast
 
 import torch
 from torch import Tensor, nn
@@ -17,9 +16,16 @@ _CPU_CELLS = 2**19
 """People x steps x width per LSTM call on a CPU. Beyond, its buffers pass 32 MB, which the C library takes
 from the system page by page at every call: 1.7 times slower (measured)."""
 
+EncoderWeights: TypeAlias = tuple[Tensor, Tensor, list[Tensor]]
+FirstWeights: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor]
+DecoderWeights: TypeAlias = tuple[list[Tensor], Tensor, Tensor]
+
 
 class DisplacementEncoder(nn.Module):
-    """Summarises a person's displacements: e = W_e d + b_e, h_t = LSTM(h_{t-1}, e_t) (eq. 1)."""
+    """Summarises a person's displacements: e = W_e d + b_e, h_t = LSTM(h_{t-1}, e_t) (eq. 1).
+
+    As published, a zero goes before the first displacement. The state after it is the same for everybody.
+    """
 
     def __init__(self, embedding_dim: int, hidden_dim: int) -> None:
         """Create the parameters.
@@ -32,24 +38,39 @@ class DisplacementEncoder(nn.Module):
         self.embedding = nn.Linear(2, embedding_dim)
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)
 
-    def forward(self, displacements: Tensor) -> Tensor:
-        """Return the last hidden state (P, hidden_dim) of ``displacements`` (P, T, 2), metres per step."""
-        return self.states(displacements)[0][0]
+    def forward(self, displacements: Tensor, folded: EncoderWeights | None = None) -> Tensor:
+        """Return the last hidden state (P, hidden_dim); arguments as in `states`."""
+        return self.states(displacements, folded=folded)[0][0]
 
     def states(
-        self, displacements: Tensor, start: tuple[Tensor, Tensor] | None = None
+        self,
+        displacements: Tensor,
+        start: tuple[Tensor, Tensor] | None = None,
+        folded: EncoderWeights | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Return hidden and cell state (1, P, hidden_dim) after ``displacements``, from ``start`` or zero."""
-        weights, width = _folded(self.lstm, self.embedding), self.lstm.hidden_size
-        if start is None:
-            zero = displacements.new_zeros(1, displacements.shape[0], width)
-            start = zero, zero
-        rows = _rows(displacements.shape[1] * width, displacements)
-        if len(displacements) <= rows:
-            return _lstm(displacements, start, weights, batch_first=True)[1:]
-        pieces = zip(displacements.split(rows), start[0].split(rows, 1), start[1].split(rows, 1), strict=True)
+        """Return hidden and cell state (1, P, hidden_dim) after ``displacements``.
+
+        Args:
+            displacements: What people did (P, T, 2), metres per step.
+            start: The states before it; None where nothing was before but the zero.
+            folded: What `fold` returned for the same parameters.
+        """
+        hidden, cell, weights = folded or self.fold()
+        people, steps = displacements.shape[:2]
+        width = hidden.shape[2]
+        hidden, cell = start or (hidden.expand(1, people, width), cell.expand(1, people, width))
+        rows = _rows(steps * width, displacements)
+        if people <= rows:
+            return _lstm(displacements, (hidden, cell), weights, batch_first=True)[1:]
+        pieces = zip(displacements.split(rows), hidden.split(rows, 1), cell.split(rows, 1), strict=True)
         ends = [_lstm(moved, (h, c), weights, batch_first=True)[1:] for moved, h, c in pieces]
         return torch.cat([end[0] for end in ends], 1), torch.cat([end[1] for end in ends], 1)
+
+    def fold(self) -> EncoderWeights:
+        """Return hidden and cell state (1, 1, H) after a displacement of zero, and what `_folded` does."""
+        weights = _folded(self.lstm, self.embedding)
+        gates = _without_forget(weights[2] + weights[3])
+        return *_from_rest(gates.view(1, 1, -1)), weights
 
 
 class DisplacementDecoder(nn.Module):
@@ -74,43 +95,73 @@ class DisplacementDecoder(nn.Module):
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)
         self.output = nn.Linear(hidden_dim, 2)
 
-    def forward(self, hidden: Tensor, first: Tensor, steps: int) -> Tensor:
+    def forward(
+        self,
+        hidden: Tensor,
+        first: Tensor,
+        steps: int,
+        folded_first: FirstWeights | None = None,
+        folded: DecoderWeights | None = None,
+    ) -> Tensor:
         """Return the next displacements (P, steps, 2), metres per step.
 
         Args:
             hidden: Initial hidden state (P, hidden_dim); the cell state starts at zero.
             first: Last observed displacement (P, 2).
             steps: How many displacements are wanted.
+            folded_first: What `fold_first` returned for the same parameters; used if ``steps`` is 1.
+            folded: What `fold` returned for them; used otherwise.
         """
         if steps == 1:
-            # Folding would cost more than it saves.
-            state = (hidden, torch.zeros_like(hidden))
-            state = torch._VF.lstm_cell(self.embedding(first), state, *_weights(self.lstm))
-            return self.output(state[0]).unsqueeze(1)
-        w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
-        w_hh = torch.addmm(w_hh, w_in, self.output.weight)
-        b_hh = torch.addmv(b_hh, w_in, self.output.bias)
-        weights = [w_in, w_hh, b_ih, b_hh]
-
-        rows = _rows(steps * self.lstm.hidden_size, hidden)
+            weight, bias, w_out, b_out = folded_first or self.fold_first()
+            gates = functional.linear(torch.cat((first, hidden), 1), weight, bias)
+            return functional.linear(_from_rest(gates)[0], w_out, b_out).unsqueeze(1)
+        weights, w_out, b_out = folded or self.fold()
+        rows = _rows(steps * hidden.shape[1], hidden)
         parts = []
         for h0, d0 in zip(hidden.split(rows), first.split(rows), strict=True):
-            surprise = (d0 - self.output(h0)).unsqueeze(0)
+            surprise = (d0 - functional.linear(h0, w_out, b_out)).unsqueeze(0)
             inputs = functional.pad(surprise, (0, 0, 0, 0, 0, steps - 1))
             state = (h0.unsqueeze(0), torch.zeros_like(h0).unsqueeze(0))
-            parts.append(self.output(_lstm(inputs, state, weights)[0]))
+            parts.append(functional.linear(_lstm(inputs, state, weights)[0], w_out, b_out))
         return (parts[0] if len(parts) == 1 else torch.cat(parts, 1)).transpose(0, 1)
 
+    def fold_first(self) -> FirstWeights:
+        """Return weight (3H, 2 + H) and bias (3H,) of the gates of `_from_rest`, and the output's."""
+        w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
+        weight, bias = _without_forget(torch.cat((w_in, w_hh), 1)), _without_forget(b_ih + b_hh)
+        return weight, bias, self.output.weight, self.output.bias
 
-def _weights(lstm: nn.LSTM) -> list[Tensor]:
-    """Return the weights (4H, E), (4H, H) and biases (4H,), (4H,) of ``lstm``."""
-    return cast("list[Tensor]", [lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0])
+    def fold(self) -> DecoderWeights:
+        """Return the weights of `_folded` with the output fed back, and the output's weight and bias."""
+        w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
+        w_out, b_out = self.output.weight, self.output.bias
+        return [w_in, torch.addmm(w_hh, w_in, w_out), b_ih, torch.addmv(b_hh, w_in, b_out)], w_out, b_out
 
 
 def _folded(lstm: nn.LSTM, embedding: nn.Linear) -> list[Tensor]:
     """Return weights (4H, 2), (4H, H) and biases (4H,), (4H,) of ``lstm`` after ``embedding``."""
-    w_ih, w_hh, b_ih, b_hh = _weights(lstm)
+    w_ih, w_hh, b_ih, b_hh = cast(
+        "list[Tensor]", [lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, lstm.bias_hh_l0]
+    )
     return [w_ih @ embedding.weight, w_hh, torch.addmv(b_ih, w_ih, embedding.bias), b_hh]
+
+
+def _without_forget(gates: Tensor) -> Tensor:
+    """Return the rows (3H, ...) of input, output and cell gate of torch's (4H, ...)."""
+    i, _, g, o = gates.chunk(4)
+    return torch.cat((i, o, g))
+
+
+def _from_rest(gates: Tensor) -> tuple[Tensor, Tensor]:
+    """Return hidden and cell state (..., H) of an LSTM's first step: nothing is there to be forgotten.
+
+    Args:
+        gates: Input, output and cell gates before their activations (..., 3H).
+    """
+    i, o, g = gates.chunk(3, -1)
+    cell = i.sigmoid() * g.tanh()
+    return o.sigmoid() * cell.tanh(), cell
 
 
 def _rows(cells: int, people: Tensor) -> int:
@@ -129,9 +180,10 @@ def _lstm(
         weights: What `_folded` returns.
         batch_first: Inputs and hidden states are (P, T, ...).
     """
+    # has biases, layers, dropout, training, bidirectional, batch first
+    options = True, 1, 0.0, torch.is_grad_enabled(), False, batch_first
+    if not inputs.is_cuda:
+        return torch.lstm(inputs, state, weights, *options)
     # cuDNN warns about weights that are no slices of one buffer, which folded ones never are.
-    cudnn = torch.backends.cudnn.flags(enabled=False) if inputs.is_cuda else nullcontext()
-    train = torch.is_grad_enabled()
-    with cudnn:
-        # has biases, layers, dropout, training, bidirectional, batch first
-        return torch._VF.lstm(inputs, state, weights, True, 1, 0.0, train, False, batch_first)
+    with torch.backends.cudnn.flags(enabled=False):
+        return torch.lstm(inputs, state, weights, *options)

@@ -1,0 +1,91 @@
+"""What follows from parameters alone is computed once, until they change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import chain
+from operator import attrgetter, is_
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+M = TypeVar("M", bound=nn.Module)
+T = TypeVar("T")
+
+_version = attrgetter("_version")
+
+
+class Kept(Generic[M, T]):
+    """A function of a module's parameters, whose value is kept while they stay as they are.
+
+    Parameters stay while they are the same objects, in the same memory, of the same version: optimizers,
+    ``load_state_dict``, ``.to()`` and edits in place all change one of these. As for autograd, only what is
+    written in place into ``parameter.data`` goes unseen. Copies of a module begin with nothing kept.
+    """
+
+    def __init__(self, make: Callable[[M], T], nothing: T) -> None:
+        """Keep nothing yet.
+
+        Args:
+            make: A function, defined at the top of a file, that reads nothing but parameters of its module.
+            nothing: What is returned where nothing can be kept, above all while a gradient is wanted.
+        """
+        self._make, self._nothing = make, nothing
+        self._kept: tuple[T, _Origin] | None = None
+
+    def __call__(self, module: M) -> T:
+        """Return the function's value for ``module``."""
+        if torch.is_grad_enabled():
+            return self._nothing
+        kept = self._kept
+        try:
+            if kept is not None and kept[1].stays(module):
+                return kept[0]
+            origin = _Origin(module)
+        except RuntimeError:
+            # parameters made in inference mode or without memory of their own: nothing tells of a change
+            return self._nothing
+        # whoever asks next may be in a region of automatic precision or not
+        with torch.autocast(origin.parameters[0].device.type, enabled=False):
+            value = self._make(module)
+        self._kept = value, origin
+        return value
+
+    def __reduce__(self) -> tuple[type[Kept], tuple[Callable[[M], T], T]]:
+        """Copy and pickle without the value."""
+        return Kept, (self._make, self._nothing)
+
+
+class _Origin:
+    """The parameters of a module, noted to be compared at every call: hence in few steps."""
+
+    def __init__(self, module: nn.Module) -> None:
+        """Note all parameters."""
+        parts = list(module.modules())
+        self.module = module
+        self.parents = [part._modules for part in parts]
+        self.owners = [part._parameters for part in parts if part._parameters]
+        self.children, self.parameters = _values(self.parents), _values(self.owners)
+        self.state = _state(self.parameters)
+        # held so that their addresses are not given to other numbers
+        self.memory = [parameter.untyped_storage() for parameter in self.parameters]
+
+    def stays(self, module: nn.Module) -> bool:
+        """Return whether ``module`` and its parameters are still what they were."""
+        if module is not self.module or _values(self.parents) != self.children:
+            return False
+        now = _values(self.owners)
+        return (
+            len(now) == len(self.parameters)
+            and all(map(is_, now, self.parameters))
+            and _state(now) == self.state
+        )
+
+
+def _values(parts: list[dict[str, Any]]) -> list[Any]:
+    return list(chain.from_iterable(map(dict.values, parts)))
+
+
+def _state(parameters: list[Tensor]) -> list[int]:
+    return [*map(_version, parameters), *map(Tensor.data_ptr, parameters)]
