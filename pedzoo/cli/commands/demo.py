@@ -17,7 +17,7 @@ def run(argv: list[str]) -> int:
         "--out", default="demo", metavar="FOLDER", help="where everything goes (default: demo)"
     )
     parser.add_argument(
-        "--epochs", type=int, default=40, help="epochs of training (default: 40, about a minute)"
+        "--epochs", type=int, default=80, help="epochs of training (default: 80, about a minute)"
     )
     options = parser.parse_args(argv)
 
