@@ -47,9 +47,10 @@ class Registry:
         path = self.folder / f"{name}.py"
         body = ast.parse(path.read_text()).body if path.is_file() else []
         for node in body:
-            targets = node.targets if isinstance(node, ast.Assign) else []
-            if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
-                return ast.literal_eval(node.value)  # type: ignore[union-attr]
+            if isinstance(node, ast.Assign) and any(
+                isinstance(target, ast.Name) and target.id == variable for target in node.targets
+            ):
+                return ast.literal_eval(node.value)
         return None
 
     def get(self, name: str) -> type:

@@ -7,6 +7,7 @@ import logging
 import shlex
 import warnings
 from argparse import SUPPRESS
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -136,12 +137,12 @@ class TrainingCLI(LightningCLI):
             callbacks += self.run.callbacks(self._plain(), typed, monitor, self.config["monitor_mode"])
             if options.get("logger") in (None, True):
                 kwargs |= {"logger": self.run.loggers(self.config["wandb"])}
-        try:
-            return super().instantiate_trainer(callbacks=callbacks, **kwargs)
-        except Exception:
+        with ExitStack() as if_it_fails:
             if self.run:
-                self.run.discard_if_empty()
-            raise
+                if_it_fails.callback(self.run.discard_if_empty)
+            trainer = super().instantiate_trainer(callbacks=callbacks, **kwargs)
+            if_it_fails.pop_all()
+        return trainer
 
     def fit(self) -> int:
         """Train, and print what to do next."""

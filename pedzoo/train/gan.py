@@ -25,28 +25,20 @@ class GANModule(ForecastModule):
         self,
         generator: SGAN,
         discriminator: Discriminator,
-        lr: float = 1e-3,
         lr_discriminator: float = 1e-3,
         adversarial_weight: float = 1.0,
-        warmup: int = 50,
-        final_lr: float = 0.01,
-        clip: float = 2.0,
-        samples: int = 20,
+        **options: Any,
     ) -> None:
         """Take a generator, a discriminator and their optimisation.
 
         Args:
             generator: The model.
             discriminator: Judges trajectories.
-            lr: Learning rate of the generator's Adam at its peak.
-            lr_discriminator: Learning rate of the discriminator's.
+            lr_discriminator: Learning rate of the discriminator's Adam, constant as published.
             adversarial_weight: Weight of the adversarial loss beside the variety loss.
-            warmup: Iterations of linear warm-up.
-            final_lr: Share of ``lr`` left at the end of the cosine; 1 keeps it constant.
-            clip: Largest norm of the generator's gradient; 0 for any.
-            samples: K of the best-of-K errors in validation and test.
+            options: Of the generator's optimisation and of validation; see `ForecastModule`.
         """
-        super().__init__(generator, lr, warmup, final_lr, clip, samples)
+        super().__init__(generator, **options)
         if not hasattr(generator, "variety"):
             raise UserError(f"{type(generator).__name__} has no variety loss: train it with PlainModule")
         self.automatic_optimization = False
