@@ -16,6 +16,11 @@ def shipped(folder: str) -> Path:
     return inside if inside.is_dir() else _PACKAGE.parent / folder
 
 
+def weight_files() -> dict[str, Path]:
+    """Return the files of all shipped weights by name, in alphabetical order."""
+    return {path.stem: path for path in sorted(shipped("checkpoints").glob("*.safetensors"))}
+
+
 def config_names() -> list[str]:
     """Return the names that ``--config`` accepts without a path."""
     folder = shipped("configs")

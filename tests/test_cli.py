@@ -13,9 +13,9 @@ import torch
 from torch.utils._pytree import tree_flatten
 
 import pedzoo
-from pedzoo.cli.commands.models import read_metadata
 from pedzoo.cli.main import COMMANDS, main
 from pedzoo.errors import UserError
+from pedzoo.models.header import read_config
 from pedzoo.paths import config_names
 
 ROOT = Path(pedzoo.__file__).parents[1]
@@ -217,7 +217,7 @@ def test_models_lists_architectures_and_weights(capsys, elsewhere):
 def test_metadata_of_a_damaged_file_is_refused(elsewhere):
     (elsewhere / "cut.safetensors").write_bytes(b"\xff" * 20)
     with pytest.raises(UserError, match=r"cut\.safetensors"):
-        read_metadata(elsewhere / "cut.safetensors")
+        read_config(elsewhere / "cut.safetensors")
 
 
 @pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="needs a checkout")

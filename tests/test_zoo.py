@@ -15,12 +15,14 @@ from batches import make_batch, random_weights
 from safetensors.torch import load_file, save_file
 
 import pedzoo
+from pedzoo import paths
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.models import zoo
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.zoo import fill, list_models, load, read_config, save_weights
+from pedzoo.models.header import read_config
+from pedzoo.models.zoo import fill, list_models, load, save_weights
 
 OPTIONS: dict[str, Any] = {
     "bottleneck_dim": 8,
@@ -69,7 +71,7 @@ def checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder in the place of the shipped one."""
     folder = tmp_path / "checkpoints"
     folder.mkdir()
-    monkeypatch.setattr(zoo, "shipped", lambda name: tmp_path / name)
+    monkeypatch.setattr(paths, "shipped", lambda name: tmp_path / name)
     return folder
 
 

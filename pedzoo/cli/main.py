@@ -11,7 +11,7 @@ from importlib import import_module
 
 from pedzoo import __version__
 from pedzoo.errors import UserError
-from pedzoo.paths import config_names, shipped
+from pedzoo.paths import config_names, weight_files
 from pedzoo.registry import DATASETS, MODELS, Registry
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
@@ -52,10 +52,9 @@ def overview() -> str:
         lines.append(f"  {name:<{width}}  {COMMANDS.constant(name, 'HELP') or 'plugin'}")
         if example := COMMANDS.constant(name, "EXAMPLE"):
             lines.append(f"  {'':<{width}}    $ {example}")
-    weights = sorted(path.stem for path in shipped("checkpoints").glob("*.safetensors"))
     for title, found in (
         ("models", MODELS.names()),
-        ("weights", weights),
+        ("weights", list(weight_files())),
         ("datasets", DATASETS.names()),
         ("configs", config_names()),
     ):

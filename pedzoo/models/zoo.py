@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.models.base import Forecaster
-from pedzoo.paths import shipped
+from pedzoo.models.header import config_in, opened
+from pedzoo.paths import weight_files
 from pedzoo.registry import MODELS
 from pedzoo.types import GoalProtocol
 
-SUFFIX = ".safetensors"
 SUMS = "SHA256SUMS"
 
 _DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
@@ -32,8 +31,7 @@ _DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueE
 
 def list_models(pattern: str = "*") -> list[str]:
     """Return the names of all shipped weights that match ``pattern``, as ``architecture.tag``."""
-    names = [path.name.removesuffix(SUFFIX) for path in shipped("checkpoints").glob(f"*{SUFFIX}")]
-    return sorted(name for name in names if fnmatch(name, pattern))
+    return [name for name in weight_files() if fnmatch(name, pattern)]
 
 
 def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
@@ -42,26 +40,23 @@ def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
     Args:
         name: A zoo name (``sgan_goal.zara1``), a ``.safetensors`` or Lightning ``.ckpt`` file, a baseline
             (``bent_line``), or an untrained class ``path/to/file.py:Class``.
-        goal: The goal protocol for baselines that depend on it; trained models keep their own.
+        goal: The goal protocol for untrained models that ask for it; trained ones keep their own.
 
     Raises:
         UserError: No such model, or its file is damaged.
     """
     name = str(name)
-    if name.endswith(SUFFIX):
+    if name.endswith(".safetensors"):
         return _from_safetensors(Path(name))
     if name.endswith(".ckpt"):
         return _from_checkpoint(Path(name))
-    if name in list_models():
-        return _from_safetensors(shipped("checkpoints") / f"{name}{SUFFIX}", checked=True)
+    if file := weight_files().get(name):
+        return _from_safetensors(file, checked=True)
     if name not in MODELS.names() and ".py:" not in name:
         raise unknown("model", name, [*list_models(), *_baselines()])
     model = MODELS.get(name)
-    built = _made(
-        model,
-        {"goal_protocol": goal} if goal and issubclass(model, MODELS.get("straight_line")) else {},
-        name,
-    )
+    asks = "goal_protocol" in inspect.signature(model).parameters
+    built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
     if any(True for _ in built.parameters()) and ".py:" not in name:
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
         raise UserError(f"{name!r} is an architecture; name its weights: {weights}")
@@ -115,17 +110,11 @@ def save_weights(model: Forecaster, path: str | Path, **more: Any) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def read_config(path: str | Path) -> dict[str, Any]:
-    """Return the config in a weight file's metadata, without its tensors."""
-    with _opened(Path(path)) as file:
-        return _config(file, Path(path))
-
-
 def _from_safetensors(path: Path, checked: bool = False) -> Forecaster:
     if checked:
         _check_sum(path)
-    with _opened(path) as file:
-        config = _config(file, path)
+    with opened(path, "pt") as file:
+        config = config_in(file, path)
         state = {key: file.get_tensor(key) for key in file.keys()}
     if ".py:" in config["architecture"]:
         raise UserError(
@@ -176,28 +165,6 @@ def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Fore
             f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
         ) from error
     return model.eval()
-
-
-def _opened(path: Path) -> Any:
-    if not path.is_file():
-        raise UserError(f"no weights at {str(path)!r}")
-    try:
-        return safe_open(path, "pt")
-    except SafetensorError as error:
-        raise UserError(f"weights {str(path)!r} cannot be read ({error}): is the file cut off?") from error
-
-
-def _config(file: Any, path: Path) -> dict[str, Any]:
-    metadata = file.metadata() or {}
-    if "config" not in metadata:
-        raise UserError(
-            f"weights {str(path)!r} have no pedzoo config in their metadata: not a file of this zoo"
-        )
-    try:
-        config = json.loads(metadata["config"])
-        return config | {"architecture": config["architecture"], "init": dict(config["init"])}
-    except (ValueError, TypeError, KeyError) as error:
-        raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
 
 
 def _check_sum(path: Path) -> None:
