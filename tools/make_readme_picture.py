@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.plots import draw_floor_plan
+from pedzoo.metrics.displacement import positions
 from pedzoo.models.zoo import load
 
 FIRST, FRAMES, SAMPLES = 60, 60, 12
@@ -30,9 +31,9 @@ def main(name: str = "sgan_goal.zara1_destination", out: str = "tools/readme.gif
     batch = data.sets["test"].batch(torch.arange(FIRST, FIRST + FRAMES), "destination")
     agents: Any = batch["agents"]
     start = agents["history"][:, None, :, -1:]
-    paths = model.sample(batch, SAMPLES, 12, torch.Generator().manual_seed(0)).cumsum(-2) + start
+    paths = positions(model.sample(batch, SAMPLES, 12, torch.Generator().manual_seed(0)), agents["history"])
     paths = torch.cat((start.expand(-1, SAMPLES, -1, -1, -1), paths), -2)
-    mode = torch.cat((start[:, 0], model.mode(batch, 12)[:, 0].cumsum(-2) + start[:, 0]), -2)
+    mode = torch.cat((start[:, 0], positions(model.mode(batch, 12), agents["history"])[:, 0]), -2)
 
     figure = Figure(figsize=(6.0, 4.2), layout="tight")
     axes = figure.subplots()

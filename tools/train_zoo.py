@@ -26,7 +26,8 @@ import torch
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import BASELINES, forecast
 from pedzoo.models.zoo import load, save_weights
-from pedzoo.paths import shipped
+from pedzoo.paths import shipped, weight_files
+from pedzoo.train.run import RunFolder
 from pedzoo.types import GoalProtocol
 from pedzoo.versions import versions
 
@@ -63,19 +64,19 @@ RECIPES = [
 """In the order of training: first what is shipped."""
 
 
-def folder(recipe: Recipe, seed: int, runs: Path) -> Path:
+def folder(recipe: Recipe, seed: int, runs: Path) -> RunFolder:
     """Return the run folder that ``pedzoo fit`` chooses."""
-    return runs / recipe.config / f"{recipe.fold}-seed{seed}"
+    return RunFolder(runs / recipe.config / f"{recipe.fold}-seed{seed}")
 
 
 def train(recipe: Recipe, seed: int, runs: Path) -> None:
     """Train one seed in a process of its own; finished runs are left alone, interrupted ones resumed."""
     run = folder(recipe, seed, runs)
-    if (run / "finished").is_file():
+    if (run.path / "finished").is_file():
         return
     command = [sys.executable, "-m", "pedzoo.cli.main", "fit"]
-    if (run / "checkpoints" / "last.ckpt").is_file():
-        command += ["--resume", str(run)]
+    if run.last.is_file():
+        command += ["--resume", str(run.path)]
     else:
         options = {"config": recipe.config, "data.fold": recipe.fold, "seed_everything": seed}
         options |= {"monitor": recipe.monitor, "runs": runs}
@@ -89,24 +90,24 @@ def train(recipe: Recipe, seed: int, runs: Path) -> None:
         ).returncode
     if code:
         raise SystemExit(f"{' '.join(command)} failed: see {log}")
-    (run / "finished").touch()
+    (run.path / "finished").touch()
     print(f"{recipe.name} seed {seed}: {recipe.monitor} {validation(recipe, seed, runs):.4f}", flush=True)
 
 
 def validation(recipe: Recipe, seed: int, runs: Path) -> float:
     """Return the best value of the monitored validation metric, by which checkpoint and seed are chosen."""
-    with (folder(recipe, seed, runs) / "metrics.csv").open() as file:
+    with (folder(recipe, seed, runs).path / "metrics.csv").open() as file:
         return min(float(row[recipe.monitor]) for row in csv.DictReader(file) if row.get(recipe.monitor))
 
 
 def finished(recipe: Recipe, runs: Path) -> list[int]:
     """Return the seeds whose training is done."""
-    return [seed for seed in range(recipe.seeds) if (folder(recipe, seed, runs) / "finished").is_file()]
+    return [seed for seed in range(recipe.seeds) if (folder(recipe, seed, runs).path / "finished").is_file()]
 
 
 def checkpoint(recipe: Recipe, seed: int, runs: Path) -> str:
     """Return the checkpoint that validation chose."""
-    return str(folder(recipe, seed, runs) / "checkpoints" / "best.ckpt")
+    return str(folder(recipe, seed, runs).best)
 
 
 def export(runs: Path) -> None:
@@ -126,7 +127,7 @@ def export(runs: Path) -> None:
             file = target / f"{recipe.name}.safetensors"
             digest = save_weights(load(source), file, protocol=protocol, training=training)
             print(f"{recipe.name}: seed {best}, sha256 {digest}")
-    files = sorted(target.glob("*.safetensors"))
+    files = weight_files().values()
     sums = "".join(f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in files)
     (target / "SHA256SUMS").write_text(sums)
 

@@ -1,4 +1,4 @@
-"""What several commands write: results as JSON."""
+"""What several commands write: results as tables and as JSON."""
 
 from __future__ import annotations
 
@@ -37,17 +37,21 @@ def print_report(report: dict[str, Any]) -> None:
     if not console.is_terminal:
         console = Console(width=200)  # a file or a pipe has no width that a table must fit
     console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()), highlight=False)
-    for part in _parts(metrics, console.width - max(len(row["name"]) for row in rows) - 14):
+    labels = [_label(row) for row in rows]
+    for part in _parts(metrics, console.width - max(map(len, labels)) - 14):
         table = Table()
         table.add_column("name", overflow="fold")
         for name in ["n", *part]:
             table.add_column(_broken(name), justify="right", no_wrap=True)
-        for row in rows:
+        for label, row in zip(labels, rows, strict=True):
             values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in part]
-            note = ", ".join(str(value) for value in row["case"].values())
-            name = f"{row['name']} ({note})" if note else row["name"]
-            table.add_row(name, str(row["n"]), *values)
+            table.add_row(label, str(row["n"]), *values)
         console.print(table)
+
+
+def _label(row: dict[str, Any]) -> str:
+    note = ", ".join(str(value) for value in row["case"].values())
+    return f"{row['name']} ({note})" if note else row["name"]
 
 
 def _parts(metrics: list[str], width: int) -> list[list[str]]:

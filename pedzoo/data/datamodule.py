@@ -21,6 +21,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.types import OBS_LEN, Clock, GoalProtocol
 
+STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
+"""Lightning's name for the stage that needs a split."""
+
 
 class TrajectoryDataModule(L.LightningDataModule):
     """Recorded people of one fold, as scene batches (see `pedzoo.types`)."""
@@ -132,7 +135,7 @@ class TrajectoryDataModule(L.LightningDataModule):
 
     def _loader(self, split: Split, shuffle: bool = False) -> DataLoader:
         if split not in self.sets:
-            self.setup({"train": "fit", "val": "validate", "test": "test"}[split])
+            self.setup(STAGES[split])
         h, scenes, rank, replicas = self.hparams, self.sets[split], 0, 1
         # every process evaluates all windows: nothing is counted twice or left out
         if shuffle and self.trainer:

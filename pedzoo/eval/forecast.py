@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import torch
 
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import Split
 from pedzoo.errors import UserError
 from pedzoo.metrics.forecast import ForecastScore
@@ -46,7 +46,7 @@ def forecast(
         raise UserError(
             "random_future goals are for training: set --data.goal to window_end, destination or none"
         )
-    data.setup({"train": "fit", "val": "validate", "test": "test"}[split])
+    data.setup(STAGES[split])
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}
     rows = [_row(name, model, data, split, samples, seed, progress) for name, model in models.items()]

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
+from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
 
 MARGIN = 2.0
@@ -48,10 +49,9 @@ def plot_forecasts(
     model.bind(data.bank)
     batch = scenes.batch(chosen, data.goal, generator=torch.Generator().manual_seed(seed))
     agents: Any = batch["agents"]
-    start = agents["history"][:, None, :, -1:]
     random = torch.Generator().manual_seed(seed)
-    futures = start + model.sample(batch, samples, data.pred_len, random).cumsum(-2)
-    mode = start + model.mode(batch, data.pred_len).cumsum(-2)
+    futures = positions(model.sample(batch, samples, data.pred_len, random), agents["history"])
+    mode = positions(model.mode(batch, data.pred_len), agents["history"])
 
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)

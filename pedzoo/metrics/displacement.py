@@ -14,6 +14,11 @@ from torch import Tensor
 from torchmetrics import Metric
 
 
+def positions(prediction: Tensor, history: Tensor) -> Tensor:
+    """Return where displacements (B, K, A, T, 2) lead from the last observed positions: (B, K, A, T, 2)."""
+    return history[:, None, :, -1:, :] + prediction.cumsum(-2)
+
+
 def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> Tensor:
     """Return distances (B, K, A, T) between predicted and true positions.
 
@@ -22,8 +27,7 @@ def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> T
         history: Observed positions (B, A, 8, 2).
         future: True positions (B, A, T, 2).
     """
-    position = history[:, None, :, -1:, :] + prediction.cumsum(-2)
-    return (position - future.unsqueeze(1)).norm(dim=-1)
+    return (positions(prediction, history) - future.unsqueeze(1)).norm(dim=-1)
 
 
 def average(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

@@ -27,6 +27,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.eval.forecast import forecast
     from pedzoo.eval.plots import plot_forecasts
     from pedzoo.models.zoo import load
+    from pedzoo.train.run import RunFolder
     from pedzoo.versions import versions
 
     out = Path(options.out)
@@ -39,7 +40,7 @@ def run(argv: list[str]) -> int:
     if code := train("fit", [*arguments, "--trainer.check_val_every_n_epoch", str(every)], HELP, EXAMPLE):
         return code
     newest = max((out / "runs" / "demo").iterdir(), key=lambda folder: folder.stat().st_mtime)
-    checkpoint = str(newest / "checkpoints" / "best.ckpt")
+    checkpoint = str(RunFolder(newest).best)
 
     print("\n2/3 its errors between the trivial baselines")
     data = TrajectoryDataModule(fold="embedded", goal="window_end")
