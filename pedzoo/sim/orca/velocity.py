@@ -1,0 +1,51 @@
+"""ORCA for batches of scenes: everybody's new velocity."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pedzoo.sim.orca.agent_lines import agent_lines
+from pedzoo.sim.orca.programs import solve
+from pedzoo.sim.orca.settings import OrcaSettings
+
+
+@torch.no_grad()
+def orca_velocity(
+    position: Tensor,
+    velocity: Tensor,
+    pref_velocity: Tensor,
+    max_speed: Tensor,
+    mask: Tensor,
+    settings: OrcaSettings,
+    walls: None = None,
+    passive: Tensor | None = None,
+) -> Tensor:
+    """Return the velocities (B, A, 2) that ORCA chooses, m/s; 0 for absent people. No gradient flows.
+
+    They are RVO2's, except where that library divides 0 by 0: two people at the same place with the same
+    velocity ignore each other.
+
+    Args:
+        position: Positions (B, A, 2), metres.
+        velocity: Current velocities (B, A, 2), m/s.
+        pref_velocity: Velocities that people would have if they were alone (B, A, 2), m/s.
+        max_speed: Top speeds (B, A), m/s.
+        mask: Who is there (B, A) bool.
+        settings: ORCA's parameters.
+        walls: The wall segments near everybody; None: walls are not seen.
+        passive: Who does not avoid anybody (B, A) bool: their velocity is returned as it is. The others do
+            their half of avoiding them, as they do for everybody.
+    """
+    asked = mask if passive is None else mask & ~passive
+    rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
+    preferred, speeds = pref_velocity.flatten(0, 1), max_speed.flatten()
+    if rows is not None:
+        preferred, speeds = preferred[rows], speeds[rows]
+    lines = agent_lines(position, velocity, mask, rows, settings)
+    chosen = solve(lines, 0, preferred.T, speeds).T
+    if rows is None:
+        return chosen.reshape(position.shape)
+    result = torch.where(mask[..., None], velocity, 0).flatten(0, 1)
+    result[rows] = chosen
+    return result.view(position.shape)
