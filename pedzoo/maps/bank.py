@@ -11,6 +11,7 @@ from torch import Tensor
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.walls import Walls
 
 MAX_DISTANCE = 5.0
 """Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
@@ -66,6 +67,10 @@ class MapBank:
             nowhere=torch.tensor([self.max_distance]),
         )
 
+    @cached_property
+    def _walls(self) -> Walls:
+        return Walls.of(self.grids, self.unknown, self.max_distance).to(self._rows.device)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The names that ``id_of`` knows."""
@@ -89,6 +94,7 @@ class MapBank:
         moved.__dict__.update(self.__dict__)
         moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
         moved._atlas = self._atlas.to(device)
+        moved.__dict__.pop("_walls", None)  # made anew on the device where somebody asks for it
         return moved
 
     def index(self, map_id: Tensor) -> Tensor:
@@ -119,3 +125,22 @@ class MapBank:
             pose: Scene poses (N, 4).
         """
         return self._atlas.sample(points, self.index(map_id), pose)[..., 0]
+
+    def closest_wall(self, points: Tensor, map_id: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the distance to the nearest occupied square and the direction that leads away from it.
+
+        Distances are those to the cells as they are, not to a field read between them: what contacts and
+        sliding along walls rest on. The world outside a map is free, its walls are felt from there, and a
+        position inside a wall at the map's edge may be nearest to the outside. Where no wall is within
+        ``max_distance`` or a scene has no map, the distance is ``max_distance`` and the direction zero.
+
+        Args:
+            points: Scene positions (N, ..., 2), metres; differentiable, the gradient is the direction.
+            map_id: Floor plan of each entry (N,) long, -1 for none.
+            pose: Scene poses (N, 4).
+
+        Returns:
+            Distance (N, ...) in metres, negative inside walls, and unit vectors (N, ..., 2) in the scene's
+            frame along which it grows.
+        """
+        return self._walls.closest(points, self.index(map_id), pose)
