@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from torch import Tensor
 
+from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes, merge_cells
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
 
@@ -28,6 +33,31 @@ def painted(parts: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     for x0, y0, x1, y1 in parts:
         count[y0:y1, x0:x1] += 1
     return count
+
+
+def brute_force(grid: OccupancyGrid, points: np.ndarray, unknown: str = "free") -> np.ndarray:
+    """Signed distance of grid-frame points (N, 2), metres, to the squares: all of them are looked at."""
+    rim = 40  # cells outside the map count as free
+    walls = np.pad(grid.occupied(unknown), rim)  # type: ignore[arg-type]
+    cells = points / grid.resolution + rim
+    column, row = np.floor(cells).astype(int).T
+    inside = walls[row, column]
+    result = np.full(len(points), np.inf)
+    for sign, side in ((1, walls), (-1, ~walls)):
+        corners = np.argwhere(side)[:, ::-1]
+        mine = inside == (sign < 0)
+        if len(corners) and mine.any():
+            gap = np.abs(cells[mine, None] - corners - 0.5) - 0.5
+            result[mine] = sign * np.hypot(*np.maximum(gap, 0).transpose(2, 0, 1)).min(axis=1)
+    return result * grid.resolution
+
+
+def ask(
+    grid: OccupancyGrid, points: np.ndarray | list[list[float]], **options: float
+) -> tuple[Tensor, Tensor]:
+    given = torch.as_tensor(np.asarray(points), dtype=torch.float64)
+    bank = MapBank([grid], **options)  # type: ignore[arg-type]
+    return bank.closest_wall(given, torch.full((len(given),), grid.map_id), identity_pose(len(given)))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
@@ -61,3 +91,108 @@ def test_boxes_of_the_shared_maps(shared: Path) -> None:
         parts = np.rint(boxes(grid, "wall") / grid.resolution).astype(int)
         assert (painted(parts, walls.shape) == walls).all()
         assert len(parts) < walls.sum() / 4
+
+
+@pytest.mark.parametrize("share", [0.005, 0.1, 0.5, 0.9, 0.995])
+def test_distance_is_that_to_the_nearest_square(share: float) -> None:
+    for seed, shape in enumerate([(1, 1), (1, 12), (25, 19)]):
+        cells = scattered(*shape, share, seed)
+        cells[0, 0] = True
+        grid = OccupancyGrid(cells, 0.5)
+        points = np.random.default_rng(seed).uniform(-4, np.array(shape[::-1]) * 0.5 + 4, (1500, 2))
+        points[:500] = np.round(points[:500], 1)  # many of them on edges and corners
+        found, away = ask(grid, points, max_distance=20.0)
+        error = np.abs(found.numpy() - brute_force(grid, points))
+        # Four candidates are nearly always enough; where a fifth is nearer, it is by very little.
+        assert error.max() < 0.02 * grid.resolution
+        assert (error < 1e-9).mean() > 0.995
+        # within half a cell of a wall nothing is ever missed
+        assert error[found.abs().numpy() <= 0.25].max(initial=0) < 1e-9
+        assert torch.allclose(away.norm(dim=1), torch.ones(len(points), dtype=away.dtype))
+
+
+def test_distances_and_directions_by_hand() -> None:
+    grid = drawn(".....", "..#..", ".....")  # the wall is [1, 1.5] x [0.5, 1]
+    points = [[0.25, 0.75], [1.25, 2.0], [1.8, 1.4], [1.1, 0.7], [1.5, 0.8], [1.25, 0.5], [-3.0, 0.75]]
+    distance, away = ask(grid, points)
+    assert distance.tolist() == pytest.approx([0.75, 1.0, 0.5, -0.1, 0.0, 0.0, 4.0], abs=1e-12)
+    expected = [[-1, 0], [0, 1], [0.6, 0.8], [-1, 0], [1, 0], [0, -1], [-1, 0]]
+    np.testing.assert_allclose(away.numpy(), expected, atol=1e-12)
+
+
+def test_nothing_within_reach() -> None:
+    grid = drawn("#....")
+    for options in ({"max_distance": 1.0}, {}):
+        far = options.get("max_distance", 5.0)
+        distance, away = ask(grid, [[0.5 + far, 0.25], [-40.0, 90.0], [0.5 + far - 0.1, 0.25]], **options)
+        assert distance.tolist() == pytest.approx([far, far, far - 0.1])
+        assert away.tolist() == [[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]]
+    without_walls, solid = drawn("..", "?."), drawn("##", "##")
+    assert ask(without_walls, [[0.5, 0.5], [50.0, 0.5]])[0].tolist() == [5.0, 5.0]
+    assert ask(solid, [[0.4, 0.5], [2.0, 0.5]])[0].tolist() == pytest.approx([-0.4, 1.0])
+
+
+def test_no_map_and_nobody() -> None:
+    grid = drawn("#..")
+    for bank in (MapBank(), MapBank([grid])):
+        points = torch.tensor([[[0.2, 0.2], [1e6, 0.0]]])
+        distance, away = bank.closest_wall(points, torch.tensor([-1]), identity_pose(1))
+        assert distance.tolist() == [[5.0, 5.0]] and away.abs().max() == 0
+        nobody = bank.closest_wall(torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4))
+        assert [part.shape for part in nobody] == [(0, 3), (0, 3, 2)]
+
+
+def test_lost_positions_stay_lost_and_harm_nobody() -> None:
+    distance, _ = ask(drawn("#..."), [[math.nan, 0.2], [1.0, 0.25]])
+    assert distance[0].isnan() and distance[1:].tolist() == [0.5]
+
+
+def test_maps_of_a_bank_poses_and_shapes() -> None:
+    """Two maps, one far away and turned, in turned, mirrored and moved scenes, agree with each alone."""
+    torch.manual_seed(0)
+    grids = [
+        OccupancyGrid(scattered(20, 30, 0.1, 1), 0.1, (-60.0, 40.0, 0.7), name="far"),
+        OccupancyGrid(scattered(13, 9, 0.2, 2), 0.3, name="near"),
+    ]
+    bank = MapBank(grids)
+    row = torch.tensor([0, 1, 1, 0, 1, 0])
+    ids = torch.tensor([grids[number].map_id for number in row.tolist()])
+    own = torch.rand(6, 3, 4, 2, dtype=torch.float64) * 4 - 0.5  # in the grids' frames
+    origin = torch.tensor([grid.origin for grid in grids], dtype=torch.float64)[row]
+    lie = torch.stack((origin[:, 2], torch.ones(6), origin[:, 0], origin[:, 1]), dim=1)
+    pose = torch.stack(
+        (torch.rand(6) * 6, torch.tensor([1.0, -1, 1, -1, -1, 1]), torch.rand(6), torch.rand(6))
+    )
+    pose = pose.T.double()
+    in_scene = move_to_scene(move_to_scene(own, lie), pose)
+    distance, away = bank.closest_wall(in_scene, ids, pose)
+    assert distance.shape == (6, 3, 4)
+    for entry, number in enumerate(row.tolist()):
+        alone = ask(
+            OccupancyGrid(grids[number].cells, grids[number].resolution), own[entry].reshape(-1, 2).numpy()
+        )
+        torch.testing.assert_close(distance[entry].flatten(), alone[0], atol=1e-9, rtol=0)
+        turned = turn_to_scene(turn_to_scene(alone[1][None], lie[entry, None]), pose[entry, None])[0]
+        torch.testing.assert_close(away[entry].view(-1, 2), turned, atol=1e-6, rtol=0)
+
+    single, _ = bank.closest_wall(in_scene.float(), ids, pose.float())
+    assert single.dtype == torch.float32
+    torch.testing.assert_close(single.double(), distance, atol=1e-5, rtol=0)
+    moved = bank.to("meta")
+    assert moved._walls.box.device.type == "meta" and bank._walls.box.device.type == "cpu"
+
+
+def test_the_gradient_is_the_direction() -> None:
+    grid = OccupancyGrid(scattered(12, 12, 0.15, 3), 0.5)
+    points = torch.rand(200, 2, dtype=torch.float64) * 6
+    points.requires_grad_()
+    bank, ids = MapBank([grid]), torch.full((200,), grid.map_id)
+    pose = torch.tensor([[0.4, -1.0, 0.1, 0.2]]).repeat(200, 1)
+    distance, away = bank.closest_wall(points, ids, pose)
+    (gradient,) = torch.autograd.grad(distance.sum(), points)
+    torch.testing.assert_close(gradient, away)
+    assert not away.requires_grad
+    step = 1e-5
+    ahead, _ = bank.closest_wall(points.detach() + step * away, ids, pose)
+    # walking away changes the distance by as much, except where another wall is as near
+    assert ((ahead - distance.detach() - step).abs() < 1e-9).float().mean() > 0.97

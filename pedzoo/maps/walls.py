@@ -1,22 +1,21 @@
 """Exact distances to walls made of square cells, for everybody on every floor plan in one call.
 
-The distance field of `MapBank.signed_distance` is read between cell centres: smooth, and off by up to a fifth of
-a cell. Contacts and sliding along walls need the walls as they are, the union of the occupied squares.
+The field behind `MapBank.signed_distance` is read between cell centres: smooth, and off by up to a fifth of a
+cell. Contacts and sliding along walls need the walls as they are, the union of the occupied squares.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional as F
 
-from pedzoo.geometry import move_to_map, turn_to_map
+from pedzoo.geometry import move_to_map, turn_to_scene
 from pedzoo.maps.boxes import merge_cells
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
@@ -26,133 +25,134 @@ FAR = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Boxes of wall and of free space of R maps, and for each place the few that can be the nearest.
+    """Boxes of wall and of free space of R maps, and for each place the few of them that can be the nearest.
 
-    Places are looked up on a lattice of half cells, the outermost ``max_distance`` beyond the map: the nearest
-    box of a lattice point is stored there, and around a position the boxes of the nearest lattice points are
-    compared. Lattice points see corners and edges of squares exactly, because those are lattice points, too.
+    Each map is padded by ``max_distance``. On a lattice of half cells the nearest box of every lattice point
+    is known; for a position the boxes of the four lattice points around it are compared. Corners and middles
+    of cells are lattice points themselves, which makes this exact beside walls; farther away a fifth box may
+    be nearer by a small fraction of a cell.
 
     Attributes:
-        box: Boxes of all maps (M, 4) float64, x0, y0, x1, y1 in cells from the outer corner of the padded map.
+        box: Boxes of all maps (4, M) float64: x0, y0, x1, y1 in cells from the padded map's outer corner.
         nearest: Box nearest to each lattice point, of the walls and then of the free space, one map after
             another (L,) int32.
         wall: Whether each cell of the padded maps is a wall, one map after another (C,) bool.
-        linear: Map frame in metres to cells of the padded map (R + 1, 2, 2) float64; row -1 means "no map".
-        shift: The same transform's constant part (R + 1, 2) float64.
-        size: Columns and rows of each padded map (R + 1, 2) long.
-        start: Where the map begins in ``nearest`` and in ``wall`` (R + 1, 2) long.
+        affine: Map frame in metres to cells of the padded map: column by column a matrix's two rows and two
+            shifts (6, R + 1) float64; row -1 means "no map".
+        place: Columns and rows of each padded map, where it begins in ``nearest`` and in ``wall``
+            (4, R + 1) long.
         resolution: Side of a cell in metres (R + 1,) float64.
-        max_distance: Distances are clipped to plus and minus this, metres.
+        limit: Distances are clipped to plus and minus this, metres () float64.
     """
 
     box: Tensor
     nearest: Tensor
     wall: Tensor
-    linear: Tensor
-    shift: Tensor
-    size: Tensor
-    start: Tensor
+    affine: Tensor
+    place: Tensor
     resolution: Tensor
-    max_distance: float
+    limit: Tensor
 
     @classmethod
     def of(cls, grids: Sequence[OccupancyGrid], unknown: Unknown, max_distance: float) -> Walls:
         """Return the walls of ``grids``, with unknown cells counted as walls or as free."""
-        box, nearest, wall, size, start = [], [], [], [], []
-        # Whoever is farther out than the padding has no wall within max_distance.
+        # Whoever is farther out than the padding has no wall within max_distance. "No map" is a last map of
+        # one free cell that every position falls on: index -1 finds it.
         pads = [math.ceil(max_distance / grid.resolution) for grid in grids]
-        # "No map" is a last map of one free cell that every position falls on: index -1 finds it.
-        plans = [(grid.occupied(unknown), pad) for grid, pad in zip(grids, pads, strict=True)]
-        plans.append((np.zeros((1, 1), dtype=bool), 0))
-        for cells, pad in plans:
-            cells = np.pad(cells, pad)
-            start.append((sum(map(len, nearest)), sum(map(len, wall))))
+        plans = [np.pad(grid.occupied(unknown), pad) for grid, pad in zip(grids, pads, strict=True)]
+        plans.append(np.zeros((1, 1), dtype=bool))
+        box, nearest, wall, place = [], [], [], []
+        for cells in plans:
+            place.append((*cells.shape[::-1], sum(map(len, nearest)), sum(map(len, wall))))
             for side in (cells, ~cells):
                 parts, labels = _nearest_box(side)
-                nearest.append(labels.ravel() + sum(map(len, box)))
+                nearest.append((labels + sum(map(len, box))).astype(np.int32).ravel())
                 box.append(parts)
             wall.append(cells.ravel())
-            size.append(cells.shape[::-1])
-        affine = [grid.map_to_cell() + [[0, 0, pad + 0.5]] for grid, pad in zip(grids, pads, strict=True)]
-        affine = np.stack([*affine, np.zeros((2, 3))])
+        affine = np.zeros((6, len(plans)))
+        for row, (grid, pad) in enumerate(zip(grids, pads, strict=True)):
+            to_cell = grid.map_to_cell()
+            affine[:, row] = [*to_cell[0, :2], *to_cell[1, :2], *(to_cell[:, 2] + pad + 0.5)]
         return cls(
-            box=torch.from_numpy(np.concatenate(box)),
-            nearest=torch.from_numpy(np.concatenate(nearest).astype(np.int32)),
+            box=torch.from_numpy(np.concatenate(box).T.copy()),
+            nearest=torch.from_numpy(np.concatenate(nearest)),
             wall=torch.from_numpy(np.concatenate(wall)),
-            linear=torch.from_numpy(affine[:, :, :2].copy()),
-            shift=torch.from_numpy(affine[:, :, 2].copy()),
-            size=torch.tensor(size),
-            start=torch.tensor(start),
+            affine=torch.from_numpy(affine),
+            place=torch.tensor(place).T.contiguous(),
             resolution=torch.tensor([*(grid.resolution for grid in grids), 1.0], dtype=torch.float64),
-            max_distance=max_distance,
+            limit=torch.tensor(max_distance, dtype=torch.float64),
         )
 
     def to(self, device: torch.device | str) -> Walls:
         """Return the walls on a device: themselves where they are there already."""
         if self.box.device == torch.device(device):
             return self
-        parts = (self.box, self.nearest, self.wall, self.linear)
-        parts += (self.shift, self.size, self.start, self.resolution)
-        return Walls(*(part.to(device) for part in parts), max_distance=self.max_distance)
+        return Walls(**{part.name: getattr(self, part.name).to(device) for part in fields(self)})
 
     def closest(self, points: Tensor, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distance to the nearest wall and the direction in which it grows.
 
-        Computed in float64 and returned in the type of ``points``; the gradient of the distance with respect
-        to ``points`` is ``away``. See `MapBank.closest_wall`.
+        Computed in float64, returned in the type of ``points``; the gradient of the distance with respect to
+        ``points`` is the direction. See `MapBank.closest_wall`.
 
         Args:
             points: Scene positions (N, ..., 2), metres.
             row: Which map (N,) long, -1 for none.
             pose: Scene poses (N, 4).
+
+        Returns:
+            Distance (N, ...) and direction (N, ..., 2).
         """
         with torch.no_grad():
-            distance, away = self._look(points.double().view(len(points), -1, 2), row, pose.double())
+            row, exact = row % self.place.shape[1], pose.double()
+            flat = points.double().reshape(len(points), math.prod(points.shape[1:-1]), 2)
+            distance, away = self._look(move_to_map(flat, exact), row)
             distance = distance.view(points.shape[:-1]).to(points.dtype)
-            away = away.view(points.shape).to(points.dtype)
+            away = turn_to_scene(away, exact).view(points.shape).to(points.dtype)
         if points.requires_grad:
             distance = distance + ((points - points.detach()) * away).sum(dim=-1)
         return distance, away
 
-    def _look(self, points: Tensor, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        # Pose and map together are one affine per entry, from the scene to cells of the padded map.
-        turn = turn_to_map(torch.eye(2, dtype=pose.dtype, device=pose.device).expand(len(pose), 2, 2), pose)
-        home = move_to_map(pose.new_zeros(len(pose), 2), pose)
-        linear = self.linear[row]
-        shift = self.shift[row] + (linear @ home.unsqueeze(2)).squeeze(2)
-        linear = turn @ linear.transpose(1, 2)  # (N, from scene axis, to cell axis)
-        place = (points.unsqueeze(3) * linear.unsqueeze(1)).sum(dim=2) + shift.unsqueeze(1)
+    def _look(self, points: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        # The same for map-frame positions (N, K, 2). Coordinates are handled one by one: on the CPU that is
+        # several times faster than pairs of them.
+        xx, xy, yx, yy, shift_x, shift_y = self.affine.index_select(1, row).unsqueeze(2)
+        x, y = points.unbind(2)
+        x, y = xx * x + xy * y + shift_x, yx * x + yy * y + shift_y
+        columns, lines, lattice, cells = self.place.index_select(1, row).unsqueeze(2)
+        zero = torch.zeros_like(columns)
+        column = (x * 2).long().clamp(zero, 2 * columns - 1)
+        line = (y * 2).long().clamp(zero, 2 * lines - 1)
+        inside = _at(self.wall, cells + (line >> 1) * columns + (column >> 1))
 
-        size, start = self.size[row].unsqueeze(1), self.start[row].unsqueeze(1)
-        zero = torch.zeros_like(size)
-        half = (place * 2).floor().long().clamp(zero, 2 * size - 1)
-        column, line = (half // 2).unbind(2)
-        inside = self.wall[start[..., 1] + line * size[..., 0] + column]
+        # the boxes of the other kind that are nearest to the four lattice points around
+        stride = 2 * columns + 1
+        first = lattice + line * stride + column + inside * (stride * (2 * lines + 1))
+        around = _at(self.nearest, torch.stack((first, first + 1, first + stride, first + stride + 1)))
+        beyond_x = torch.maximum(_at(self.box[0], around) - x, x - _at(self.box[2], around)).clamp_min(0)
+        beyond_y = torch.maximum(_at(self.box[1], around) - y, y - _at(self.box[3], around)).clamp_min(0)
+        squared, best = (beyond_x.square() + beyond_y.square()).min(dim=0)
+        x0, y0, x1, y1 = self.box.index_select(1, around.gather(0, best[None]).view(-1)).view(4, *x.shape)
 
-        # the four lattice points around, each with the box of the other kind that is nearest to it
-        stride = 2 * size[..., 0] + 1
-        count = stride * (2 * size[..., 1] + 1)
-        first = start[..., 0] + inside * count + half[..., 1] * stride + half[..., 0]
-        around = torch.stack((first, first + 1, first + stride, first + stride + 1), dim=-1)
-        box = F.embedding(self.nearest[around], self.box)
-        here = place.unsqueeze(2)
-        offset = here - here.clamp(box[..., :2], box[..., 2:])
-        squared, best = offset.square().sum(dim=-1).min(dim=-1)
-        best = best[..., None, None]
-        offset = offset.take_along_dim(best, dim=2).squeeze(2)
         depth = squared.sqrt()
+        dx, dy = x - x.clamp(x0, x1), y - y.clamp(y0, y1)
+        # On the very edge of a box the direction is square to that edge.
+        edge = depth == 0
+        along_x = torch.maximum(x0 - x, x - x1) >= torch.maximum(y0 - y, y - y1)
+        dx = torch.where(edge, along_x * (2 * x - x0 - x1).sign(), dx / depth)
+        dy = torch.where(edge, ~along_x * (2 * y - y0 - y1).sign(), dy / depth)
 
-        # On the very edge of a box the direction is that of the edge.
-        box = box.take_along_dim(best, dim=2).squeeze(2)
-        beyond = torch.maximum(box[..., :2] - place, place - box[..., 2:])
-        normal = F.one_hot(beyond.argmax(dim=-1), 2) * (place * 2 - box[..., :2] - box[..., 2:]).sign()
-        away = torch.where(depth.unsqueeze(2) > 0, offset / depth.unsqueeze(2), normal)
+        resolution = self.resolution.index_select(0, row).unsqueeze(1)
+        sign = 1 - 2 * inside.double()
+        distance = depth * resolution
+        scale = torch.where(distance < self.limit, sign * resolution, 0)
+        away = torch.stack(((xx * dx + yx * dy) * scale, (xy * dx + yy * dy) * scale), dim=2)
+        return distance.minimum(self.limit) * sign, away
 
-        sign = torch.where(inside, -1.0, 1.0)
-        distance = depth * self.resolution[row].unsqueeze(1)
-        reached = (distance < self.max_distance) * sign
-        away = (away.unsqueeze(2) * linear.unsqueeze(1)).sum(dim=3) * self.resolution[row].view(-1, 1, 1)
-        return distance.clamp_max(self.max_distance) * sign, away * reached.unsqueeze(2)
+
+def _at(values: Tensor, index: Tensor) -> Tensor:
+    # values[index], several times faster on the CPU
+    return values.index_select(0, index.view(-1)).view(index.shape)
 
 
 def _nearest_box(cells: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
