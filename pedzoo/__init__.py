@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pedzoo.models.zoo import list_models as list_models
     from pedzoo.models.zoo import load as load
+    from pedzoo.sim.make import make_env as make_env
 
 __version__ = "0.1.0"
 
-_HOME = {"load": "pedzoo.models.zoo", "list_models": "pedzoo.models.zoo"}
+_HOME = {
+    "load": "pedzoo.models.zoo",
+    "list_models": "pedzoo.models.zoo",
+    "make_env": "pedzoo.sim.make",
+}
 
 
 def __getattr__(name: str) -> Any:

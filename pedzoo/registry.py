@@ -106,3 +106,5 @@ def _class_in_file(spec: str) -> type:
 
 MODELS = Registry("model", "pedzoo.models.architectures")
 DATASETS = Registry("dataset", "pedzoo.data.datasets")
+SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios")
+POLICIES = Registry("policy", "pedzoo.sim.policies")

@@ -39,3 +39,18 @@ GoalProtocol = Literal["none", "window_end", "destination", "random_future"]
 
 Clock = Literal["benchmark", "true"]
 """``benchmark``: every annotated step counts as 0.4 s; ``true``: resampled to a real 0.4 s."""
+
+PRED_LEN = 8
+"""Predicted steps that a short-term goal lies ahead in simulation: 3.2 s."""
+
+TRACE_SECONDS = 0.1
+"""Contacts, goals and closed-loop metrics are evaluated on positions this far apart, whatever a decision takes."""
+
+BODY_RADIUS = 0.15
+"""Metres: people touch when their centres are closer than two of it, walls when closer than one (iGibson's 0.3)."""
+
+GOAL_RADIUS = 0.3
+"""Metres: a goal is reached within it (iGibson's)."""
+
+TOP_SPEED_RATIO = 1.3
+"""Nobody walks faster than this many times the speed they like."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import torch
 from tensordict import TensorDict
@@ -12,18 +12,23 @@ from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.types import GoalProtocol
 
+if TYPE_CHECKING:
+    from pedzoo.models.walker import Noise, Walker
+
 
 class Forecaster(nn.Module):
     """A model of the zoo.
 
     Attributes:
         needs: What it reads besides histories: ``goal``, ``map``.
+        noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
 
     needs: frozenset[str] = frozenset()
     stochastic: ClassVar[bool] = True
+    noise_dim: int = 0
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 
@@ -37,12 +42,31 @@ class Forecaster(nn.Module):
         """Return the one most likely future (B, 1, A, T, 2)."""
         return self.sample(batch, 1, steps)
 
-    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
-        """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
-        raise UserError(f"{type(self).__name__} has nothing to train")
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the first ``steps`` of one future of ``horizon`` steps (B, A, steps, 2): what is walked.
+
+        Args:
+            batch: Scenes.
+            noise: Everybody's noise (B, A, noise_dim); None for the most likely future. A stochastic model
+                that takes no noise draws its own.
+            steps: Steps that are wanted.
+            horizon: Steps that the short-term goal lies ahead.
+        """
+        future = self.sample(batch, 1, horizon) if noise is not None else self.mode(batch, horizon)
+        return future[:, 0, :, :steps]
 
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans that ``map_id`` speaks of; only map-conditioned models use them."""
+
+    def policy(self, noise: Noise = "episode", execute_steps: int = 1) -> Walker:
+        """Return the model as a TorchRL policy; arguments as `pedzoo.models.walker.Walker`."""
+        from pedzoo.models.walker import Walker
+
+        return Walker(self, noise, execute_steps)
+
+    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+        """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
+        raise UserError(f"{type(self).__name__} has nothing to train")
 
 
 def agents_of(batch: TensorDict) -> TensorDict:

@@ -215,7 +215,7 @@ class SGAN(Forecaster):
         hidden = torch.cat((context, z.flatten(0, 1)), 1)
         path = self.decoder(hidden, first, steps, folded.first, folded.decoder)
         path = frames.out_of(encoded.heading, path.view(samples, people, steps, 2))
-        return path if encoded.base is None else path + encoded.base
+        return path if encoded.base is None else path + encoded.base[:, :steps]
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
@@ -233,6 +233,17 @@ class SGAN(Forecaster):
         zero = encoded.context.new_zeros(1, len(encoded.context), self.noise_dim)
         path = self.decode(encoded, zero, steps, folded)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the first steps of one future (B, A, steps, 2); no others are decoded."""
+        folded = self._kept(self)
+        encoded = self.encode(batch, horizon, folded)
+        if noise is None:
+            z = encoded.context.new_zeros(len(encoded.context), self.noise_dim)
+        else:
+            z = encoded.crowd.pack(noise)
+        path = self.decode(encoded, z.unsqueeze(0), steps, folded)
+        return encoded.crowd.unpack(path[0])
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the variety loss, summed over scenes."""

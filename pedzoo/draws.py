@@ -1,0 +1,94 @@
+"""Random numbers by counter: what a scene draws depends on its seed and number alone.
+
+A stream of numbers would make a scene depend on how many others were drawn before it. Here every number
+is a hash of (seed, episode, what it is for, index): the same for every batch size, device and number of
+workers, and any of them can be drawn again at any time (Salmon et al., "Parallel random numbers: as easy
+as 1, 2, 3", SC 2011; the mixing function is SplitMix64's, Steele et al., OOPSLA 2014).
+"""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+import torch
+from torch import Tensor
+
+
+def _signed(value: int) -> int:
+    return value - 2**64 if value >= 2**63 else value
+
+
+_GOLDEN = _signed(0x9E3779B97F4A7C15)
+_FIRST = _signed(0xBF58476D1CE4E5B9)
+_SECOND = _signed(0x94D049BB133111EB)
+
+
+def _shifted(x: Tensor, bits: int) -> Tensor:
+    """Shift right, filling with zeros: torch has signed integers only."""
+    return (x >> bits) & (2 ** (64 - bits) - 1)
+
+
+def mix(x: Tensor) -> Tensor:
+    """Return a hash of every int64: each bit of it depends on each bit of ``x``."""
+    x = (x ^ _shifted(x, 30)) * _FIRST
+    x = (x ^ _shifted(x, 27)) * _SECOND
+    return x ^ _shifted(x, 31)
+
+
+def join(key: Tensor, *parts: Tensor | int | str) -> Tensor:
+    """Return keys of their own for ``key`` int64 and anything that broadcasts against it."""
+    for part in parts:
+        number = crc32(part.encode()) if isinstance(part, str) else part
+        key = mix((key + _GOLDEN) ^ mix(torch.as_tensor(number, device=key.device) * _GOLDEN + 1))
+    return key
+
+
+def uniform(key: Tensor) -> Tensor:
+    """Return float32 numbers in (0, 1), one per key."""
+    return (_shifted(key, 40).to(torch.float32) + 0.5) / 2**24
+
+
+def normal(key: Tensor) -> Tensor:
+    """Return float32 numbers from the standard normal distribution, one per key."""
+    return torch.special.ndtri((_shifted(key, 24).to(torch.float64) + 0.5) / 2**40).to(torch.float32)
+
+
+class Draws:
+    """The random numbers of B scenes.
+
+    Attributes:
+        key: One key per scene (B,) int64: scene ``episode`` of ``seed``.
+    """
+
+    def __init__(self, key: Tensor) -> None:
+        """Take the scenes' keys; see `of`."""
+        self.key = key
+
+    @classmethod
+    def of(cls, seed: int, episode: Tensor) -> Draws:
+        """Return the numbers of the scenes ``episode`` (B,) long of a seed."""
+        return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode))
+
+    def keys(self, what: str, *shape: int) -> Tensor:
+        """Return keys (B, *shape). A larger first dimension keeps the numbers of a smaller one."""
+        size = 1
+        for length in shape:
+            size *= length
+        index = torch.arange(size, device=self.key.device)
+        return join(self.key.unsqueeze(1), what, index).view(len(self.key), *shape)
+
+    def uniform(self, what: str, *shape: int) -> Tensor:
+        """Return numbers (B, *shape) in (0, 1)."""
+        return uniform(self.keys(what, *shape))
+
+    def normal(self, what: str, *shape: int) -> Tensor:
+        """Return numbers (B, *shape) from the standard normal distribution."""
+        return normal(self.keys(what, *shape))
+
+    def whole(self, what: str, count: int, *shape: int) -> Tensor:
+        """Return whole numbers (B, *shape) long from 0 to ``count - 1``."""
+        return (self.uniform(what, *shape) * count).long().clamp_max(count - 1)
+
+    def at(self, what: str, *index: Tensor) -> Tensor:
+        """Return one number (B,) in (0, 1) per scene, the one at ``index``, each (B,) long."""
+        return uniform(join(self.key, what, *index))

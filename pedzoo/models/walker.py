@@ -1,0 +1,102 @@
+"""Any forecaster as a policy: asked for one next move at a time, it walks."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+from pedzoo import draws
+from pedzoo.errors import UserError, unknown
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.base import Forecaster
+from pedzoo.types import PRED_LEN, STEP_SECONDS
+
+Noise = Literal["episode", "step", "scene"]
+
+_DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+class Walker(TensorDictModuleBase):
+    """Predicts everybody's future from a scene batch and walks its first step: displacement / 0.4 s.
+
+    Under a deterministic exploration type of TorchRL the noise is zero. Else it is drawn by the scene's
+    key: the same scene gets the same noise in every batch and on every worker.
+
+    Attributes:
+        model: The forecaster.
+        decision_dt: Seconds between decisions; no other are possible.
+    """
+
+    decision_dt = STEP_SECONDS
+
+    def __init__(
+        self,
+        model: Forecaster,
+        noise: Noise = "episode",
+        execute_steps: int = 1,
+    ) -> None:
+        """Take a forecaster.
+
+        Args:
+            model: The forecaster; map-conditioned ones need `bind`.
+            noise: Drawn for each person once per ``episode``, at every ``step``, or once for all people of
+                a ``scene`` (as Social GAN was trained).
+            execute_steps: How many steps of a prediction are walked before the next one is asked for.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        super().__init__()
+        if noise not in get_args(Noise):
+            raise unknown("noise", noise, get_args(Noise))
+        if not 1 <= execute_steps <= PRED_LEN:
+            raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
+        self.model, self.noise, self.execute_steps = model, noise, execute_steps
+        self.in_keys = ["agents", "map_id", "scene_pose", "scene_key", "time"]
+        self.out_keys = [("agents", "action")]
+        self._plan: Tensor | None = None
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans that ``map_id`` speaks of."""
+        self.model.bind(bank)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write everybody's velocity (B, A, 2), m/s."""
+        if self.execute_steps == 1:
+            step = self._predicted(tensordict, 1)[..., 0, :]
+        else:
+            step = self._planned(tensordict)
+        tensordict["agents", "action"] = step / STEP_SECONDS
+        return tensordict
+
+    def _planned(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the running plan's step (B, A, 2), of a new plan where one is over or an episode begins."""
+        place = (tensordict["time"][:, 0] / STEP_SECONDS).round().long() % self.execute_steps
+        over = (place == 0).view(-1, 1, 1, 1)
+        if self._plan is None or bool(over.any()):
+            plan = self._predicted(tensordict, self.execute_steps)
+            self._plan = plan if self._plan is None else torch.where(over, plan, self._plan)
+        return self._plan[torch.arange(len(place), device=place.device), :, place]
+
+    def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
+        return self.model.next_steps(tensordict, self._drawn(tensordict), steps, PRED_LEN)
+
+    def _drawn(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Return the noise (B, A, noise_dim), None for none."""
+        if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
+            return None
+        mask = tensordict["agents", "mask"]
+        agent = tensordict.get(("agents", "id"), None)
+        if agent is None:
+            agent = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
+        who = torch.zeros_like(agent) if self.noise == "scene" else agent
+        key = draws.join(tensordict["scene_key"], "noise", who)
+        if self.noise == "step":
+            key = draws.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
+        dims = torch.arange(self.model.noise_dim, device=mask.device)
+        return draws.normal(draws.join(key.unsqueeze(-1), dims))

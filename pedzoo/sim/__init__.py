@@ -1,0 +1,1 @@
+"""The environment: dynamics, worlds, scenarios and policies."""

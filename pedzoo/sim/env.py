@@ -1,0 +1,199 @@
+"""The scene as a TorchRL environment: people who walk through a building, B scenes at once."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planner import Guidance
+from pedzoo.sim import specs
+from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.simulation import Outcome, Simulation
+from pedzoo.sim.state import State
+from pedzoo.sim.warm_start import WarmStart
+from pedzoo.sim.worlds.base import World
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+
+
+class PedestrianEnv(EnvBase):
+    """A policy decides everybody's velocity, people walk, and a world says whom and what they touch.
+
+    Keys as in `pedzoo.types`, with ``action`` (m/s) and ``reward`` under ``agents``, and under
+    ``agents/info`` what closed-loop metrics are made of: ``trace``, ``agent_contact``, ``wall_contact`` and
+    ``reached`` of every 0.1 s since the last decision (see `Outcome`), ``late`` and ``way`` (see `State`).
+
+    The reward is the way that got shorter, in metres, less `pedzoo.sim.simulation.CONTACT_COST` where
+    something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
+
+    Attributes:
+        policy_name: What warnings call whoever decides.
+    """
+
+    policy_name = "the policy"
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        world: World,
+        num_envs: int = 1,
+        seed: int = 0,
+        decision_dt: float = STEP_SECONDS,
+        warm_start: WarmStart = "orca",
+        first_episode: int = 0,
+        stride: int | None = None,
+        body_radius: float = BODY_RADIUS,
+    ) -> None:
+        """Take a prepared scenario and the world that watches it; `pedzoo.make_env` does both.
+
+        Args:
+            scenario: The scenario; `Scenario.prepare` was called.
+            world: Answers what is touched.
+            num_envs: B.
+            seed: Of all scenes; scene i of a seed is the same however many are run at once.
+            decision_dt: Seconds between two decisions, a multiple of 0.1.
+            warm_start: Where the first 8 observed steps come from.
+            first_episode: Number of the first scene.
+            stride: A scene that ends is followed by the one this many numbers on: ``num_envs`` by default,
+                and ``num_envs`` times the number of workers where several share a seed.
+            body_radius: Of a person, metres.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        trace_points = round(decision_dt / TRACE_SECONDS)
+        if trace_points < 1 or abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
+            raise UserError(f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s")
+        if num_envs < 1:
+            raise UserError(f"num_envs {num_envs}: expected at least 1")
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
+        agents = scenario.people
+        self.scenario, self.world, self.decision_dt = scenario, world, decision_dt
+        self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
+        fine = substeps(scenario.fastest * TOP_SPEED_RATIO, body_radius)
+        self._episodes = Episodes(scenario, warm_start, fine, body_radius)
+        self._simulation = Simulation(scenario, world, trace_points, fine, body_radius)
+        self._first, self._stride = first_episode, num_envs if stride is None else stride
+        self._state: State | None = None
+        self._set_seed(seed)
+        self.observation_spec = specs.observation(num_envs, agents, trace_points)
+        self.action_spec = specs.action(num_envs, agents)
+        self.reward_spec = specs.reward(num_envs, agents)
+        self.done_spec = specs.done(num_envs)
+
+    @property
+    def bank(self) -> MapBank:
+        """The floor plans, for models and policies that look at them."""
+        return self.scenario.bank
+
+    @property
+    def state(self) -> State:
+        """All that is known about the scenes now.
+
+        Raises:
+            UserError: `reset` was never called.
+        """
+        if self._state is None:
+            raise UserError("the environment has no scenes yet: call reset() first")
+        return self._state
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._seed = seed or 0
+        self._number = self._first + torch.arange(self.batch_size[0])
+        self._ahead: State | None = None
+        self._used = torch.ones(self.batch_size[0], dtype=torch.bool)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        flags = None if tensordict is None else tensordict.get("_reset", None)
+        everybody = torch.arange(self.batch_size[0])
+        if flags is None or self._state is None or bool(flags.all()):
+            self._state = self._next(everybody)
+        elif bool(flags.any()):
+            rows = flags.view(-1).nonzero().view(-1)
+            self._state = self._state.with_rows(rows, self._next(rows))
+        return self._observation(self._state, self._simulation.guide(self._state))
+
+    def _next(self, rows: Tensor) -> State:
+        """Return the next episodes of some rows.
+
+        A warm start costs as much for one scene as for a hundred. So when a row asks for an episode that is
+        not there, those of all rows that have none are made together.
+        """
+        if self._ahead is None and len(rows) == self.batch_size[0]:
+            return self._begin(rows)
+        if self._ahead is None or bool(self._used[rows].any()):
+            empty = self._used.nonzero().view(-1)
+            made = self._begin(empty)
+            self._ahead = made if self._ahead is None else self._ahead.with_rows(empty, made)
+            self._used = torch.zeros_like(self._used)
+        self._used = self._used.index_fill(0, rows, True)
+        return self._ahead.rows(rows)
+
+    def _begin(self, rows: Tensor) -> State:
+        key = Draws.of(self._seed, self._number[rows]).key
+        self._number = self._number.index_add(0, rows, torch.full_like(rows, self._stride))
+        return self._episodes.begin(key)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        before = self.state
+        after, guidance, outcome = self._simulation.step(before, tensordict["agents", "action"])
+        if bool((after.failed & ~before.failed).any()):
+            self._warn(tensordict["agents", "action"], before, after)
+        self._state = after
+        result = self._observation(after, guidance, outcome)
+        result["agents", "reward"] = outcome.reward.unsqueeze(-1)
+        result["terminated"] = outcome.terminated.unsqueeze(1)
+        result["truncated"] = outcome.truncated.unsqueeze(1)
+        result["done"] = result["terminated"] | result["truncated"]
+        return result
+
+    def _warn(self, action: Tensor, before: State, after: State) -> None:
+        scene = int((after.failed & ~before.failed).nonzero()[0])
+        agent = int((~action[scene].isfinite().all(-1) & before.mask[scene]).nonzero()[0])
+        warnings.warn(
+            f"{self.policy_name} gave the action {action[scene, agent].tolist()} for agent {agent} of scene "
+            f"{scene}: the scene ends as failed, others go on",
+            stacklevel=2,
+        )
+
+    def _observation(self, state: State, guidance: Guidance, outcome: Outcome | None = None) -> TensorDict:
+        scenes, agents = state.mask.shape
+        points = self._simulation.trace_points
+        nothing = torch.zeros(scenes, agents, points, dtype=torch.bool)
+        info = {
+            "trace": outcome.trace if outcome else state.past[:, :, -points:].clone(),
+            "agent_contact": outcome.agent_contact if outcome else nothing,
+            "wall_contact": outcome.wall_contact if outcome else nothing.clone(),
+            "reached": outcome.reached if outcome else state.reached.unsqueeze(-1).repeat(1, 1, points),
+            "late": state.late,
+            "way": state.way,
+        }
+        people = {
+            "history": state.history.clone(),
+            "valid": torch.ones_like(state.mask).unsqueeze(-1).repeat(1, 1, state.history.shape[2]),
+            "velocity": state.velocity,
+            "pref_speed": state.pref_speed.unsqueeze(-1),
+            "goal": guidance.goal,
+            "desired_velocity": guidance.desired_velocity,
+            "mask": state.mask,
+            "controlled": state.mask.clone(),
+            "info": TensorDict(info, (scenes, agents)),
+        }
+        scene = {
+            "agents": TensorDict(people, (scenes, agents)),
+            "map_id": state.map_id.unsqueeze(1),
+            "scene_pose": state.pose,
+            "scene_key": state.key.unsqueeze(1),
+            "time": state.clock.unsqueeze(1),
+            "failed": state.failed.unsqueeze(1),
+        }
+        return TensorDict(scene, (scenes,))

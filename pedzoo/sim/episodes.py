@@ -1,0 +1,104 @@
+"""How scenes begin: a layout, the warm start, the first goals."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.errors import unknown
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.planner import Look
+from pedzoo.maps.segments import WallSegments
+from pedzoo.sim import warm_start as warm
+from pedzoo.sim.arrival import arrived, deadline, renewed
+from pedzoo.sim.scenario import Layout, Scenario
+from pedzoo.sim.state import State
+from pedzoo.types import TRACE_SECONDS
+
+
+class Episodes:
+    """Makes the first state of any episode of a scenario, for as many at once as are asked for."""
+
+    def __init__(
+        self, scenario: Scenario, warm_start: warm.WarmStart, substeps: int, body_radius: float
+    ) -> None:
+        """Take a prepared scenario.
+
+        Args:
+            scenario: The scenario; `Scenario.prepare` was called.
+            warm_start: Where the first observed steps come from.
+            substeps: Of every 0.1 s.
+            body_radius: Of a person, metres.
+
+        Raises:
+            UserError: There is no such warm start.
+        """
+        if warm_start not in get_args(warm.WarmStart):
+            raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
+        self._scenario, self._warm_start = scenario, warm_start
+        self._substeps, self._body_radius = substeps, body_radius
+        self._walls = WallSegments(scenario.bank)
+
+    @torch.no_grad()
+    def begin(self, key: Tensor) -> State:
+        """Return the first state of the episodes with draws of ``key`` (B,) long."""
+        layout = self._scenario.layout(Draws(key))
+        pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
+        goal, drawn = layout.goal, torch.zeros_like(layout.goal)
+        if self._warm_start == "static":
+            past = warm.standing(layout)
+        elif self._warm_start == "recorded":
+            past = warm.recorded(layout)
+        else:
+            past, goal, drawn = self._rolled(key, layout, pose)
+        position = past[:, :, -1]
+        look = self._look(position, goal, layout, pose)
+        way = look.distance.view_as(layout.pref_speed)
+        clock = way.new_zeros(len(key))
+        return State(
+            key=key,
+            map_id=layout.map_id,
+            pose=pose,
+            clock=clock,
+            failed=torch.zeros_like(clock, dtype=torch.bool),
+            mask=layout.mask,
+            past=past,
+            velocity=(position - past[:, :, -2]) / TRACE_SECONDS,
+            pref_speed=layout.pref_speed,
+            goal_id=goal,
+            goal_point=look.goal_point.view_as(position),
+            drawn=drawn,
+            reached=torch.zeros_like(goal),
+            deadline=deadline(clock, way, layout.pref_speed),
+            late=torch.zeros_like(layout.mask),
+            way=way,
+        )
+
+    def _rolled(self, key: Tensor, layout: Layout, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the past (B, A, 29, 2), and the goals and how many were drawn (B, A) at its end."""
+        drawn = torch.zeros_like(layout.goal)
+
+        def renew(path: Tensor, goal: Tensor) -> Tensor:
+            """Replace goals that are passed already: nothing counts before the episode begins."""
+            nonlocal drawn
+            point = self._look(path[:, :, -1], goal, layout, pose).goal_point.view_as(path[:, :, -1])
+            hit = arrived(path.unsqueeze(3), point, layout.mask & (goal >= 0))[..., -1]
+            fresh, drawn = renewed(self._scenario, key, goal, drawn, hit)
+            return torch.where(fresh >= 0, fresh, goal)
+
+        past, goal = warm.rolled(
+            layout, pose, self._scenario.planner, self._walls, self._substeps, self._body_radius, renew
+        )
+        return past, goal, drawn
+
+    def _look(self, position: Tensor, goal: Tensor, layout: Layout, pose: Tensor) -> Look:
+        agents = position.shape[1]
+        return self._scenario.planner.look(
+            position.flatten(0, 1),
+            goal.flatten(),
+            layout.map_id.repeat_interleave(agents),
+            pose.repeat_interleave(agents, 0),
+        )

@@ -1,0 +1,1 @@
+"""Policies that are no forecasters: one file each, found by its name."""

@@ -1,0 +1,109 @@
+"""Baseline: optimal reciprocal collision avoidance (van den Berg et al., ISRR 2009), with or without walls."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from tensordict import TensorDictBase
+
+from pedzoo import draws
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.segments import WallSegments
+from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.sim.policy import Policy
+from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
+
+
+class Orca(Policy):
+    """Everybody takes half of the avoidance; the preferred velocity is the planner's desired one.
+
+    People who have the same preferred velocity and are each other's mirror image stop for ever: a small
+    ``jitter`` of the preferred velocity, usual with RVO2, frees most of them.
+    """
+
+    def __init__(
+        self,
+        radius: float | None = None,
+        walls: bool = True,
+        dt: float = TRACE_SECONDS,
+        jitter: float = 0.02,
+        preset: Literal["pedzoo", "igibson"] = "pedzoo",
+        neighbor_dist: float | None = None,
+        max_neighbors: int | None = None,
+        time_horizon: float | None = None,
+        time_horizon_obst: float | None = None,
+        max_obstacles: int | None = None,
+        top_speed_ratio: float = TOP_SPEED_RATIO,
+    ) -> None:
+        """Set the constants; what is not given is the preset's.
+
+        Args:
+            radius: Of everybody's disk, metres.
+            walls: Whether walls are avoided. iGibson's ORCA never sees them.
+            dt: Seconds between decisions.
+            jitter: Standard deviation of noise on the preferred velocity, m/s.
+            preset: ``pedzoo``, or ``igibson`` for the constants of iGibson's social navigation.
+            neighbor_dist: Metres from which on others are ignored.
+            max_neighbors: So many nearest others are heeded.
+            time_horizon: Seconds for which velocities are safe with respect to others.
+            time_horizon_obst: And with respect to walls.
+            max_obstacles: So many nearest wall segments are heeded.
+            top_speed_ratio: Top speed, divided by the preferred one.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        super().__init__(dt)
+        if jitter < 0 or top_speed_ratio <= 0:
+            raise UserError(f"orca: jitter {jitter}, top_speed_ratio {top_speed_ratio}: expected >= 0, > 0")
+        given = {
+            "radius": radius,
+            "neighbor_dist": neighbor_dist,
+            "max_neighbors": max_neighbors,
+            "time_horizon": time_horizon,
+            "time_horizon_obst": time_horizon_obst,
+            "max_obstacles": max_obstacles,
+        }
+        changes = {key: value for key, value in given.items() if value is not None}
+        self.settings = OrcaSettings.preset(preset, time_step=dt, **changes)
+        self.jitter, self.top_speed_ratio = jitter, top_speed_ratio
+        self._sees_walls = walls
+        self._walls: WallSegments | None = None
+        self.in_keys = [*self.in_keys, "scene_key", "time"]
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans whose walls are avoided."""
+        self._walls = WallSegments(bank) if self._sees_walls else None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write everybody's velocity."""
+        agents = tensordict["agents"]
+        position, mask = agents["history"][:, :, -1], agents["mask"]
+        scenes, slots = mask.shape
+        top_speed = agents["pref_speed"][..., 0] * self.top_speed_ratio
+        wanted = agents["desired_velocity"]
+        if self.jitter:
+            step = (tensordict["time"] / TRACE_SECONDS).round().long()
+            index = torch.arange(slots * 2, device=mask.device)
+            key = draws.join(tensordict["scene_key"], "orca", step, index)
+            wanted = wanted + self.jitter * draws.normal(key).view(scenes, slots, 2)
+        walls = None
+        if self._walls is not None:
+            map_id = tensordict["map_id"].expand(scenes, slots).flatten()
+            pose = tensordict["scene_pose"].repeat_interleave(slots, 0)
+            walls = self._walls.near(position.flatten(0, 1), map_id, pose, self.settings, top_speed.flatten())
+        velocity = orca_velocity(
+            position,
+            agents["velocity"],
+            wanted,
+            top_speed,
+            mask,
+            self.settings,
+            walls,
+            passive=mask & ~agents["controlled"],
+        )
+        tensordict["agents", "action"] = velocity
+        return tensordict

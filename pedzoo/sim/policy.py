@@ -1,0 +1,49 @@
+"""What every policy is, and how one is made from its name."""
+
+from __future__ import annotations
+
+from tensordict.nn import TensorDictModuleBase
+
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.walker import Walker
+from pedzoo.models.zoo import load
+from pedzoo.registry import POLICIES
+from pedzoo.spec import build, make, parse
+
+
+class Policy(TensorDictModuleBase):
+    """Reads a scene batch and writes everybody's velocity (B, A, 2) in m/s to ``agents/action``.
+
+    Attributes:
+        decision_dt: Seconds between its decisions.
+    """
+
+    decision_dt: float
+
+    def __init__(self, decision_dt: float) -> None:
+        """Say how often it decides."""
+        super().__init__()
+        self.decision_dt = decision_dt
+        self.in_keys = ["agents", "map_id", "scene_pose"]
+        self.out_keys = [("agents", "action")]
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans that ``map_id`` speaks of."""
+
+
+def load_policy(name: str) -> Policy | Walker:
+    """Return a policy of the registry, or any model as one.
+
+    Args:
+        name: ``orca:radius=0.3``, a zoo name, checkpoint or ``file.py:Class`` with settings of `Walker`
+            (``sgan_goal.zara1:noise=step``).
+
+    Raises:
+        UserError: Unknown name or setting; the message has the nearest spelling.
+    """
+    spec = parse(name)
+    if spec.name in POLICIES.names():
+        return build(POLICIES, name, Policy)
+    if ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy):
+        return build(POLICIES, name, Policy)
+    return make(Walker, "walker", spec.name, spec.settings, model=load(spec.name))

@@ -1,0 +1,119 @@
+"""What every scenario is: floor plans, and who starts where, how fast and to which goals."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.planner import Planner
+from pedzoo.types import STEP_SECONDS
+
+SLOWEST = 0.3
+"""m/s: nobody likes to walk slower."""
+
+WARM_SECONDS = 7 * STEP_SECONDS
+"""Duration of the warm start: with the start itself it fills the 8 observed steps."""
+
+
+class Layout(NamedTuple):
+    """How B scenes begin.
+
+    Attributes:
+        map_id: Floor plan (B,) long, -1 for none.
+        start: Positions before the warm start (B, A, 2), metres; anything finite where nobody is.
+        mask: Who is there (B, A) bool.
+        pref_speed: The speed that people like (B, A), m/s.
+        goal: First goals (B, A) long, as the planner numbers them.
+        pose: Scene poses (B, 4); None for scenes that lie as their map.
+        history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
+            the episode begins.
+    """
+
+    map_id: Tensor
+    start: Tensor
+    mask: Tensor
+    pref_speed: Tensor
+    goal: Tensor
+    pose: Tensor | None = None
+    history: Tensor | None = None
+
+
+class Scenario(ABC):
+    """A family of scenes. All of its randomness comes from the draws that it is given.
+
+    Attributes:
+        people: A, the largest number of people in a scene.
+        goals: Goals that everybody has to reach.
+        finished: Whoever has reached them all will ``leave`` the scene, or ``continue`` to further goals
+            until everybody has.
+        unknown: What unknown cells of the floor plans count as.
+        bank: The floor plans; there after `prepare`.
+        planner: Ways to goals; there after `prepare`.
+    """
+
+    unknown: ClassVar[Unknown] = "wall"
+    finished: Literal["leave", "continue"] = "leave"
+    goals: int = 1
+    people: int
+    bank: MapBank
+    planner: Planner
+
+    def __init__(self, people: int, speed: float = 1.3, speed_std: float = 0.2) -> None:
+        """Say how many people there are and how fast they like to walk.
+
+        Args:
+            people: At most.
+            speed: Mean of everybody's preferred speed, m/s.
+            speed_std: Its standard deviation; speeds farther than three of it from the mean are cut off.
+
+        Raises:
+            UserError: Nobody, or a speed that is too slow.
+        """
+        if people < 1:
+            raise UserError(f"people {people}: expected at least 1")
+        if speed < SLOWEST or speed_std < 0:
+            raise UserError(
+                f"speed {speed}, speed_std {speed_std}: expected at least {SLOWEST} and 0 (metres per second)"
+            )
+        self.people, self.speed, self.speed_std = people, speed, speed_std
+
+    @property
+    def fastest(self) -> float:
+        """The largest preferred speed that can be drawn, m/s."""
+        return self.speed + 3 * self.speed_std
+
+    @abstractmethod
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans, possibly none."""
+
+    @abstractmethod
+    def layout(self, draws: Draws) -> Layout:
+        """Return the beginning of the scenes of ``draws``."""
+
+    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+        """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
+
+        Args:
+            draws: One entry per person: that of their scene.
+            agent: Who they are in it (P,) long.
+            number: How many goals they have reached (P,) long.
+            last: The goal just reached (P,) long.
+        """
+        return torch.full_like(last, -1)
+
+    def prepare(self, clearance: float) -> None:
+        """Read the floor plans and find the ways to all goals, keeping ``clearance`` metres from walls."""
+        self.bank = MapBank(self.plans(), self.unknown)
+        self.planner = Planner(self.bank, clearance)
+
+    def speeds(self, draws: Draws) -> Tensor:
+        """Return everybody's preferred speed (B, A), m/s."""
+        deviation = draws.normal("speed", self.people).clamp(-3, 3) * self.speed_std
+        return (self.speed + deviation).clamp_min(SLOWEST)

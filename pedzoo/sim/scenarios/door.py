@@ -1,0 +1,97 @@
+"""People meet at a narrow door from both sides (experiment 3 of the paper on iGibson)."""
+
+from __future__ import annotations
+
+import torch
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plain import plan, wall
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, Scenario
+
+BEFORE = 2.5
+"""Metres from the wall at which everybody is when the warm start ends."""
+
+BEHIND = 3.0
+"""Metres of the goals behind the wall."""
+
+SPACING = 0.9
+"""Metres between people who come one behind the other."""
+
+
+class Door(Scenario):
+    """Two rooms and a door between them; people come in turn from the left and from the right.
+
+    The wall stands at x = 0 and the door in it is centred at y = 0. Without jitter two people of equal
+    speed are mirror images of each other in the door's centre.
+    """
+
+    def __init__(
+        self,
+        width: float = 0.85,
+        thickness: float = 0.15,
+        offset: float = 0.6,
+        jitter: float = 0.1,
+        people: int = 2,
+        speed: float = 1.3,
+        speed_std: float = 0.2,
+        speed_ratio: float = 1.0,
+        resolution: float = 0.05,
+    ) -> None:
+        """Set the scene.
+
+        Args:
+            width: Of the door, metres.
+            thickness: Of the wall, metres.
+            offset: Lateral distance of starts and goals from the door's axis, metres; 0 is head-on.
+            jitter: Standard deviation of the starts about it, metres.
+            people: Two, one from each side; more queue up behind them.
+            speed: Mean preferred speed, m/s.
+            speed_std: Its standard deviation.
+            speed_ratio: Speed of those from the right, divided by that of those from the left.
+            resolution: Of the floor plan, metres per cell.
+
+        Raises:
+            UserError: A setting that gives no scene.
+        """
+        super().__init__(people, speed, speed_std)
+        if speed_ratio <= 0 or jitter < 0:
+            raise UserError(f"door: speed_ratio {speed_ratio}, jitter {jitter}: expected above 0, at least 0")
+        self.width, self.thickness, self.offset, self.jitter = width, thickness, offset, jitter
+        self.speed_ratio, self.resolution = speed_ratio, resolution
+        queue = -(-people // 2) * SPACING
+        self.half_length = BEFORE + queue + WARM_SECONDS * self.fastest + 1.5
+        self.half_width = abs(offset) + 3 * jitter + 2.0
+
+    @property
+    def fastest(self) -> float:
+        """The largest preferred speed that can be drawn, m/s."""
+        return super().fastest * max(1.0, self.speed_ratio)
+
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the two rooms."""
+        x, y = (round(half + 0.5) for half in (self.half_length, self.half_width))
+        middle = wall((0.0, -y), (0.0, y), self.thickness, doors=[(float(y), self.width)])
+        return [plan((2 * x, 2 * y), self.resolution, middle, origin=(-x, -y), border=True, name="door")]
+
+    def prepare(self, clearance: float) -> None:
+        """Find the ways through the door."""
+        super().prepare(clearance)
+        points = [(side * BEHIND, sign * self.offset) for side in (1, -1) for sign in (1, -1)]
+        self._goals = self.planner.add_goals(0, torch.tensor(points, dtype=torch.float64)).view(2, 2)
+
+    def layout(self, draws: Draws) -> Layout:
+        """Return people on both sides, as far away as they walk before the episode begins."""
+        scenes, agents = len(draws.key), self.people
+        agent = torch.arange(agents, device=draws.key.device)
+        side = 2 * (agent % 2) - 1  # -1 comes from the left, 1 from the right
+        speed = self.speeds(draws)
+        speed = torch.where(side > 0, speed * self.speed_ratio, speed)
+        away = BEFORE + WARM_SECONDS * speed + SPACING * (agent // 2)
+        lateral = side * self.offset + self.jitter * draws.normal("jitter", agents).clamp(-3, 3)
+        start = torch.stack((side * away, lateral), dim=-1)
+        # everybody keeps to their side of the axis: from the left, y = -offset to y = -offset
+        goal = self._goals.to(draws.key.device)[agent % 2, 1 - agent % 2].expand(scenes, agents)
+        map_id = torch.full((scenes,), self.bank.grids[0].map_id, device=draws.key.device)
+        return Layout(map_id, start, start.new_ones(scenes, agents).bool(), speed, goal)

@@ -1,0 +1,162 @@
+"""People walk from goal to goal through a building: Table II of "Interactive Pedestrian Simulation in iGibson"."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.free_space import spread_points
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plain import plan, wall
+from pedzoo.sim.scenario import Layout, Scenario
+
+SPACING = 0.8
+"""Metres between any two starts."""
+
+NEAREST = 2.0
+"""Metres of way to the next goal, at least."""
+
+
+class Goals(Scenario):
+    """Everybody has some goals to reach, one after the other; who is finished walks on until all are.
+
+    Starts and goals are drawn from points that are spread over the largest connected part of the floor
+    plan; which points these are depends on the plan alone.
+    """
+
+    finished: Literal["leave", "continue"] = "continue"
+
+    def __init__(
+        self,
+        map: str | list[str] = "flat",
+        people: int | tuple[int, int] = 3,
+        goals: int = 3,
+        pool: int = 64,
+        speed: float = 1.3,
+        speed_std: float = 0.2,
+    ) -> None:
+        """Set the scene.
+
+        Args:
+            map: Floor plan file (ROS map yaml, iGibson's ``floor_trav_0.png``), several of them, or
+                ``flat``: the four rooms and the corridor that need no file.
+            people: How many, or the least and the largest number, ``[2,5]``.
+            goals: That everybody has to reach.
+            pool: Places among which goals are drawn, per floor plan.
+            speed: Mean preferred speed, m/s.
+            speed_std: Its standard deviation.
+
+        Raises:
+            UserError: A setting that gives no scene.
+        """
+        fewest, most = (people, people) if isinstance(people, int) else people
+        super().__init__(most, speed, speed_std)
+        if not 1 <= fewest <= most:
+            raise UserError(f"goals: people {people}: expected [fewest,most] with 1 <= fewest <= most")
+        if goals < 1 or pool < 2:
+            raise UserError(
+                f"goals: goals {goals}, pool {pool}: expected at least 1 goal, a pool of at least 2"
+            )
+        self.files = [map] if isinstance(map, str) else map
+        self.fewest, self.goals, self.pool = fewest, goals, pool
+
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans."""
+        return [flat() if name == "flat" else OccupancyGrid.load(name) for name in self.files]
+
+    def prepare(self, clearance: float) -> None:
+        """Spread places over the floor plans and find the ways to those that are goals."""
+        super().prepare(clearance)
+        places, goals = [], []
+        for row, grid in enumerate(self.bank.grids):
+            spread = torch.from_numpy(spread_points(grid, self.unknown, clearance, SPACING, seed=0))
+            if len(spread) < self.people:
+                raise UserError(
+                    f"{self.people} people do not fit on map {grid.name!r}: its free space has room for "
+                    f"{len(spread)} starts {SPACING} m apart"
+                )
+            places.append(spread)
+            goals.append(self.planner.add_goals(row, spread[: self.pool]))
+        self._map_ids = torch.tensor([grid.map_id for grid in self.bank.grids])
+        self._places = _padded(places, float("nan"))
+        self._counts = torch.tensor([len(spread) for spread in places])
+        self._goals = _padded(goals, -1)
+        self._first_choice = _Choice([self._far(row, places[row]) for row in range(len(places))])
+        ids = range(len(places))
+        self._next_choice = _Choice([self._far(row, places[row][: self.pool]) for row in ids])
+        self._row_of_goal = torch.cat([torch.full_like(ids, row) for row, ids in enumerate(goals)])
+        self._place_of_goal = torch.cat([torch.arange(len(ids)) for ids in goals])
+
+    def layout(self, draws: Draws) -> Layout:
+        """Return people at places of their own, each with a goal that is some way off."""
+        device = draws.key.device
+        row = draws.whole("map", len(self._map_ids)).to(device)
+        # everybody gets another place: those with the smallest numbers of a whole row of them
+        lottery = draws.uniform("place", self._places.shape[1])
+        absent = torch.arange(self._places.shape[1], device=device) >= self._counts.to(device)[row].unsqueeze(
+            1
+        )
+        place = lottery.masked_fill(absent, 2.0).topk(self.people, largest=False).indices
+        start = self._places.to(device)[row.unsqueeze(1), place]
+        number = self.fewest + draws.whole("people", self.people - self.fewest + 1)
+        mask = torch.arange(self.people, device=device) < number.unsqueeze(1)
+        chosen = self._first_choice(row.unsqueeze(1), place, draws.uniform("goal", self.people))
+        goal = self._goals.to(device)[row.unsqueeze(1), chosen]
+        return Layout(self._map_ids.to(device)[row], start.float(), mask, self.speeds(draws), goal)
+
+    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+        """Return another goal that is some way off the last one."""
+        row, place = (table.to(last.device)[last] for table in (self._row_of_goal, self._place_of_goal))
+        lot = draws.at("goal", agent, number)
+        return self._goals.to(last.device)[row, self._next_choice(row, place, lot)]
+
+    def _far(self, row: int, places: Tensor) -> Tensor:
+        """Return which goals are some way off each place (S, G)."""
+        goals = self._goals[row][self._goals[row] >= 0]
+        pairs = len(places) * len(goals)
+        points = places.float().repeat_interleave(len(goals), 0)
+        map_id = self._map_ids[row].expand(pairs)
+        way = self.planner.look(points, goals.repeat(len(places)), map_id, identity_pose(pairs)).distance
+        far = ((way > NEAREST) & way.isfinite()).view(len(places), len(goals))
+        if not far.any(1).all():
+            name = self.bank.grids[row].name
+            raise UserError(f"map {name!r} has no two places with more than {NEAREST} m of way between them")
+        return far
+
+
+class _Choice:
+    """Draws among the admissible columns of a table of rows."""
+
+    def __init__(self, allowed: list[Tensor]) -> None:
+        """Take what is allowed (S, G) bool, for each floor plan."""
+        columns = [table.int().argsort(dim=1, descending=True, stable=True) for table in allowed]
+        self._columns = _padded(columns, 0)
+        self._counts = _padded([table.sum(1) for table in allowed], 1)
+
+    def __call__(self, row: Tensor, place: Tensor, lot: Tensor) -> Tensor:
+        """Return the column that ``lot`` in (0, 1) falls on, among those allowed at ``place``."""
+        count = self._counts.to(lot.device)[row, place]
+        index = (lot * count).long().clamp_max(count - 1)
+        return self._columns.to(lot.device)[row, place, index]
+
+
+def _padded(tables: list[Tensor], value: float) -> Tensor:
+    """Stack tables of different shapes."""
+    shape = [max(sizes) for sizes in zip(*(table.shape for table in tables), strict=True)]
+    whole = tables[0].new_full((len(tables), *shape), value)
+    for row, table in enumerate(tables):
+        whole[(row, *(slice(length) for length in table.shape))] = table
+    return whole
+
+
+def flat() -> OccupancyGrid:
+    """Return four rooms of 4.5 x 3.6 m along a corridor of 1.8 m: a floor plan that needs no file."""
+    thick = 0.1
+    corridor = [wall((0.0, y), (9.2, y), thick, doors=[(2.2, 0.9), (7.0, 0.9)]) for y in (3.7, 5.6)]
+    between = [wall((4.6, low), (4.6, high), thick) for low, high in ((0.0, 3.7), (5.6, 9.3))]
+    return plan((9.2, 9.3), 0.05, *corridor, *between, border=True, name="flat")

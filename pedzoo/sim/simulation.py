@@ -1,0 +1,138 @@
+"""One decision of everybody: people walk, a world says what they touch, goals are noticed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.maps.planner import Guidance
+from pedzoo.sim.arrival import arrived, deadline, renewed
+from pedzoo.sim.dynamics import limit_speed, walk
+from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.state import State
+from pedzoo.sim.worlds.base import People, World
+from pedzoo.types import PRED_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+
+CONTACT_COST = 1.0
+"""Metres of progress that a decision with a contact costs in the reward."""
+
+
+class Outcome(NamedTuple):
+    """What happened in one decision of S trace points.
+
+    Attributes:
+        trace: Positions every 0.1 s (B, A, S, 2), metres.
+        agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
+        wall_contact: A wall was (B, A, S) bool.
+        reached: Goals reached until then (B, A, S) long.
+        reward: (B, A).
+        terminated: Everybody has reached all goals (B,) bool.
+        truncated: Nobody else can in time, or the policy failed (B,) bool.
+    """
+
+    trace: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    reached: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Simulation:
+    """The rules of the scenes: states in, states out, nothing kept in between."""
+
+    def __init__(
+        self, scenario: Scenario, world: World, trace_points: int, substeps: int, body_radius: float
+    ) -> None:
+        """Take the parts.
+
+        Args:
+            scenario: A prepared scenario.
+            world: Answers what is touched.
+            trace_points: S, trace points of 0.1 s in one decision.
+            substeps: M, sub-steps of every 0.1 s.
+            body_radius: Of a person, metres.
+        """
+        self.scenario, self.world = scenario, world
+        self.trace_points, self.substeps, self.body_radius = trace_points, substeps, body_radius
+
+    def guide(self, state: State) -> Guidance:
+        """Return what the planner says to everybody, (B, A, ...)."""
+        agents = state.mask.shape[1]
+        guidance = self.scenario.planner.guide(
+            state.position.flatten(0, 1),
+            torch.where(state.mask, state.goal_id, -1).flatten(),
+            state.map_id.repeat_interleave(agents),
+            state.pose.repeat_interleave(agents, 0),
+            state.pref_speed.flatten(),
+            PRED_LEN * STEP_SECONDS,
+        )
+        return Guidance(*(value.unflatten(0, state.mask.shape) for value in guidance))
+
+    def step(self, state: State, action: Tensor) -> tuple[State, Guidance, Outcome]:
+        """Return what comes of velocities (B, A, 2), m/s; those of people who are not there do not matter.
+
+        A scene in which somebody's action is not finite stays as it is and is truncated.
+        """
+        broken = (~action.isfinite().all(-1) & state.mask).any(1)
+        moving = state.mask & ~broken.unsqueeze(1)
+        velocity = torch.where(moving.unsqueeze(-1), action, 0.0)
+        path = self._path(state, limit_speed(velocity, TOP_SPEED_RATIO * state.pref_speed))
+        people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose)
+        contacts = self.world.contacts(path.detach(), people)
+        trace = path[:, :, :, -1]
+
+        hits = arrived(path.detach(), state.goal_point, state.mask & (state.goal_id >= 0))
+        hit = hits[..., -1]
+        goal_id, drawn = renewed(self.scenario, state.key, state.goal_id, state.drawn, hit)
+        reached = state.reached.unsqueeze(-1) + hits
+        finished = reached[..., -1] >= self.scenario.goals
+        clock = state.clock + self.trace_points * TRACE_SECONDS
+        late = state.late | ((clock.unsqueeze(1) > state.deadline) & ~finished & state.mask)
+        leaving = finished if self.scenario.finished == "leave" else torch.zeros_like(finished)
+        moved = torch.cat((state.past[:, :, self.trace_points :], trace), dim=2)
+        after = state._replace(
+            clock=clock,
+            failed=state.failed | broken,
+            mask=state.mask & ~leaving,
+            past=moved,
+            velocity=(moved[:, :, -1] - moved[:, :, -2]) / TRACE_SECONDS,
+            goal_id=goal_id,
+            drawn=drawn,
+            reached=reached[..., -1],
+            late=late,
+        )
+        guidance = self.guide(after)
+        after = after._replace(
+            way=guidance.distance.detach(),
+            goal_point=guidance.goal_point,
+            deadline=torch.where(
+                hit, deadline(clock, guidance.distance.detach(), state.pref_speed), state.deadline
+            ),
+        )
+        terminated = (finished | ~state.mask).all(1) & ~broken
+        settled = (finished | late | ~state.mask).all(1) | after.failed
+        touched = (contacts.agent | contacts.wall).any(-1)
+        progress = state.way - torch.where(hit, 0.0, guidance.distance)
+        reward = torch.where(moving, progress - CONTACT_COST * touched, 0.0)
+        outcome = Outcome(
+            trace, contacts.agent, contacts.wall, reached, reward, terminated, settled & ~terminated
+        )
+        return after, guidance, outcome
+
+    def _path(self, state: State, velocity: Tensor) -> Tensor:
+        """Return everybody's sub-steps (B, A, S, M, 2)."""
+        path = walk(
+            state.position,
+            velocity,
+            self.trace_points * TRACE_SECONDS,
+            self.trace_points * self.substeps,
+            self.scenario.bank,
+            state.map_id,
+            state.pose,
+            self.body_radius,
+        )
+        return path.unflatten(2, (self.trace_points, self.substeps))
