@@ -1,0 +1,78 @@
+"""Floor plans from geometry and files, and their free space."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.boxes import boxes
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plain import rectangles, room, wall
+
+
+def two_rooms(width: float = 0.85, thickness: float = 0.15) -> OccupancyGrid:
+    """Two rooms beside a wall on the y axis with a door about the origin."""
+    half, depth = thickness / 2, 2.0
+    side = width / 2 + 1.5
+    outer = room((-half - depth, -side), (half + depth, side), 0.1)
+    return rectangles(outer + wall((0, -side), (0, side), thickness, doors=[(side, width)]))
+
+
+def distance(grid: OccupancyGrid, *points: tuple[float, float]) -> list[float]:
+    given = torch.tensor(points, dtype=torch.float64)
+    ids = torch.full((len(points),), grid.map_id)
+    return MapBank([grid], max_distance=1.0).closest_wall(given, ids, identity_pose(len(points)))[0].tolist()
+
+
+@pytest.mark.parametrize(("width", "resolution"), [(0.85, 0.05), (0.9, 0.05), (0.71, 0.01), (1.02, 0.01)])
+def test_a_door_is_as_wide_as_it_is_said_to_be(width: float, resolution: float) -> None:
+    grid = two_rooms(width)
+    assert grid.resolution == resolution
+    found = distance(grid, (0, 0), (0, width / 2 + 0.5), (-0.075 - 0.3, 1.0), (0.06, width / 2 + 0.01))
+    assert found == pytest.approx([width / 2, -0.075, 0.3, -0.01], abs=1e-9)
+    assert len(boxes(grid, "free")) == 6
+
+
+def test_rectangles_are_exact_and_the_plan_ends_with_them() -> None:
+    grid = rectangles([(1.0, -2.0, 1.5, -1.5), (2.0, -1.0, 2.5, -0.5)], 0.5, name="two")
+    assert grid.cells.tolist() == [[1, 0, 0], [0, 0, 0], [0, 0, 1]]
+    assert (grid.origin, grid.resolution, grid.name) == ((1.0, -2.0, 0.0), 0.5, "two")
+    wider = rectangles([(1.0, -2.0, 1.5, -1.5)], 0.5, around=(0.5, -2.0, 1.0, -1.0))
+    assert wider.cells.tolist() == [[0, 1], [0, 0]]
+
+
+def test_walls_run_both_ways_and_doors_split_them() -> None:
+    doors = [(3.0, 0.5), (0.5, 1.0)]
+    assert wall((0, 1), (4, 1), 0.2, doors) == [(1.0, 0.9, 2.75, 1.1), (3.25, 0.9, 4.0, 1.1)]
+    assert wall((4, 1), (0, 1), 0.2, doors) == [(1.25, 0.9, 3.0, 1.1), (0.0, 0.9, 0.75, 1.1)]
+    assert wall((1, 4), (1, 0), 0.2) == [(0.9, 0, 1.1, 4)]
+    inner = room((0, 0), (2, 1), 0.5)
+    assert rectangles(inner, 0.5).cells.tolist() == [[1] * 6, [1, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 1], [1] * 6]
+
+
+def test_what_does_not_fit_is_refused_with_what_does() -> None:
+    with pytest.raises(
+        UserError, match=r"x = 0.71 is not between cells of 0.05 m.* 0.7 and 0.75; resolution 0.01"
+    ):
+        rectangles([(0, 0, 0.71, 1)], 0.05)
+    with pytest.raises(
+        UserError, match=r"y = 0.333 .*of 0.01 m that begin at 0: the nearest are 0.33 and 0.34"
+    ):
+        rectangles([(0, 0, 1, 0.333)])
+    for bad in ([], [(1, 0, 0, 1)], [(0, 0, 0, 1)], [(0, 0, float("nan"), 1)]):
+        with pytest.raises(UserError, match="expected rectangles"):
+            rectangles(bad)
+    with pytest.raises(UserError, match="above 0"):
+        rectangles([(0, 0, 1, 1)], 0.0)
+    with pytest.raises(UserError, match="along x or along y"):
+        wall((0, 0), (1, 1), 0.1)
+    for door in ((0.2, 0.5), (0.9, 0.5), (0.5, 0.0)):
+        with pytest.raises(UserError, match=r"door .* of a wall of 1 m"):
+            wall((0, 0), (1, 0), 0.1, [door])
+    with pytest.raises(UserError, match=r"its sides between 0\.75 and 1"):
+        wall((0, 0), (1, 0), 0.1, [(0.5, 0.5), (0.6, 0.5)])
+    with pytest.raises(UserError, match="low corner first"):
+        room((1, 1), (0, 2), 0.1)
