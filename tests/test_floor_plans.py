@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 import torch
+from scipy.spatial.distance import pdist
 
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes
+from pedzoo.maps.free_space import free_points, spread_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
 
@@ -76,3 +81,58 @@ def test_what_does_not_fit_is_refused_with_what_does() -> None:
         wall((0, 0), (1, 0), 0.1, [(0.5, 0.5), (0.6, 0.5)])
     with pytest.raises(UserError, match="low corner first"):
         room((1, 1), (0, 2), 0.1)
+
+
+def test_free_space_is_the_largest_part_and_keeps_clear_of_walls() -> None:
+    walls = room((0, 0), (5, 2), 0.5) + wall((1.25, 0), (1.25, 2), 0.5)  # rooms of 1 m and of 3.5 m
+    grid = rectangles(walls, 0.5)
+    points = free_points(grid, "free", 0.0)
+    assert len(points) == 7 * 4
+    assert points.min(axis=0).tolist() == [1.75, 0.25] and points.max(axis=0).tolist() == [4.75, 1.75]
+    clear = free_points(grid, "free", 0.75)
+    assert clear.tolist() == [[x, y] for y in (0.75, 1.25) for x in (2.25, 2.75, 3.25, 3.75, 4.25)]
+    turned = OccupancyGrid(grid.cells, 0.5, (1.0, 2.0, np.pi / 2), name="turned")
+    np.testing.assert_allclose(
+        free_points(turned, "free", 0.75), np.stack((0.5 - clear[:, 1], 2.5 + clear[:, 0]), 1)
+    )
+    with pytest.raises(UserError, match=r"no free cell is 2 m or more from all walls .* lower the clearance"):
+        free_points(grid, "free", 2.0)
+
+
+def test_touching_corners_and_unknown_cells_do_not_connect() -> None:
+    cells = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 2, 1]], dtype=np.uint8)
+    grid = OccupancyGrid(cells, 1.0)
+    assert len(free_points(grid, "wall", 0.0)) == 5
+    assert len(free_points(grid, "free", 0.0)) == 9
+
+
+def test_spread_points_are_apart_and_nothing_more_fits() -> None:
+    grid = rectangles(room((0, 0), (6, 4), 0.1), 0.1)
+    everything = free_points(grid, "free", 0.3)
+    points = spread_points(grid, "free", 0.3, 0.7, seed=3)
+    assert pdist(points).min() >= 0.7 - 1e-6
+    assert np.hypot(*(everything[:, None] - points).transpose(2, 0, 1)).min(axis=1).max() < 0.7
+    assert {tuple(point) for point in points} <= {tuple(point) for point in everything}
+    assert np.array_equal(points, spread_points(grid, "free", 0.3, 0.7, seed=3))
+    assert not np.array_equal(points[:5], spread_points(grid, "free", 0.3, 0.7, seed=4)[:5])
+
+
+CLEAR = {
+    "igibson_rs": 43,
+    "stanford_area1": 361,
+    "stanford_area3": 171,
+    "willow_2010": 622,
+    "fetch_hq": 544,
+    "aws_small_house": 111,
+    "nav2_depot": 363,
+}
+"""Square metres of the shared maps more than 0.3 m from any cell that is not free, by their README."""
+
+
+def test_free_space_of_the_shared_maps(shared: Path) -> None:
+    for path in sorted((shared / "maps").glob("*.yaml")):
+        grid = OccupancyGrid.from_ros_yaml(path)
+        # The README measures to the centres of pixels, a clearance to their edges.
+        clearance = 0.3 - grid.resolution / 2 + 1e-6
+        area = len(free_points(grid, "wall", clearance)) * grid.resolution**2
+        assert area == pytest.approx(CLEAR[grid.name], abs=0.6)
