@@ -147,7 +147,7 @@ def least_violating(lines: Tensor, result: Tensor, first: Tensor, max_speed: Ten
 
 
 def _equally_violated(lines: Tensor, chosen: Tensor, before: Tensor, walls: int) -> Tensor:
-    """Return walls as they are, and of each other line ``before`` where it is violated as much as ``chosen``."""
+    """Return walls as they are, and for others ``before`` where they are violated as much as ``chosen``."""
     px, py, qx, qy = lines[:, walls:]
     x, y, dx, dy = chosen
     across = dx * qy - dy * qx

@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from torch import Tensor
+
 from pedzoo.errors import UserError, unknown
 
 
@@ -55,6 +57,10 @@ class OrcaSettings:
         if name not in PRESETS:
             raise unknown("ORCA preset", name, PRESETS)
         return cls(**(PRESETS[name] | changes))
+
+    def wall_reach(self, max_speed: Tensor) -> Tensor:
+        """Return the distance (...) within which walls matter to people of ``max_speed`` (...), metres."""
+        return self.time_horizon_obst * max_speed + self.radius
 
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -5,9 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.maps.segments import Segments
 from pedzoo.sim.orca.agent_lines import agent_lines
 from pedzoo.sim.orca.programs import solve
 from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.orca.wall_lines import wall_lines
 
 
 @torch.no_grad()
@@ -18,7 +20,7 @@ def orca_velocity(
     max_speed: Tensor,
     mask: Tensor,
     settings: OrcaSettings,
-    walls: None = None,
+    walls: Segments | None = None,
     passive: Tensor | None = None,
 ) -> Tensor:
     """Return the velocities (B, A, 2) that ORCA chooses, m/s; 0 for absent people. No gradient flows.
@@ -33,17 +35,24 @@ def orca_velocity(
         max_speed: Top speeds (B, A), m/s.
         mask: Who is there (B, A) bool.
         settings: ORCA's parameters.
-        walls: The wall segments near everybody; None: walls are not seen.
+        walls: The wall segments near each of the B * A people, within `OrcaSettings.wall_reach` of their top
+            speeds; None: walls are not seen.
         passive: Who does not avoid anybody (B, A) bool: their velocity is returned as it is. The others do
             their half of avoiding them, as they do for everybody.
     """
     asked = mask if passive is None else mask & ~passive
     rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
-    preferred, speeds = pref_velocity.flatten(0, 1), max_speed.flatten()
-    if rows is not None:
-        preferred, speeds = preferred[rows], speeds[rows]
+    planes = [tensor.flatten(0, 1).T for tensor in (position, velocity, pref_velocity, max_speed[..., None])]
     lines = agent_lines(position, velocity, mask, rows, settings)
-    chosen = solve(lines, 0, preferred.T, speeds).T
+    if rows is not None:
+        planes = [plane.index_select(1, rows) for plane in planes]
+        walls = walls.select(rows) if walls else None
+    place, current, preferred, speed = (plane.contiguous() for plane in planes)
+    obstacles = 0
+    if walls:
+        beside_walls = wall_lines(walls, place, current, settings)
+        obstacles, lines = beside_walls.shape[1], torch.cat((beside_walls, lines), dim=1)
+    chosen = solve(lines, obstacles, preferred, speed[0]).T
     if rows is None:
         return chosen.reshape(position.shape)
     result = torch.where(mask[..., None], velocity, 0).flatten(0, 1)

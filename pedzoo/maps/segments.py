@@ -1,0 +1,141 @@
+"""Walls as line segments, and the few of them that matter to each person."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.geometry import move_to_map, move_to_scene, turn_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.outlines import outlines
+from pedzoo.maps.segment_table import SegmentTable
+
+
+class Segments(NamedTuple):
+    """Up to K segments of walls near each of N people, nearest first, in the frame of everybody's scene.
+
+    Walls lie to the left of a segment, people to its right.
+
+    Attributes:
+        start: Where it starts (2, K, N), metres.
+        end: Where it ends (2, K, N).
+        direction: Unit vector from start to end (2, K, N).
+        before: Unit direction of the segment that ends where this one starts (2, K, N).
+        after: Unit direction of the segment that starts where this one ends (2, K, N).
+        convex: Whether the wall's corners at start and end are convex (2, K, N) bool.
+        valid: Which of the K there are (K, N) bool; the others hold zeros.
+    """
+
+    start: Tensor
+    end: Tensor
+    direction: Tensor
+    before: Tensor
+    after: Tensor
+    convex: Tensor
+    valid: Tensor
+
+    def select(self, people: Tensor) -> Segments:
+        """Return those of some people (M,) long."""
+        return Segments(*(part.index_select(-1, people) for part in self))
+
+    def nearest(self, most: int) -> Segments:
+        """Return at most so many of each person."""
+        return Segments(*(part[..., :most, :] for part in self))
+
+
+class WallSegments:
+    """Outlines of all walls of a bank's floor plans, with a look-up of the nearest.
+
+    Attributes:
+        bank: The floor plans; their unknown cells count as it says.
+        tolerance: How many cells a simplified outline may depart from the cells' edges.
+        most: Segments that are returned for one person at most.
+    """
+
+    def __init__(self, bank: MapBank, tolerance: float = 1.0, most: int = 16) -> None:
+        """Take the floor plans; nothing is computed before the first look-up."""
+        self.bank = bank
+        self.tolerance = tolerance
+        self.most = most
+        self._tables: dict[tuple[torch.device, torch.dtype], SegmentTable] = {}
+
+    def near(self, points: Tensor, map_id: Tensor, pose: Tensor, reach: Tensor | float) -> Segments:
+        """Return the nearest segments of each person that they are outside of, nearest first.
+
+        Without a map there are none.
+
+        Args:
+            points: Scene positions (N, 2), metres.
+            map_id: Floor plan of each (N,) long, -1 for none.
+            pose: Scene poses (N, 4).
+            reach: Metres (N,) or one number within which a segment has to come.
+
+        Raises:
+            UserError: A ``map_id`` is of another bank.
+        """
+        row = self.bank.index(map_id)
+        reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
+        table = self._table(float(reach.max()) if len(points) else 0.0, points)
+        person, segment, distance2 = table.look(move_to_map(points, pose), row, reach)
+        order, rank = _ranked(person, distance2)
+        kept = rank < self.most
+        order, rank = order[kept], rank[kept]
+        person = person[order]
+        used = int(rank.max()) + 1 if len(rank) else 0
+        parts = points.new_zeros(used, len(points), 12)
+        parts[rank, person] = _in_scene(table.segments[segment[order]], pose[person])
+        valid = torch.zeros(used, len(points), dtype=torch.bool, device=points.device)
+        valid[rank, person] = True
+        start, end, direction, before, after, convex = parts.permute(2, 0, 1).contiguous().split(2)
+        return Segments(start, end, direction, before, after, convex > 0, valid)
+
+    def _table(self, reach: float, points: Tensor) -> SegmentTable:
+        """Return the look-up for people like these, computed anew where it does not reach far enough."""
+        key = points.device, points.dtype
+        table = self._tables.get(key)
+        if table is None or table.reach < reach:
+            whole = math.ceil(reach) or 1  # slightly faster people do not compute it again
+            polygons = [
+                _to_map(outlines(grid.occupied(self.bank.unknown), self.tolerance), grid)
+                for grid in self.bank.grids
+            ]
+            table = SegmentTable.build(polygons, whole, self.most).to(*key)
+            self._tables[key] = table
+        return table
+
+
+def _to_map(polygons: list[NDArray[np.float64]], grid: OccupancyGrid) -> list[NDArray[np.float64]]:
+    """Move corners (V, 2), in cells from the outer corner of the first one, to the map's frame."""
+    affine = grid.map_to_cell()  # whole at cell centres
+    turn = np.linalg.inv(affine[:, :2]).T
+    return [(polygon - 0.5 - affine[:, 2]) @ turn for polygon in polygons]
+
+
+def _ranked(person: Tensor, distance2: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the order (M,) of pairs by person, then distance, and each ordered pair's rank in its person."""
+    # Floats that are not negative are ordered as their bits are.
+    key = (person << 32) | distance2.float().view(torch.int32)
+    order = key.argsort(stable=True)
+    number = torch.arange(len(person), device=person.device)
+    # people are in order before and after
+    fresh = torch.ones_like(person, dtype=torch.bool)
+    fresh[1:] = person[1:] != person[:-1]
+    first = torch.where(fresh, number, 0).cummax(0).values
+    return order, number - first
+
+
+def _in_scene(parts: Tensor, pose: Tensor) -> Tensor:
+    """Return segments (M, 12) of the maps' frames in those of the scenes of ``pose`` (M, 4)."""
+    points, directions = parts[:, :4].view(-1, 2, 2), parts[:, 4:10].view(-1, 3, 2)
+    points, directions = move_to_scene(points, pose), turn_to_scene(directions, pose)
+    convex, mirrored = parts[:, 10:], pose[:, 1:2] < 0
+    # In a mirror everything runs the other way round, so that walls stay on the left.
+    there = torch.cat((points.flatten(1), directions.flatten(1), convex), dim=1)
+    back = torch.cat((points.flip(1).flatten(1), -directions[:, [0, 2, 1]].flatten(1), convex.flip(1)), dim=1)
+    return torch.where(mirrored, back, there)
