@@ -44,10 +44,10 @@ PRED_LEN = 8
 """Predicted steps that a short-term goal lies ahead in simulation: 3.2 s."""
 
 TRACE_SECONDS = 0.1
-"""Contacts, goals and closed-loop metrics are evaluated on positions this far apart, whatever a decision takes."""
+"""Contacts, goals and closed-loop metrics are evaluated on positions this far apart."""
 
 BODY_RADIUS = 0.15
-"""Metres: people touch when their centres are closer than two of it, walls when closer than one (iGibson's 0.3)."""
+"""Metres: people touch when their centres are closer than two of it, walls when closer than one."""
 
 GOAL_RADIUS = 0.3
 """Metres: a goal is reached within it (iGibson's)."""

@@ -53,7 +53,7 @@ def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
     if file := weight_files().get(name):
         return _from_safetensors(file, checked=True)
     if name not in MODELS.names() and ".py:" not in name:
-        raise unknown("model", name, [*list_models(), *_baselines()])
+        raise unknown("model", name, [*list_models(), *baselines()])
     model = MODELS.get(name)
     asks = "goal_protocol" in inspect.signature(model).parameters
     built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
@@ -96,17 +96,10 @@ def save_weights(model: Forecaster, path: str | Path, **more: Any) -> str:
 
     The same model gives the same bytes.
     """
-    path = Path(path)
     # one metadata key: with several, their order, and so the sum, would vary
     metadata = {"config": json.dumps(config_of(model, **more), sort_keys=True)}
     data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.write_bytes(data)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)  # a full disk
+    write_whole(Path(path), data)
     return hashlib.sha256(data).hexdigest()
 
 
@@ -191,7 +184,8 @@ def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
     return model(**init)
 
 
-def _baselines() -> list[str]:
+def baselines() -> list[str]:
+    """Return the names of the architectures that have nothing to train."""
     return [name for name in MODELS.names() if not any(True for _ in MODELS.get(name)().parameters())]
 
 

@@ -170,22 +170,22 @@ class PedestrianEnv(EnvBase):
         points = self._simulation.trace_points
         nothing = torch.zeros(scenes, agents, points, dtype=torch.bool)
         info = {
-            "trace": outcome.trace if outcome else state.past[:, :, -points:].clone(),
+            "trace": outcome.trace if outcome else state.past[:, :, -points:],
             "agent_contact": outcome.agent_contact if outcome else nothing,
-            "wall_contact": outcome.wall_contact if outcome else nothing.clone(),
+            "wall_contact": outcome.wall_contact if outcome else nothing,
             "reached": outcome.reached if outcome else state.reached.unsqueeze(-1).repeat(1, 1, points),
             "late": state.late,
             "way": state.way,
         }
         people = {
-            "history": state.history.clone(),
+            "history": state.history,
             "valid": torch.ones_like(state.mask).unsqueeze(-1).repeat(1, 1, state.history.shape[2]),
             "velocity": state.velocity,
             "pref_speed": state.pref_speed.unsqueeze(-1),
             "goal": guidance.goal,
             "desired_velocity": guidance.desired_velocity,
             "mask": state.mask,
-            "controlled": state.mask.clone(),
+            "controlled": state.mask,
             "info": TensorDict(info, (scenes, agents)),
         }
         scene = {

@@ -40,7 +40,7 @@ class Episodes:
             raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
         self._scenario, self._warm_start = scenario, warm_start
         self._substeps, self._body_radius = substeps, body_radius
-        self._walls = WallSegments(scenario.bank)
+        self._walls = WallSegments(scenario.bank, most=warm.ORCA.max_obstacles)
 
     @torch.no_grad()
     def begin(self, key: Tensor) -> State:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from tensordict.nn import TensorDictModuleBase
 
+from pedzoo.errors import unknown
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.walker import Walker
-from pedzoo.models.zoo import load
-from pedzoo.registry import POLICIES
+from pedzoo.models.zoo import baselines, list_models, load
+from pedzoo.registry import MODELS, POLICIES
 from pedzoo.spec import build, make, parse
 
 
@@ -46,4 +47,8 @@ def load_policy(name: str) -> Policy | Walker:
         return build(POLICIES, name, Policy)
     if ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy):
         return build(POLICIES, name, Policy)
+    if spec.name not in MODELS.names() and not spec.name.endswith((".ckpt", ".safetensors")):
+        known = [*POLICIES.names(), *list_models(), *baselines()]
+        if spec.name not in known and ".py:" not in spec.name:
+            raise unknown("policy", spec.name, known)
     return make(Walker, "walker", spec.name, spec.settings, model=load(spec.name))

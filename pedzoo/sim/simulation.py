@@ -106,13 +106,9 @@ class Simulation:
             late=late,
         )
         guidance = self.guide(after)
-        after = after._replace(
-            way=guidance.distance.detach(),
-            goal_point=guidance.goal_point,
-            deadline=torch.where(
-                hit, deadline(clock, guidance.distance.detach(), state.pref_speed), state.deadline
-            ),
-        )
+        way = guidance.distance.detach()
+        until = torch.where(hit, deadline(clock, way, state.pref_speed), state.deadline)
+        after = after._replace(way=way, goal_point=guidance.goal_point, deadline=until)
         terminated = (finished | ~state.mask).all(1) & ~broken
         settled = (finished | late | ~state.mask).all(1) | after.failed
         touched = (contacts.agent | contacts.wall).any(-1)

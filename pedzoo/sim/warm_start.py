@@ -21,7 +21,7 @@ from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 
 WarmStart = Literal["orca", "static", "recorded"]
 
-ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS)
+ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS, max_obstacles=8)
 """The same for every row of a table, whatever walks afterwards."""
 
 AHEAD_SECONDS = 8 * STEP_SECONDS

@@ -1,4 +1,4 @@
-"""Baseline: optimal reciprocal collision avoidance (van den Berg et al., ISRR 2009), with or without walls."""
+"""Baseline: optimal reciprocal collision avoidance (van den Berg et al., ISRR 2009), walls or not."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Orca(Policy):
 
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans whose walls are avoided."""
-        self._walls = WallSegments(bank) if self._sees_walls else None
+        self._walls = WallSegments(bank, most=self.settings.max_obstacles) if self._sees_walls else None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -94,7 +94,8 @@ class Orca(Policy):
         if self._walls is not None:
             map_id = tensordict["map_id"].expand(scenes, slots).flatten()
             pose = tensordict["scene_pose"].repeat_interleave(slots, 0)
-            walls = self._walls.near(position.flatten(0, 1), map_id, pose, self.settings, top_speed.flatten())
+            reach = self.settings.wall_reach(top_speed).flatten()
+            walls = self._walls.near(position.flatten(0, 1), map_id, pose, reach)
         velocity = orca_velocity(
             position,
             agents["velocity"],

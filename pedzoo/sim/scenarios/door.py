@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import plan, wall
+from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, Scenario
 
 BEFORE = 2.5
@@ -18,6 +20,9 @@ BEHIND = 3.0
 
 SPACING = 0.9
 """Metres between people who come one behind the other."""
+
+BORDER = 2
+"""Cells of the outer walls' thickness."""
 
 
 class Door(Scenario):
@@ -71,9 +76,15 @@ class Door(Scenario):
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the two rooms."""
-        x, y = (round(half + 0.5) for half in (self.half_length, self.half_width))
-        middle = wall((0.0, -y), (0.0, y), self.thickness, doors=[(float(y), self.width)])
-        return [plan((2 * x, 2 * y), self.resolution, middle, origin=(-x, -y), border=True, name="door")]
+        # whole cells from the door's sides and from the wall to the ends of the rooms
+        x = self.thickness / 2 + self._whole_cells(self.half_length - self.thickness / 2)
+        y = self.width / 2 + self._whole_cells(self.half_width - self.width / 2)
+        walls = room((-x, -y), (x, y), BORDER * self.resolution)
+        walls += wall((0.0, -y), (0.0, y), self.thickness, doors=[(y, self.width)])
+        return [rectangles(walls, self.resolution, name="door")]
+
+    def _whole_cells(self, length: float) -> float:
+        return math.ceil(length / self.resolution) * self.resolution
 
     def prepare(self, clearance: float) -> None:
         """Find the ways through the door."""

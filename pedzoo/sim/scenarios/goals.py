@@ -1,4 +1,4 @@
-"""People walk from goal to goal through a building: Table II of "Interactive Pedestrian Simulation in iGibson"."""
+"""People walk from goal to goal through a building (Table II of the paper on iGibson)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import plan, wall
+from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.scenario import Layout, Scenario
 
 SPACING = 0.8
@@ -155,8 +155,10 @@ def _padded(tables: list[Tensor], value: float) -> Tensor:
 
 
 def flat() -> OccupancyGrid:
-    """Return four rooms of 4.5 x 3.6 m along a corridor of 1.8 m: a floor plan that needs no file."""
-    thick = 0.1
-    corridor = [wall((0.0, y), (9.2, y), thick, doors=[(2.2, 0.9), (7.0, 0.9)]) for y in (3.7, 5.6)]
-    between = [wall((4.6, low), (4.6, high), thick) for low, high in ((0.0, 3.7), (5.6, 9.3))]
-    return plan((9.2, 9.3), 0.05, *corridor, *between, border=True, name="flat")
+    """Return four rooms of about 4.5 x 3.5 m along a corridor of 1.8 m: a floor plan that needs no file."""
+    walls = room((0.0, 0.0), (9.1, 9.0), 0.1)
+    for y in (3.65, 5.55):
+        walls += wall((0.0, y), (9.1, y), 0.1, doors=[(2.25, 0.9), (6.85, 0.9)])
+    for low, high in ((0.0, 3.6), (5.6, 9.0)):
+        walls += wall((4.55, low), (4.55, high), 0.1)
+    return rectangles(walls, 0.05, name="flat")
