@@ -1,0 +1,109 @@
+"""How people move: speed, walls, and nobody through them."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from pedzoo.geometry import identity_pose, move_to_map, move_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.sim.dynamics import SKIN, limit_speed, substeps, walk
+from pedzoo.types import BODY_RADIUS
+
+BANK = MapBank([rectangles(room((0, 0), (4, 3), 0.1) + wall((2.05, 0), (2.05, 3), 0.1), 0.05)], "wall")
+"""Two rooms and no door: free for x from 0 to 2 and from 2.1 to 4, for y from 0 to 3."""
+
+NEAREST = BODY_RADIUS - SKIN
+
+
+def moved(start: list[float], velocity: list[float], seconds: float = 0.4, steps: int = 16) -> Tensor:
+    """Return one person's path (N, 2)."""
+    position, wanted = (torch.tensor([[values]]) for values in (start, velocity))
+    map_id = torch.tensor([BANK.grids[0].map_id])
+    return walk(position, wanted, seconds, steps, BANK, map_id, identity_pose(1))[0, 0]
+
+
+def test_free_walking_is_straight() -> None:
+    path = moved([0.5, 1.5], [1.0, 0.5], steps=4)
+    expected = torch.tensor([[0.6, 1.55], [0.7, 1.6], [0.8, 1.65], [0.9, 1.7]])
+    assert torch.allclose(path, expected, atol=1e-6)
+
+
+def test_a_wall_stops_a_head_on_walk() -> None:
+    path = moved([1.5, 1.5], [2.0, 0.0])
+    assert float(path[:, 0].max()) == pytest.approx(2.0 - NEAREST, abs=1e-5)
+    assert (path[:, 1] - 1.5).abs().max() < 1e-5
+
+
+def test_people_slide_along_walls() -> None:
+    path = moved([1.8, 1.0], [1.0, 1.0])
+    assert float(path[-1, 0]) == pytest.approx(2.0 - NEAREST, abs=1e-4)
+    assert float(path[-1, 1]) == pytest.approx(1.4, abs=1e-4)
+
+
+def test_an_inner_corner_stops_both_ways() -> None:
+    path = moved([1.7, 2.7], [2.0, 2.0])
+    assert torch.allclose(path[-1], torch.tensor([2.0 - NEAREST, 3.0 - NEAREST]), atol=1e-3)
+
+
+def test_nobody_tunnels_through_a_thin_wall_at_top_speed() -> None:
+    generator = torch.Generator().manual_seed(0)
+    top = 2.5
+    people = 2000
+    start = torch.rand(1, people, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
+    angle = torch.rand(1, people, generator=generator) * 6.3
+    velocity = top * torch.stack((angle.cos(), angle.sin()), dim=-1)
+    map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
+    for _ in range(10):
+        path = walk(start, velocity, 0.4, 4 * substeps(top), BANK, map_id, pose)
+        distance, _ = BANK.closest_wall(path.flatten(1, 2), map_id, pose)
+        assert float(path[..., 0].max()) < 2.0
+        assert float(distance.min()) > NEAREST - 1e-3
+        start = path[:, :, -1]
+
+
+def test_sub_steps_are_at_most_half_a_body_radius() -> None:
+    for speed in (0.5, 1.3, 2.47, 5.0):
+        assert speed * 0.1 / substeps(speed) <= BODY_RADIUS / 2 + 1e-9
+
+
+def test_who_starts_inside_a_wall_may_only_move_out() -> None:
+    deeper = moved([2.04, 1.5], [1.0, 0.0], steps=16)
+    distance, _ = BANK.closest_wall(deeper[None], torch.tensor([BANK.grids[0].map_id]), identity_pose(1))
+    assert (distance[0].diff() >= -1e-5).all()
+    outwards = moved([2.04, 1.5], [-1.0, 0.0], steps=16)
+    assert float(outwards[-1, 0]) < 2.0 - BODY_RADIUS
+
+
+def test_top_speed() -> None:
+    velocity = torch.tensor([[3.0, 4.0], [0.3, 0.4], [0.0, 0.0]])
+    limited = limit_speed(velocity, torch.tensor([1.0, 1.0, 1.0]))
+    assert torch.allclose(limited, torch.tensor([[0.6, 0.8], [0.3, 0.4], [0.0, 0.0]]))
+
+
+def test_gradients_follow_the_wall() -> None:
+    velocity = torch.tensor([[[1.0, 1.0]]], requires_grad=True)
+    map_id = torch.tensor([BANK.grids[0].map_id])
+    end = walk(torch.tensor([[[1.85, 1.0]]]), velocity, 0.4, 16, BANK, map_id, identity_pose(1))[0, 0, -1]
+    gradient = torch.stack([torch.autograd.grad(value, velocity, retain_graph=True)[0][0, 0] for value in end])
+    # along the wall the whole 0.4 s count, against it nothing
+    assert torch.allclose(gradient, torch.tensor([[0.0, 0.0], [0.0, 0.4]]), atol=1e-4)
+    free = walk(torch.tensor([[[0.5, 1.0]]]), velocity, 0.4, 16, BANK, map_id, identity_pose(1))[0, 0, -1]
+    assert float(torch.autograd.grad(free[0], velocity)[0][0, 0, 0]) == pytest.approx(0.4)
+
+
+def test_a_turned_and_mirrored_scene_moves_alike() -> None:
+    pose = torch.tensor([[0.7, -1.0, 5.0, -3.0]])
+    start, goal = torch.tensor([[[1.8, 1.0]]]), torch.tensor([[[2.8, 1.9]]])
+    map_id = torch.tensor([BANK.grids[0].map_id])
+    plain = walk(start, goal - start, 0.4, 16, BANK, map_id, identity_pose(1))
+    turned_start = move_to_scene(start, pose)
+    turned = walk(turned_start, move_to_scene(goal, pose) - turned_start, 0.4, 16, BANK, map_id, pose)
+    assert torch.allclose(move_to_map(turned, pose), plain, atol=1e-4)
+
+
+def test_without_floor_plans_nothing_is_in_the_way() -> None:
+    path = walk(torch.zeros(1, 1, 2), torch.ones(1, 1, 2), 0.4, 4, MapBank(), torch.tensor([-1]), identity_pose(1))
+    assert torch.allclose(path[0, 0, -1], torch.tensor([0.4, 0.4]))

@@ -1,0 +1,55 @@
+"""Names with settings: what they mean, and what a misspelling is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pedzoo.errors import UserError
+from pedzoo.registry import POLICIES, SCENARIOS
+from pedzoo.sim.policies.orca import Orca
+from pedzoo.sim.policy import Policy, load_policy
+from pedzoo.sim.scenario import Scenario
+from pedzoo.spec import build, parse
+
+
+def test_parts() -> None:
+    assert parse("door") == ("door", {})
+    assert parse("goals:map=[a.yaml,b.yaml],people=5") == ("goals", {"map": "[a.yaml,b.yaml]", "people": "5"})
+    assert parse("my/file.py:Mine") == ("my/file.py:Mine", {})
+    assert parse("my/file.py:Mine:a=1") == ("my/file.py:Mine", {"a": "1"})
+    assert parse("runs/best.ckpt:noise=step") == ("runs/best.ckpt", {"noise": "step"})
+
+
+def test_values_have_their_types() -> None:
+    policy = build(POLICIES, "orca:radius=0.3,walls=false,preset=igibson", Policy)
+    assert isinstance(policy, Orca)
+    assert (policy.settings.radius, policy.settings.max_neighbors) == (0.3, None)
+    scenario = build(SCENARIOS, "goals:people=[2,5],goals=2", Scenario)
+    assert (scenario.fewest, scenario.people, scenario.goals) == (2, 5, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("orca:radus=0.3", "did you mean 'radius'"),
+        ("orca:radius=wide", "orca:radius=wide: expected"),
+        ("orca:preset=gibson", "orca:preset=gibson: expected Literal"),
+        ("orca:radius", "'radius' is no setting: expected orca:key=value"),
+        ("orca:radius=1,radius=2", "'radius' is given twice"),
+        ("orca:radius=-1", "radius -1.0 must be"),
+        ("orka", "did you mean 'orca'"),
+        ("constant_velocity:noise=always", "expected Literal"),
+        ("constant_velocity:speed=3", "unknown setting of walker constant_velocity 'speed'"),
+    ],
+)
+def test_mistakes(name: str, told: str) -> None:
+    with pytest.raises(UserError, match=told.replace("(", r"\(")):
+        load_policy(name)
+
+
+def test_a_class_of_the_wrong_kind(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("class Mine:\n    pass\n")
+    with pytest.raises(UserError, match="is no scenario"):
+        build(SCENARIOS, f"{tmp_path}/mine.py:Mine", Scenario)
