@@ -1,0 +1,114 @@
+"""Where images are taken from, and in which colours."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+FLOOR = (236, 236, 232)
+"""RGB of free cells."""
+
+WALL = (96, 98, 104)
+"""RGB of walls."""
+
+OUTSIDE = (205, 208, 212)
+"""RGB of what lies beyond the floor plan."""
+
+_PEOPLE = (
+    (214, 39, 40),
+    (31, 119, 180),
+    (44, 160, 44),
+    (255, 127, 14),
+    (148, 103, 189),
+    (23, 190, 207),
+    (227, 119, 194),
+    (188, 189, 34),
+    (140, 86, 75),
+    (20, 60, 120),
+)
+
+
+def person_color(person: int) -> tuple[int, int, int]:
+    """Return the RGB colour of the person in slot ``person``: ten that are easy to tell apart, repeated."""
+    return _PEOPLE[person % len(_PEOPLE)]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera over a scene, in the scene's frame; without ``center`` and ``width`` it sees everything.
+
+    Attributes:
+        view: ``top`` looks straight down, x to the right and y up; ``perspective`` looks down obliquely.
+        center: The point of the floor in the middle of the image, metres.
+        width: How many metres of floor fit from left to right through ``center``.
+        heading: Perspective only: the direction in which the camera looks, radians (pi / 2: along y).
+        pitch: Perspective only: how far it looks down, radians below the horizon.
+    """
+
+    view: Literal["top", "perspective"] = "top"
+    center: tuple[float, float] | None = None
+    width: float | None = None
+    heading: float = math.pi / 2
+    pitch: float = math.radians(50)
+
+    def around(self, points: Tensor, size: tuple[int, int] = (640, 480), margin: float = 1.0) -> Camera:
+        """Return this camera with ``center`` and ``width`` such that it sees some points.
+
+        A video's camera stands still: give the points of all its frames, once.
+
+        Args:
+            points: Scene positions (..., 2), metres; those that are not finite are passed over.
+            size: Width and height of the image in pixels.
+            margin: Metres that are seen around the points.
+        """
+        axes = self._axes()
+        places = points.detach().cpu().double().reshape(-1, 2).numpy() @ axes
+        places = places[np.isfinite(places).all(axis=1)]
+        low, high = (places.min(axis=0), places.max(axis=0)) if len(places) else np.zeros((2, 2))
+        wide, deep = high - low + 2 * margin
+        if self.view == "perspective":
+            # Seen obliquely depth is shorter; what is near is larger and people stand up, hence some room.
+            wide, deep = 1.25 * wide, 1.25 * deep * math.sin(self.pitch) + 1.5
+        x, y = axes @ ((low + high) / 2)
+        return replace(self, center=(float(x), float(y)), width=float(max(wide, deep * size[0] / size[1])))
+
+    def _axes(self) -> NDArray[np.float64]:
+        """The image's right and up on the floor, as columns."""
+        heading = math.pi / 2 if self.view == "top" else self.heading
+        c, s = math.cos(heading), math.sin(heading)
+        return np.array([[s, c], [-c, s]])
+
+    def to_pixel(self, size: tuple[int, int]) -> NDArray[np.float64]:
+        """Return the affine (2, 3) from scene positions to (column, row) of the view from the top.
+
+        Whole numbers are the centres of pixels; ``center`` and ``width`` have to be known.
+        """
+        assert self.center is not None and self.width is not None
+        scale = size[0] / self.width
+        (x, y), (columns, rows) = self.center, size
+        return np.array(
+            [
+                [scale, 0.0, (columns - 1) / 2 - x * scale],
+                [0.0, -scale, (rows - 1) / 2 + y * scale],
+            ]
+        )
+
+    def eye(self, view_angle: float) -> tuple[list[float], list[float], list[float]]:
+        """Return where a pinhole camera stands, what it looks at and which way is up, (x, y, z) each.
+
+        Args:
+            view_angle: Horizontal opening angle of the pinhole camera, radians.
+        """
+        assert self.center is not None and self.width is not None
+        distance = self.width / 2 / math.tan(view_angle / 2)
+        x, y = self.center
+        if self.view == "top":
+            return [x, y, distance], [x, y, 0.0], [0.0, 1.0, 0.0]
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        back = distance * math.cos(self.pitch)
+        return [x - back * c, y - back * s, distance * math.sin(self.pitch)], [x, y, 0.0], [0.0, 0.0, 1.0]

@@ -1,0 +1,79 @@
+"""A scene drawn from the top: floor plan and people as discs."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.geometry import move_to_scene
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.sim.worlds.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
+
+_FINE = 4
+"""cv2 draws at whole pixels, or at sixteenths of them with this shift."""
+
+
+def draw_top_view(
+    grid: OccupancyGrid | None,
+    unknown: Unknown,
+    pose: Tensor,
+    position: Tensor,
+    present: Tensor,
+    radius: float,
+    size: tuple[int, int],
+    camera: Camera,
+) -> NDArray[np.uint8]:
+    """Return the picture (H, W, 3) uint8 RGB.
+
+    Args:
+        grid: The floor plan, None for open floor.
+        unknown: What its unknown cells count as.
+        pose: How the scene lies on it (4,).
+        position: Scene positions (A, 2), metres.
+        present: Whom to draw (A,) bool.
+        radius: Of a body, metres.
+        size: Width and height in pixels.
+        camera: Whose center and width are seen; it looks down whatever its ``view``.
+    """
+    import cv2
+
+    to_pixel = camera.to_pixel(size)
+    image = np.full((size[1], size[0], 3), FLOOR, dtype=np.uint8)
+    if grid is not None:
+        colors = np.array([FLOOR, WALL], dtype=np.uint8)[grid.occupied(unknown).astype(int)]
+        affine = _after(to_pixel, _after(_map_to_scene(pose), _inverse(grid.map_to_cell())))
+        cv2.warpAffine(
+            colors,
+            affine,
+            size,
+            dst=image,
+            # Shrunken plans keep their thin walls with areas averaged; enlarged cells keep their edges.
+            flags=cv2.INTER_NEAREST if abs(np.linalg.det(affine[:, :2])) >= 1 else cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=OUTSIDE,
+        )
+    pixels = position.detach().cpu().double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
+    across = round(radius * to_pixel[0, 0] * 2**_FINE)
+    for person in present.nonzero()[:, 0].tolist():
+        x, y = (round(value * 2**_FINE) for value in pixels[person])
+        cv2.circle(image, (x, y), across, person_color(person), cv2.FILLED, cv2.LINE_AA, _FINE)
+        cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)
+    return image
+
+
+def _map_to_scene(pose: Tensor) -> NDArray[np.float64]:
+    """The pose as an affine (2, 3)."""
+    corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    zero, x, y = move_to_scene(corners[None], pose.detach().cpu().double()[None])[0].numpy()
+    return np.column_stack((x - zero, y - zero, zero))
+
+
+def _after(second: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The affine (2, 3) that applies ``first`` and then ``second``."""
+    return np.column_stack((second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]))
+
+
+def _inverse(affine: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.inv(np.vstack((affine, [0, 0, 1])))[:2]
