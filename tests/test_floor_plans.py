@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -14,7 +15,9 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes
 from pedzoo.maps.free_space import free_points, spread_points
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from pedzoo.maps.igibson import read_igibson
+from pedzoo.maps.images import read_image
 from pedzoo.maps.plain import rectangles, room, wall
 
 
@@ -136,3 +139,130 @@ def test_free_space_of_the_shared_maps(shared: Path) -> None:
         clearance = 0.3 - grid.resolution / 2 + 1e-6
         area = len(free_points(grid, "wall", clearance)) * grid.resolution**2
         assert area == pytest.approx(CLEAR[grid.name], abs=0.6)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (-3.05, 1 / 3, 0.7), (-0.0, 1e-7, -3.1)])
+@pytest.mark.parametrize("resolution", [0.05, 0.1 / 3])
+def test_saving_is_a_round_trip(
+    tmp_path: Path, origin: tuple[float, float, float], resolution: float
+) -> None:
+    cells = np.random.default_rng(0).integers(0, 3, (7, 5))
+    grid = OccupancyGrid(cells.astype(np.uint8), resolution, origin, name="office")
+    path = tmp_path / "new" / "office.yaml"
+    for _ in range(2):  # onto itself, too
+        grid.save(path)
+        again = OccupancyGrid.load(path)
+        assert (again.digest, again.map_id, again.name) == (grid.digest, grid.map_id, "office")
+        assert again.origin == origin
+    assert sorted(file.name for file in path.parent.iterdir()) == ["office.png", "office.yaml"]
+    pixels = cv2.imread(str(path.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
+    assert (np.array([254, 0, 205])[np.flipud(cells)] == pixels).all()
+    with pytest.raises(UserError, match=r"expected a name in \.yaml"):
+        grid.save(tmp_path / "office.png")
+
+
+def test_the_shared_maps_and_their_round_trips(shared: Path, tmp_path: Path) -> None:
+    for path in [*shared.glob("maps/*.yaml"), *shared.glob("data/*/maps/*.yaml")]:
+        grid = OccupancyGrid.load(path)
+        grid.save(tmp_path / path.name)
+        assert OccupancyGrid.load(tmp_path / path.name).digest == grid.digest
+
+
+def igibson(folder: Path, name: str = "floor_trav_0.png", size: int = 60) -> Path:
+    """A room of 60 x 60 cm, 1 cm a pixel, walls 10 cm thick and a pillar at the image's top left."""
+    pixels = np.full((size, 60), 255, dtype=np.uint8)
+    pixels[:10] = pixels[-10:] = pixels[:, :10] = pixels[:, -10:] = 0
+    pixels[10:20, 10:20] = 0
+    cv2.imwrite(str(folder / name), pixels)
+    return folder / name
+
+
+def test_igibson_maps_have_their_own_frame(tmp_path: Path) -> None:
+    path = igibson(tmp_path)
+    plain = read_igibson(path, erosion=0)
+    expected = np.zeros((6, 6), dtype=int)
+    expected[[0, -1]] = expected[:, [0, -1]] = expected[1, 1] = OCCUPIED  # row 0 is the smallest y
+    assert plain.cells.tolist() == expected.tolist()
+    assert plain.origin == pytest.approx((-0.3, -0.3, 0.0))
+    # the world's origin is the centre: the pillar is at small x and small y
+    assert distance(plain, (-0.15, -0.15), (0.15, 0.15))[0] < 0 < distance(plain, (0.15, 0.15))[0]
+    fine = read_igibson(path, resolution=0.05, erosion=0)
+    assert (fine.cells == np.kron(expected, np.ones((2, 2)))).all()
+
+    # A box of two erodes towards larger rows and columns, as OpenCV anchors it.
+    eroded = expected.copy()
+    eroded[1, 1:5] = eroded[1:5, 1] = eroded[2, 2] = OCCUPIED
+    grid = OccupancyGrid.load(path)
+    assert (grid.cells == eroded).all() and grid.resolution == 0.1 and grid.name == "floor_trav_0"
+    assert OccupancyGrid.load(path, resolution=0.05).resolution == 0.05
+
+
+def test_igibson_floor_image_forbids_and_resizing_leaves_only_whole_cells(tmp_path: Path) -> None:
+    path = igibson(tmp_path)
+    floor = np.full((60, 60), 255, dtype=np.uint8)
+    floor[34, 34] = 0  # bilinear resizing samples the four pixels at a cell's centre
+    cv2.imwrite(str(tmp_path / "floor_0.png"), floor)
+    assert read_igibson(path, erosion=0).cells[3, 3] == OCCUPIED
+    cv2.imwrite(str(tmp_path / "floor_0.png"), floor[:30])
+    with pytest.raises(UserError, match=r"floor_0.png: \(30, 60\) pixels"):
+        read_igibson(path)
+
+
+def test_bad_igibson_maps_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="60 x 50 pixels, expected a square image"):
+        OccupancyGrid.load(igibson(tmp_path, size=50))
+    path = igibson(tmp_path)
+    for options in ({"resolution": 0}, {"source_resolution": -1}, {"erosion": -1}):
+        with pytest.raises(UserError, match="expected metres above 0"):
+            read_igibson(path, **options)
+    with pytest.raises(UserError, match="are no cell of 10"):
+        read_igibson(path, resolution=10.0)
+
+
+def test_an_image_with_a_resolution(tmp_path: Path) -> None:
+    pixels = np.array([[0, 127, 128], [255, 200, 90]], dtype=np.uint8)
+    for name in ("plan.png", "plan.pgm"):
+        cv2.imwrite(str(tmp_path / name), pixels)
+        grid = OccupancyGrid.load(tmp_path / name, resolution=0.2)
+        assert grid.cells.tolist() == [[FREE, FREE, OCCUPIED], [OCCUPIED, OCCUPIED, FREE]]
+        assert (grid.resolution, grid.origin, grid.name) == (0.2, (0.0, 0.0, 0.0), "plan")
+    light = read_image(tmp_path / "plan.png", 0.2, threshold=80, origin=(1.0, 2.0, 0.5))
+    assert light.cells.sum() == 1 and light.origin == (1.0, 2.0, 0.5)
+    with pytest.raises(UserError, match="threshold 0"):
+        read_image(tmp_path / "plan.png", 0.2, threshold=0)
+    with pytest.raises(UserError, match=r"resolution 0.* above 0"):
+        OccupancyGrid.load(tmp_path / "plan.png", resolution=0)
+
+
+def test_plain_and_binary_pgm_and_yaw(tmp_path: Path) -> None:
+    keys = "resolution: 0.5\norigin: [1, 2, 0.3]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    (tmp_path / "m.yaml").write_text("image: m.pgm\n" + keys)
+    for content in (
+        b"P2\n# made by hand\n3 2\n255\n0 205 254\n254 254 255\n",
+        b"P5\n3 2\n255\n\x00\xcd\xfe\xfe\xfe\xff",
+    ):
+        (tmp_path / "m.pgm").write_bytes(content)
+        grid = OccupancyGrid.load(tmp_path / "m.yaml")
+        assert grid.cells.tolist() == [[FREE] * 3, [OCCUPIED, UNKNOWN, FREE]]
+        assert grid.origin == (1.0, 2.0, 0.3)
+
+
+def test_files_of_no_known_kind(tmp_path: Path) -> None:
+    for name, message in {
+        "plan.png": "an image needs a resolution: write a ROS map yaml",
+        "plan.dxf": "expected a ROS map yaml or an image",
+        "floor_trav_1.png": "does not exist",
+        "plan.yaml": "no map file",
+    }.items():
+        with pytest.raises(UserError, match=message):
+            OccupancyGrid.load(tmp_path / name)
+    with pytest.raises(UserError, match="stands in the yaml"):
+        OccupancyGrid.load(tmp_path / "plan.yaml", resolution=0.1)
+    (tmp_path / "broken.png").write_text("not a picture")
+    with pytest.raises(UserError, match=r"broken.png' cannot be read"):
+        OccupancyGrid.load(tmp_path / "broken.png", resolution=0.1)
+    (tmp_path / "bare.yaml").write_text(
+        "resolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.6\nfree_thresh: 0.2\n"
+    )
+    with pytest.raises(UserError, match="lacks image"):
+        OccupancyGrid.load(tmp_path / "bare.yaml")

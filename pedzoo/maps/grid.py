@@ -1,14 +1,13 @@
-"""Occupancy grids: what a floor plan is, how ROS map files are read, and distances to its walls."""
+"""Occupancy grids: what a floor plan is, its content's identity, and distances to its walls."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path, PureWindowsPath
-from typing import Any, Literal
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,38 +58,60 @@ class OccupancyGrid:
         object.__setattr__(self, "cells", cells)
 
     @classmethod
-    def from_ros_yaml(cls, path: str | Path) -> OccupancyGrid:
-        """Return the floor plan of a ROS map_server file (mode trinary) and the image that it names.
+    def load(cls, path: str | Path, resolution: float | None = None) -> OccupancyGrid:
+        """Return the floor plan of a file: ROS yaml, iGibson's ``floor_trav*.png``, or an image.
+
+        `pedzoo.maps.ros`, `igibson` and `images` read these formats one by one, with their settings.
+
+        Args:
+            path: Its name says what it is.
+            resolution: Metres per cell: needed for an image, 0.1 by default for iGibson, not for a yaml.
 
         Raises:
-            UserError: A file is missing or broken, a key is missing or wrong, or the image lies elsewhere.
+            UserError: The file is of no known kind, missing or broken, or an image has no resolution.
         """
-        path = Path(path)
-        keys = _read_keys(path)
-        mode = keys.get("mode", "trinary")
-        if mode != "trinary":
-            raise UserError(f"{path}: mode {mode!r} is not supported, expected 'trinary'")
-        free, occupied = _number(keys, "free_thresh", path), _number(keys, "occupied_thresh", path)
-        if not 0 <= free < occupied <= 1:
-            raise UserError(
-                f"{path}: free_thresh {free}, occupied_thresh {occupied}: expected 0 <= free < occupied <= 1"
-            )
-        negate = keys.get("negate", 0)
-        if negate not in (0, 1):
-            raise UserError(
-                f"{path}: negate {negate!r}, expected 0 (dark is occupied) or 1 (light is occupied)"
-            )
-        origin = keys["origin"]
-        if not isinstance(origin, list) or len(origin) != 3:
-            raise UserError(f"{path}: origin {origin!r}, expected [x, y, yaw] in metres and radians")
-        x, y, yaw = (_number({"origin": value}, "origin", path) for value in origin)
+        from pedzoo.maps.igibson import read_igibson
+        from pedzoo.maps.images import read_image
+        from pedzoo.maps.ros import read_ros
 
-        image = _read_image(path, keys["image"]).astype(np.float64)
-        darkness = (image if negate else 255 - image) / 255
-        cells = np.full(image.shape, UNKNOWN, dtype=np.uint8)
-        cells[darkness > occupied] = OCCUPIED
-        cells[darkness < free] = FREE
-        return cls(np.flipud(cells), _number(keys, "resolution", path), (x, y, yaw), name=path.stem)
+        path = Path(path)
+        kind = path.suffix.lower()
+        if kind in (".yaml", ".yml"):
+            if resolution is not None:
+                raise UserError(f"{path}: its resolution stands in the yaml, {resolution} was given besides")
+            return read_ros(path)
+        if kind not in (".png", ".pgm", ".jpg", ".jpeg"):
+            raise UserError(f"map file {str(path)!r}: expected a ROS map yaml or an image (png, pgm, jpg)")
+        if kind == ".png" and path.name.startswith("floor_trav"):
+            return read_igibson(path) if resolution is None else read_igibson(path, resolution=resolution)
+        if resolution is None:
+            raise UserError(
+                f"map file {str(path)!r}: an image needs a resolution: write a ROS map yaml beside it that "
+                "states it, or give OccupancyGrid.load(path, resolution=...) metres per pixel"
+            )
+        return read_image(path, resolution)
+
+    @classmethod
+    def from_ros_yaml(cls, path: str | Path) -> OccupancyGrid:
+        """Return the floor plan of a ROS map file, see `pedzoo.maps.ros.read_ros`."""
+        from pedzoo.maps.ros import read_ros
+
+        return read_ros(path)
+
+    def save(self, path: str | Path) -> None:
+        """Write the floor plan as a ROS map yaml with a png of the same name beside it.
+
+        Loaded again it has the same content, digest and ``map_id``. See `pedzoo.maps.ros.write_ros`.
+
+        Args:
+            path: Where the yaml goes; the folder is made where it is missing.
+
+        Raises:
+            UserError: The path does not end in ``.yaml`` or ``.yml``.
+        """
+        from pedzoo.maps.ros import write_ros
+
+        write_ros(self, Path(path))
 
     @cached_property
     def digest(self) -> str:
@@ -135,46 +156,3 @@ class OccupancyGrid:
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) / self.resolution
         return np.column_stack((turn, -turn @ (x, y) - 0.5))
-
-
-def _read_keys(path: Path) -> Mapping[str, Any]:
-    import yaml
-
-    if not path.is_file():
-        raise UserError(f"no map file {str(path)!r}: expected a ROS map yaml with an image beside it")
-    try:
-        keys = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not a ROS map yaml: {error}") from error
-    required = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
-    missing = [key for key in required if not isinstance(keys, dict) or key not in keys]
-    if missing:
-        raise UserError(f"{path} is not a ROS map yaml: it lacks {', '.join(missing)}")
-    return keys
-
-
-def _number(keys: Mapping[str, Any], key: str, path: Path) -> float:
-    try:
-        return float(keys[key])  # YAML reads 5e-2 as text: float() takes both
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{path}: {key} {keys[key]!r} is not a number") from error
-
-
-def _read_image(path: Path, image: Any) -> NDArray[np.uint8]:
-    import cv2
-
-    # Maps come from strangers: an image path must not reach out of their folder. The Windows reading of a
-    # path knows both kinds of separators and drives.
-    given = PureWindowsPath(str(image))
-    if given.anchor or ".." in given.parts:
-        raise UserError(f"{path}: image {str(image)!r} must lie in the yaml's folder or below it")
-    file = path.parent / str(image)
-    if not file.is_file():
-        raise UserError(f"{path}: its image {str(file)!r} does not exist")
-    try:
-        pixels = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    except cv2.error:
-        pixels = None
-    if pixels is None:
-        raise UserError(f"{path}: its image {str(file)!r} cannot be read: expected png or pgm")
-    return np.asarray(pixels, dtype=np.uint8)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import os
 import pickle
 import struct
 import sys
@@ -19,7 +18,7 @@ from safetensors.torch import save
 from pedzoo.errors import UserError, unknown
 from pedzoo.models.base import Forecaster
 from pedzoo.models.header import config_in, opened
-from pedzoo.paths import weight_files
+from pedzoo.paths import weight_files, write_whole
 from pedzoo.registry import MODELS
 from pedzoo.types import GoalProtocol
 
