@@ -150,6 +150,7 @@ class Tables:
         # half cells belong to the smaller one, as in OpenGraph.locate
         place = (place - 0.5).ceil().clamp_min(0).minimum(self.limit[row]).long()
         cell = self.nearest[self.first[row] + place[:, 1] * self.width[row] + place[:, 0]]
+        cell = torch.where(goal < 0, 0, cell)  # without a goal there is a single entry
         start, count, base = self.start[goal], self.count[goal], self.base[row]
 
         def read(number: Tensor) -> tuple[Tensor, Tensor]:
