@@ -63,7 +63,7 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: Tensor) -> Fields
     stride = count + 1
     waypoint = torch.arange(stride, dtype=torch.int32).repeat(goals, 1)
     waypoint[torch.arange(goals), torch.from_numpy(cells)] = count
-    place = torch.from_numpy(np.concatenate((graph.place, np.zeros((1, 2), np.float32))))
+    place = torch.from_numpy(np.concatenate((graph.place, np.zeros((1, 2)))).astype(np.float32))
     length = torch.full((goals, stride), torch.inf)
     own = torch.from_numpy(cells)
     length[torch.arange(goals), own] = (place[own] - points).norm(dim=1)
@@ -86,22 +86,25 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: Tensor) -> Fields
         total = torch.where(beside_length.isinf(), torch.inf, total)
         via = beside_length + (place[beside] - here[:, None]).norm(dim=2)
 
-        best_via = via.min(dim=1)
-        chosen, found = beside.gather(1, best_via.indices[:, None])[:, 0], best_via.values
+        shortest = via.min(dim=1)
+        found, chosen = shortest.values, beside.gather(1, shortest.indices[:, None])[:, 0]
         who = torch.arange(len(pair))
         for _ in range(_TRIES):
             best = total.min(dim=1)
-            worth = best.values < torch.inf
-            who, total, offered, target = who[worth], total[worth], offered[worth], target[worth]
-            rows, column = torch.arange(len(who)), best.indices[worth]
-            candidate = offered[rows, column]
-            seen = graph.sight.clear(here[who], target[rows, column])
+            worth = torch.nonzero(best.values <= found[who])[:, 0]
+            who, total, offered = who[worth], total[worth], offered[worth]
+            candidate = offered.gather(1, best.indices[worth, None])[:, 0]
+            # a goal is looked for at its cell's centre: only there is the clearance certain
+            spot = torch.where(candidate == count, own[goal[who]], candidate)
+            seen = torch.from_numpy(
+                graph.sight.clear(graph.place[cell[who].numpy()], graph.place[spot.numpy()])
+            )
             chosen[who[seen]] = candidate[seen]
-            found[who[seen]] = total[rows, column][seen]
-            missed = ~seen
-            if not missed.any():
+            found[who[seen]] = best.values[worth][seen]
+            missed = torch.nonzero(~seen)[:, 0]
+            if not len(missed):
                 break
-            who, offered, target = who[missed], offered[missed], target[missed]
+            who, offered = who[missed], offered[missed]
             total = torch.where(offered == candidate[missed, None], torch.inf, total[missed])
         waypoint[base + cell] = chosen.int()
         length[base + cell] = found

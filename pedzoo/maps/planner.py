@@ -12,6 +12,7 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, move_to_scene
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
 from pedzoo.maps.graph import OpenGraph
 from pedzoo.maps.tables import Goal, Tables
@@ -79,6 +80,7 @@ class Planner:
         self.clearance = clearance
         self.snap = snap
         self._graphs: dict[int, OpenGraph] = {}
+        self._corners: dict[int, CornerGraph] = {}
         self._ids: dict[tuple[int, float, float], int] = {}
         self._goals: list[Goal] = []
         self._tables = Tables.build([None] * len(bank.grids), [], None, [])
@@ -93,6 +95,12 @@ class Planner:
         if row not in self._graphs:
             self._graphs[row] = OpenGraph(self.bank.grids[row], self.bank.unknown, self.clearance)
         return self._graphs[row]
+
+    def corners(self, row: int) -> CornerGraph:
+        """Return the graph that `path` searches on the bank's map ``row``."""
+        if row not in self._corners:
+            self._corners[row] = CornerGraph(self.graph(row))
+        return self._corners[row]
 
     def add_goals(self, row: int, points: ArrayLike | Tensor) -> Tensor:
         """Return the ids (G,) of goals at map-frame ``points`` (G, 2); a known point keeps its id.
@@ -132,8 +140,7 @@ class Planner:
                 built = Fields(torch.zeros(len(mine), 0, dtype=torch.int32), torch.zeros(len(mine), 0))
             else:
                 graph = self.graph(row)
-                to_cell = graph.grid.map_to_cell()
-                points = np.array([fresh[i].point for i in mine]) @ to_cell[:, :2].T + to_cell[:, 2]
+                points = graph.to_place(np.array([fresh[i].point for i in mine]))
                 built = build_fields(graph, np.array([fresh[i].cell for i in mine]), points)
             for k, i in enumerate(mine):
                 fields[i] = Fields(built.waypoint[k : k + 1], built.length[k : k + 1])
@@ -239,7 +246,7 @@ class Planner:
         return rest
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
-        """Return the waypoints (W, 2) of a shortest way in the map's frame: the start left out, the goal last.
+        """Return the waypoints (W, 2) of a shortest way in the map's frame: the goal is the last.
 
         Start and goal are moved like goals in `add_goals` when they are not in open cells.
 
@@ -255,15 +262,17 @@ class Planner:
         if row < 0:
             return ends[1:]
         graph = self.graph(row)
-        first, _ = self._settle(row, ends[:1], "start")
+        first, begin = self._settle(row, ends[:1], "start")
         last, place = self._settle(row, ends[1:], "goal")
-        chain = graph.way(int(first[0]), int(last[0]))
-        if not len(chain):
+        if graph.component[first[0]] != graph.component[last[0]]:
             raise UserError(
                 f"no way from {_show(ends[0])} to {_show(ends[1])} on map {graph.grid.name!r}: they are in "
                 f"rooms without a door between that leaves clearance {self.clearance} m"
             )
-        return np.concatenate((graph.xy[graph.pull(chain)[:-1]], place))
+        bends = self.corners(row).way(
+            int(first[0]), int(last[0]), graph.to_place(begin)[0], graph.to_place(place)[0]
+        )
+        return np.concatenate((graph.xy[bends], place))
 
     def _settle(
         self, row: int, points: NDArray[np.float64], what: str

@@ -1,69 +1,98 @@
-"""Lines of sight that keep their distance from walls, for many pairs of points at once."""
+"""Lines of sight between the open cells of a floor plan, exact and for many pairs of cells at once."""
 
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
-from torch.nn import functional as F
+from scipy.ndimage import distance_transform_edt
 
-_LEAPS = 8
-"""Steps as long as the room allows before what is left of a line is sampled densely."""
+_LEAPS = 6
+"""Steps as long as the room allows before what is left of the lines is looked at column by column."""
 
-_DENSE = 0.5
-"""Cells between the samples of a dense line: distances change by less than that in between."""
+_ROUNDING = 1e-6
+"""Cells: lines between centres miss other centres by far more, unless they meet them."""
+
+_DIAGONAL = 2**0.5
 
 
 class Sight:
-    """Who sees whom on one floor plan without coming nearer to a wall than a clearance.
+    """Which open cells see one another.
 
-    Between cell centres the distance is read bilinearly, so that a step to one of the eight neighbours is
-    always in sight if the cells around it are open. Sampled lines may miss a dip below the clearance of a
-    quarter of a cell.
+    They do if the line between their centres stays where walkers may be: in squares between four open cells,
+    or on edges between two. Each step to a neighbour is such a line, so that the shortest lines of sight
+    between two cells bend only at corners of the open cells; and as distances to walls are read bilinearly
+    between centres, every point of a line keeps the clearance that the open cells have.
     """
 
-    def __init__(self, distance: NDArray[np.float32], resolution: float, clearance: float) -> None:
-        """Take the distances to the nearest wall (H, W) in metres, the cells' side and the clearance."""
-        height, width = distance.shape
-        spare = (distance - clearance) / resolution + 1e-4
-        reach = float(height + width)  # a map without walls is infinitely far from them
-        self._spare = torch.from_numpy(np.clip(spare, -reach, reach))[None, None]
-        self._scale = torch.tensor([2 / max(width - 1, 1), 2 / max(height - 1, 1)])
+    def __init__(self, is_open: NDArray[np.bool_]) -> None:
+        """Take which cells are open (H, W)."""
+        square = np.zeros_like(is_open)
+        square[:-1, :-1] = is_open[:-1, :-1] & is_open[1:, :-1] & is_open[:-1, 1:] & is_open[1:, 1:]
+        # How many columns on are certain to be clear, whatever the direction; 0 where the line is blocked.
+        # Squares are entered anywhere and left diagonally; along an axis only cells' centres matter.
+        squares = np.maximum((_room(square) - _DIAGONAL) / _DIAGONAL, 1) * square
+        cells = np.maximum(np.ceil(_room(is_open)) - 1, 1) * is_open
+        self._width = is_open.shape[1]
+        self._cells = is_open.size
+        self._leap = np.concatenate((squares.ravel(), cells.ravel())).astype(np.int16)
 
-    def clear(self, origin: Tensor, target: Tensor) -> Tensor:
-        """Return which lines (M,) keep the clearance.
+    def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return which lines (M,) are clear.
 
         Args:
-            origin: Their first points (M, 2): column and row, whole at cell centres, float32.
-            target: Their last points (M, 2).
+            origin: Column and row of the open cells that they begin in (M, 2).
+            target: Of those that they end in (M, 2).
         """
-        seen = torch.ones(len(origin), dtype=torch.bool)
-        way = target - origin
-        length = way.norm(dim=1)
-        way = way / length.clamp_min(1e-9)[:, None]
-        done = torch.zeros(len(origin))
-        who = torch.arange(len(origin))
-        # Spheres: where the nearest wall is far, the next sample may be as far.
+        way = (target - origin).astype(np.int64)
+        size = np.abs(way)
+        steep = size[:, 1] > size[:, 0]
+        steps = size.max(axis=1)
+        along, across = np.where(steep[:, None], way[:, ::-1], way).T
+        slope = across / np.maximum(steps, 1)
+        # flat index = base + column * forward + floor(height) * sideways, columns counted along the line
+        forward = np.where(steep, self._width, 1)
+        sideways = np.where(steep, 1, self._width)
+        base = (
+            origin[:, 1].astype(np.int64) * self._width + origin[:, 0] + np.where(across == 0, self._cells, 0)
+        )
+        base -= np.where(along < 0, forward, 0)  # squares are named by their smallest corner
+        forward = np.where(along < 0, -forward, forward)
+
+        seen = np.ones(len(way), dtype=bool)
+        who = np.flatnonzero(steps)
+        at = np.zeros(len(who), dtype=np.int64)
+        lines = base, forward, sideways, slope, steps
         for _ in range(_LEAPS):
-            spare = self._read(torch.addcmul(origin, way, done[:, None]))
-            seen[who[spare < 0]] = False
-            done = done + spare.clamp_min(_DENSE)
-            rest = (spare >= 0) & (done < length)
-            who, origin, way, done, length = who[rest], origin[rest], way[rest], done[rest], length[rest]
+            room = self._look(at, *(part[who] for part in lines[:4]))
+            seen[who[room == 0]] = False
+            at = at + room
+            rest = (room > 0) & (at < steps[who])
+            who, at = who[rest], at[rest]
             if not len(who):
                 return seen
-        # Lines along a wall never have far to leap: all their samples at once.
-        count = ((length - done) / _DENSE).long() + 1
-        line = torch.repeat_interleave(torch.arange(len(who)), count)
-        first = count.cumsum(0) - count
-        along = done[line] + (torch.arange(len(line)) - first[line]) * _DENSE
-        spare = self._read(torch.addcmul(origin[line], way[line], along[:, None]))
-        seen[who[line[spare < 0]]] = False
+        count = steps[who] - at
+        line = np.repeat(who, count)
+        column = np.arange(len(line)) + np.repeat(at - (count.cumsum() - count), count)
+        seen[line[self._look(column, *(part[line] for part in lines[:4])) == 0]] = False
         return seen
 
-    def _read(self, cells: Tensor) -> Tensor:
-        where = cells * self._scale - 1
-        return F.grid_sample(self._spare, where[None, None], padding_mode="border", align_corners=True)[
-            0, 0, 0
-        ]
+    def _look(
+        self,
+        column: NDArray[np.int64],
+        base: NDArray[np.int64],
+        forward: NDArray[np.int64],
+        sideways: NDArray[np.int64],
+        slope: NDArray[np.float64],
+    ) -> NDArray[np.int16]:
+        """Return the leaps of lines that are at the beginning of a column of squares, which may be two."""
+        begin = slope * column
+        end = begin + slope
+        low = np.floor(np.minimum(begin, end) + _ROUNDING).astype(np.int64)
+        high = np.ceil(np.maximum(begin, end) - _ROUNDING).astype(np.int64) - 1
+        at = base + column * forward
+        return np.minimum(self._leap[at + low * sideways], self._leap[at + np.maximum(high, low) * sideways])
+
+
+def _room(free: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the distance of every cell to the nearest one that is not free, outside the map included."""
+    return np.asarray(distance_transform_edt(np.pad(free, 1)))[1:-1, 1:-1]
