@@ -45,7 +45,7 @@ def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
     number[leaves] = np.arange(len(point))
 
     # Left first where two edges go on: solids that touch at a corner stay apart.
-    end = point + _STEPS[heading] @ (1, width)
+    end = point + _STEPS[heading, 0] + width * _STEPS[heading, 1]
     options = np.stack([number[end, (heading + turn) % 4] for turn in (1, 0, -1)])
     following = np.take_along_axis(options, (options >= 0).argmax(0)[None], axis=0)[0]
     corner = np.empty(len(end), dtype=bool)  # does an edge start where the border turns?

@@ -19,14 +19,18 @@ TILE = 8
 
 Floats = NDArray[np.float64]
 
+NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1]])
+"""Stands for no segment; it could be one, so that whoever computes with it gets numbers."""
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentTable:
     """All segments of R maps, and which of them can matter in each bucket; row -1 means "no map".
 
     Attributes:
-        segments: In the maps' frames (S, 12): start, end, unit direction, directions of the segments before
-            and after, and whether the corners at start and end are convex (1 or 0).
+        segments: In the maps' frames (S + 1, 12): start, end, unit direction, directions of the segments
+            before and after, and whether the corners at start and end are convex (1 or 0). The last one
+            stands for none.
         candidates: Numbers of segments, bucket after bucket (C,) long.
         offset: Where each bucket's candidates begin (buckets + 1,) long.
         first: Number of each map's first bucket (R + 1,) long.
@@ -67,7 +71,7 @@ class SegmentTable:
         first = np.cumsum([0, *(len(count) for count in counts)])
         offset = np.cumsum(np.concatenate([[0], *counts]))
         return cls(
-            segments=torch.as_tensor(np.concatenate(segments), dtype=torch.float64),
+            segments=torch.as_tensor(np.concatenate([*segments, NOWHERE]), dtype=torch.float64),
             candidates=torch.as_tensor(np.concatenate([np.zeros(0), *lists]), dtype=torch.long),
             offset=torch.as_tensor(offset, dtype=torch.long),
             first=torch.as_tensor(first),

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.geometry import move_to_map, move_to_scene, turn_to_scene
+from pedzoo.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.outlines import outlines
@@ -29,7 +29,7 @@ class Segments(NamedTuple):
         before: Unit direction of the segment that ends where this one starts (2, K, N).
         after: Unit direction of the segment that starts where this one ends (2, K, N).
         convex: Whether the wall's corners at start and end are convex (2, K, N) bool.
-        valid: Which of the K there are (K, N) bool; the others hold zeros.
+        valid: Which of the K there are (K, N) bool; the others hold any segment.
     """
 
     start: Tensor
@@ -86,14 +86,13 @@ class WallSegments:
         order, rank = _ranked(person, distance2)
         kept = rank < self.most
         order, rank = order[kept], rank[kept]
-        person = person[order]
-        used = int(rank.max()) + 1 if len(rank) else 0
-        parts = points.new_zeros(used, len(points), 12)
-        parts[rank, person] = _in_scene(table.segments[segment[order]], pose[person])
-        valid = torch.zeros(used, len(points), dtype=torch.bool, device=points.device)
-        valid[rank, person] = True
-        start, end, direction, before, after, convex = parts.permute(2, 0, 1).contiguous().split(2)
-        return Segments(start, end, direction, before, after, convex > 0, valid)
+        slots = int(rank.max()) + 1 if len(rank) else 0
+        # the last segment of the table stands for none
+        chosen = person.new_full((slots * len(points),), len(table.segments) - 1)
+        chosen[rank * len(points) + person[order]] = segment[order]
+        parts = table.segments.T.index_select(1, chosen).view(12, slots, len(points))
+        valid = (chosen < len(table.segments) - 1).view(slots, len(points))
+        return _in_scene(parts, pose, valid)
 
     def _table(self, reach: float, points: Tensor) -> SegmentTable:
         """Return the look-up for people like these, computed anew where it does not reach far enough."""
@@ -130,12 +129,19 @@ def _ranked(person: Tensor, distance2: Tensor) -> tuple[Tensor, Tensor]:
     return order, number - first
 
 
-def _in_scene(parts: Tensor, pose: Tensor) -> Tensor:
-    """Return segments (M, 12) of the maps' frames in those of the scenes of ``pose`` (M, 4)."""
-    points, directions = parts[:, :4].view(-1, 2, 2), parts[:, 4:10].view(-1, 3, 2)
-    points, directions = move_to_scene(points, pose), turn_to_scene(directions, pose)
-    convex, mirrored = parts[:, 10:], pose[:, 1:2] < 0
-    # In a mirror everything runs the other way round, so that walls stay on the left.
-    there = torch.cat((points.flatten(1), directions.flatten(1), convex), dim=1)
-    back = torch.cat((points.flip(1).flatten(1), -directions[:, [0, 2, 1]].flatten(1), convex.flip(1)), dim=1)
-    return torch.where(mirrored, back, there)
+def _in_scene(parts: Tensor, pose: Tensor, valid: Tensor) -> Segments:
+    """Return segments (12, K, N) of the maps' frames in those of the scenes of ``pose`` (N, 4)."""
+    (cos, sin), mirror, shift = (pose[:, 0].cos(), pose[:, 0].sin()), pose[:, 1], pose[:, 2:].T
+    x, y = parts[:10:2], parts[1:10:2] * mirror
+    turned = torch.stack((cos * x - sin * y, sin * x + cos * y))
+    points, directions = turned[:, :2] + shift[:, None, None], turned[:, 2:]
+    convex = parts[10:] > 0
+    if (mirror < 0).any():
+        # in a mirror everything runs the other way round, so that walls stay on the left
+        same = mirror > 0
+        points = torch.where(same, points, points.flip(1))
+        directions = torch.where(same, directions, -directions[:, [0, 2, 1]])
+        convex = torch.where(same, convex, convex.flip(0))
+    start, end = points.unbind(1)
+    direction, before, after = directions.unbind(1)
+    return Segments(start, end, direction, before, after, convex, valid)

@@ -35,7 +35,7 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
     result, failed = nearest(lines, start, preferred, max_speed, towards=False)
     rows = (failed < lines.shape[1]).nonzero()[:, 0]
     if len(rows):
-        packed = lines.index_select(2, rows), result[:, rows], failed[rows], max_speed[rows]
+        packed = lines[:, :, rows], result[:, rows], failed[rows], max_speed[rows]
         result[:, rows] = least_violating(*packed, walls)
     return result
 
@@ -63,11 +63,11 @@ def nearest(
     last, own = rows.new_full((), -1), start
     while count:
         wrong = (violation(lines, own) > 0) & (number > last)
-        line = torch.where(wrong, number, count).amin(0)
+        line = _first(wrong)
         still = (line < count).nonzero()[:, 0]
         if not len(still):
             break
-        rows, line, lines = rows[still], line[still], lines.index_select(2, still)
+        rows, line, lines = rows[still], line[still], lines[:, :, still]
         optimum, max_speed = optimum[:, still], max_speed[still]
         own, feasible = best_on_line(lines, line, optimum, max_speed, towards)
         failed[rows] = torch.where(feasible, count, line)
@@ -130,11 +130,11 @@ def least_violating(lines: Tensor, result: Tensor, first: Tensor, max_speed: Ten
     own, worst, last = result, torch.zeros_like(max_speed), first - 1
     while True:
         wrong = (violation(lines, own) > worst) & (number > last)
-        line = torch.where(wrong, number, count).amin(0)
+        line = _first(wrong)
         still = (line < count).nonzero()[:, 0]
         if not len(still):
             return answer
-        rows, last, lines, own = rows[still], line[still], lines.index_select(2, still), own[:, still]
+        rows, last, lines, own = rows[still], line[still], lines[:, :, still], own[:, still]
         max_speed = max_speed[still]
         chosen = lines.gather(1, last.expand(4, 1, -1))
         inward = torch.stack((-chosen[3, 0], chosen[2, 0]))
@@ -168,3 +168,11 @@ def violation(lines: Tensor, velocity: Tensor) -> Tensor:
     """Return how far velocities (2, N) are on the wrong side of ``lines`` (4, L, N): (L, N), m/s."""
     px, py, dx, dy = lines
     return dx * (py - velocity[1]) - dy * (px - velocity[0])
+
+
+def _first(wrong: Tensor) -> Tensor:
+    """Return the number (N,) of the first true row of (L, N), L where there is none."""
+    count = len(wrong)
+    # as floats: their minimum is much faster than that of whole numbers
+    number = torch.arange(count, device=wrong.device, dtype=torch.float32)[:, None]
+    return torch.where(wrong, number, count).amin(0).long()
