@@ -103,11 +103,11 @@ def test_distance_is_that_to_the_nearest_square(share: float) -> None:
         points[:500] = np.round(points[:500], 1)  # many of them on edges and corners
         found, away = ask(grid, points, max_distance=20.0)
         error = np.abs(found.numpy() - brute_force(grid, points))
-        # Four candidates are nearly always enough; where a fifth is nearer, it is by very little.
-        assert error.max() < 0.02 * grid.resolution
-        assert (error < 1e-9).mean() > 0.995
-        # within half a cell of a wall nothing is ever missed
-        assert error[found.abs().numpy() <= 0.25].max(initial=0) < 1e-9
+        # Hardly ever is a box missed, and then it is nearer by very little.
+        assert error.max() < 0.01 * grid.resolution
+        assert (error < 1e-9).mean() > 0.998
+        # within a cell of a wall nothing is ever missed
+        assert error[found.abs().numpy() <= 0.5].max(initial=0) < 1e-9
         assert torch.allclose(away.norm(dim=1), torch.ones(len(points), dtype=away.dtype))
 
 

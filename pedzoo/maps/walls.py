@@ -12,41 +12,35 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.geometry import move_to_map, turn_to_scene
-from pedzoo.maps.boxes import merge_cells
+from pedzoo.maps.contenders import CONTENDERS, contenders
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-
-FAR = 1e9
-"""Where, in cells, the walls of a map without walls are."""
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Boxes of wall and of free space of R maps, and for each place the few of them that can be the nearest.
+    """Boxes of wall and of free space of R maps, and for each quarter of a cell those that may be nearest.
 
-    Each map is padded by ``max_distance``. On a lattice of half cells the nearest box of every lattice point
-    is known; for a position the boxes of the four lattice points around it are compared. Corners and middles
-    of cells are lattice points themselves, which makes this exact beside walls; farther away a fifth box may
-    be nearer by a small fraction of a cell.
+    Each map is padded by ``max_distance`` and cut into quarters of cells; see `pedzoo.maps.contenders` for
+    which boxes contend in a quarter. The contending boxes of a position's quarter are compared.
 
     Attributes:
         box: Boxes of all maps (4, M) float64: x0, y0, x1, y1 in cells from the padded map's outer corner.
-        nearest: Box nearest to each lattice point, of the walls and then of the free space, one map after
-            another (L,) int32.
-        wall: Whether each cell of the padded maps is a wall, one map after another (C,) bool.
+        option: Sets of contending boxes (CONTENDERS, O) int32; the first M are one box each.
+        choice: Which set contends in each quarter, row by row, one map after another (Q,) int32.
+        wall: Whether each cell is a wall, one map after another (C,) bool.
         affine: Map frame in metres to cells of the padded map: column by column a matrix's two rows and two
             shifts (6, R + 1) float64; row -1 means "no map".
-        place: Columns and rows of each padded map, where it begins in ``nearest`` and in ``wall``
-            (4, R + 1) long.
+        place: Columns and rows of each padded map, and where it begins in ``wall`` (3, R + 1) long.
         resolution: Side of a cell in metres (R + 1,) float64.
         limit: Distances are clipped to plus and minus this, metres () float64.
     """
 
     box: Tensor
-    nearest: Tensor
+    option: Tensor
+    choice: Tensor
     wall: Tensor
     affine: Tensor
     place: Tensor
@@ -61,22 +55,28 @@ class Walls:
         pads = [math.ceil(max_distance / grid.resolution) for grid in grids]
         plans = [np.pad(grid.occupied(unknown), pad) for grid, pad in zip(grids, pads, strict=True)]
         plans.append(np.zeros((1, 1), dtype=bool))
-        box, nearest, wall, place = [], [], [], []
-        for cells in plans:
-            place.append((*cells.shape[::-1], sum(map(len, nearest)), sum(map(len, wall))))
-            for side in (cells, ~cells):
-                parts, labels = _nearest_box(side)
-                nearest.append((labels + sum(map(len, box))).astype(np.int32).ravel())
-                box.append(parts)
-            wall.append(cells.ravel())
+        found = [contenders(cells) for cells in plans]
+        boxes = np.concatenate([one.box for one in found])
+        first_box = np.cumsum([0, *(len(one.box) for one in found)])
+        first_set = len(boxes) + np.cumsum([0, *(len(one.sets) for one in found)])
+        sets = [one.sets + start for one, start in zip(found, first_box, strict=False)]
+        choice = [
+            np.where(one.choice < len(one.box), one.choice + box, one.choice - len(one.box) + rest).ravel()
+            for one, box, rest in zip(found, first_box, first_set, strict=False)
+        ]
+        option = np.concatenate((np.repeat(np.arange(len(boxes))[:, None], CONTENDERS, axis=1), *sets))
+        begin = np.cumsum([0, *(cells.size for cells in plans[:-1])])
+        place = [(*cells.shape[::-1], start) for cells, start in zip(plans, begin, strict=True)]
+
         affine = np.zeros((6, len(plans)))
         for row, (grid, pad) in enumerate(zip(grids, pads, strict=True)):
             to_cell = grid.map_to_cell()
             affine[:, row] = [*to_cell[0, :2], *to_cell[1, :2], *(to_cell[:, 2] + pad + 0.5)]
         return cls(
-            box=torch.from_numpy(np.concatenate(box).T.copy()),
-            nearest=torch.from_numpy(np.concatenate(nearest)),
-            wall=torch.from_numpy(np.concatenate(wall)),
+            box=torch.from_numpy(boxes.T.copy()),
+            option=torch.from_numpy(option.T.astype(np.int32)),
+            choice=torch.from_numpy(np.concatenate(choice).astype(np.int32)),
+            wall=torch.from_numpy(np.concatenate([cells.ravel() for cells in plans])),
             affine=torch.from_numpy(affine),
             place=torch.tensor(place).T.contiguous(),
             resolution=torch.tensor([*(grid.resolution for grid in grids), 1.0], dtype=torch.float64),
@@ -119,16 +119,13 @@ class Walls:
         xx, xy, yx, yy, shift_x, shift_y = self.affine.index_select(1, row).unsqueeze(2)
         x, y = points.unbind(2)
         x, y = xx * x + xy * y + shift_x, yx * x + yy * y + shift_y
-        columns, lines, lattice, cells = self.place.index_select(1, row).unsqueeze(2)
+        columns, lines, begin = self.place.index_select(1, row).unsqueeze(2)
         zero = torch.zeros_like(columns)
         column = (x * 2).long().clamp(zero, 2 * columns - 1)
         line = (y * 2).long().clamp(zero, 2 * lines - 1)
-        inside = _at(self.wall, cells + (line >> 1) * columns + (column >> 1))
-
-        # the boxes of the other kind that are nearest to the four lattice points around
-        stride = 2 * columns + 1
-        first = lattice + line * stride + column + inside * (stride * (2 * lines + 1))
-        around = _at(self.nearest, torch.stack((first, first + 1, first + stride, first + stride + 1)))
+        inside = _at(self.wall, begin + (line >> 1) * columns + (column >> 1))
+        choice = _at(self.choice, 4 * begin + line * (2 * columns) + column)
+        around = self.option.index_select(1, choice.view(-1)).view(CONTENDERS, *choice.shape)
         beyond_x = torch.maximum(_at(self.box[0], around) - x, x - _at(self.box[2], around)).clamp_min(0)
         beyond_y = torch.maximum(_at(self.box[1], around) - y, y - _at(self.box[3], around)).clamp_min(0)
         squared, best = (beyond_x.square() + beyond_y.square()).min(dim=0)
@@ -153,23 +150,3 @@ class Walls:
 def _at(values: Tensor, index: Tensor) -> Tensor:
     # values[index], several times faster on the CPU
     return values.index_select(0, index.view(-1)).view(index.shape)
-
-
-def _nearest_box(cells: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return boxes (M, 4) of the true cells (H, W) and the nearest of each lattice point (2H + 1, 2W + 1)."""
-    from scipy.ndimage import distance_transform_edt
-
-    parts = merge_cells(cells)
-    if not len(parts):
-        return np.full((1, 4), FAR), np.zeros([2 * n + 1 for n in cells.shape], dtype=np.int64)
-    rim = np.full(np.add(cells.shape, 2), -1)
-    for number, (x0, y0, x1, y1) in enumerate(parts):
-        rim[y0 + 1 : y1 + 1, x0 + 1 : x1 + 1] = number
-    # A lattice point belongs to all cells that it touches: one between two of them, a corner of four.
-    touched = np.repeat(np.repeat(rim, 2, axis=0), 2, axis=1)
-    touched = np.maximum(touched[1:-2], touched[2:-1])
-    touched = np.maximum(touched[:, 1:-2], touched[:, 2:-1])
-    line, column = np.asarray(
-        distance_transform_edt(touched < 0, return_distances=False, return_indices=True)
-    )
-    return parts.astype(np.float64), touched[line, column]
