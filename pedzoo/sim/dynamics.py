@@ -69,12 +69,11 @@ def walk(
         return path
     reach = body_radius - SKIN
     with torch.no_grad():  # who can come to a wall at all, then who does
-        distance, _ = bank.closest_wall(position, map_id, pose)
-        near = distance < reach + velocity.norm(dim=-1) * seconds
+        field = bank.signed_distance(position, map_id, pose)
+        near = field < reach + bank.field_error + velocity.norm(dim=-1) * seconds
         scene, slot = near.nonzero(as_tuple=True)
-        if len(scene):
-            touching = bank.closest_wall(path[scene, slot], map_id[scene], pose[scene])[0].amin(1) < reach
-            scene, slot = scene[touching], slot[touching]
+        touching = bank.walls_within(path[scene, slot], map_id[scene], pose[scene], reach).any(1)
+        scene, slot = scene[touching], slot[touching]
     if not len(scene):
         return path
     slid = _slide(
@@ -100,10 +99,12 @@ def _slide(
     for _ in range(steps):
         wanted = position + move
         allowed = distance.detach().clamp_max(reach)  # whoever is too close already may not come closer
+        gap, away = closest_wall(wanted)
         for _ in range(_PUSHES):
-            gap, away = closest_wall(wanted)
+            if not bool((gap < allowed - _ROUNDING).any()):
+                break
             wanted = wanted + (allowed - gap).clamp_min(0.0).unsqueeze(-1) * away.detach()
-        gap, _ = closest_wall(wanted)
+            gap, away = closest_wall(wanted)
         stuck = gap < allowed - _ROUNDING
         position = torch.where(stuck.unsqueeze(-1), position, wanted)
         distance = torch.where(stuck, distance, gap)
