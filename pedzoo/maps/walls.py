@@ -116,20 +116,21 @@ class Walls:
     def _look(self, points: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         # The same for map-frame positions (N, K, 2). Coordinates are handled one by one: on the CPU that is
         # several times faster than pairs of them.
-        xx, xy, yx, yy, shift_x, shift_y = self.affine.index_select(1, row).unsqueeze(2)
+        xx, xy, yx, yy, shift_x, shift_y = (_at(values, row[:, None]) for values in self.affine)
         x, y = points.unbind(2)
         x, y = xx * x + xy * y + shift_x, yx * x + yy * y + shift_y
-        columns, lines, begin = self.place.index_select(1, row).unsqueeze(2)
+        columns, lines, begin = (_at(values, row[:, None]) for values in self.place)
         zero = torch.zeros_like(columns)
         column = (x * 2).long().clamp(zero, 2 * columns - 1)
         line = (y * 2).long().clamp(zero, 2 * lines - 1)
         inside = _at(self.wall, begin + (line >> 1) * columns + (column >> 1))
         choice = _at(self.choice, 4 * begin + line * (2 * columns) + column)
-        around = self.option.index_select(1, choice.view(-1)).view(CONTENDERS, *choice.shape)
+        around = torch.stack([_at(boxes, choice) for boxes in self.option])
         beyond_x = torch.maximum(_at(self.box[0], around) - x, x - _at(self.box[2], around)).clamp_min(0)
         beyond_y = torch.maximum(_at(self.box[1], around) - y, y - _at(self.box[3], around)).clamp_min(0)
         squared, best = (beyond_x.square() + beyond_y.square()).min(dim=0)
-        x0, y0, x1, y1 = self.box.index_select(1, around.gather(0, best[None]).view(-1)).view(4, *x.shape)
+        nearest = around.gather(0, best[None])[0]
+        x0, y0, x1, y1 = (_at(values, nearest) for values in self.box)
 
         depth = squared.sqrt()
         dx, dy = x - x.clamp(x0, x1), y - y.clamp(y0, y1)
@@ -139,7 +140,7 @@ class Walls:
         dx = torch.where(edge, along_x * (2 * x - x0 - x1).sign(), dx / depth)
         dy = torch.where(edge, ~along_x * (2 * y - y0 - y1).sign(), dy / depth)
 
-        resolution = self.resolution.index_select(0, row).unsqueeze(1)
+        resolution = _at(self.resolution, row[:, None])
         sign = 1 - 2 * inside.double()
         distance = depth * resolution
         scale = torch.where(distance < self.limit, sign * resolution, 0)
