@@ -13,6 +13,10 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.types import GoalProtocol
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pedzoo.maps.grid import OccupancyGrid
+    from pedzoo.models.controller import Controller
     from pedzoo.models.walker import Noise, Walker
 
 
@@ -63,6 +67,23 @@ class Forecaster(nn.Module):
         from pedzoo.models.walker import Walker
 
         return Walker(self, noise, execute_steps)
+
+    def controller(
+        self, map: OccupancyGrid | str | Path | None = None, noise: Noise = "episode", **settings: Any
+    ) -> Controller:
+        """Return the model as a controller for the people of any simulator.
+
+        Args:
+            map: The floor plan that they walk on, or its file; None for open space.
+            noise: As of `policy`.
+            settings: As of `pedzoo.models.controller.Controller`: ``dt``, ``pref_speed``, ``seed``, ...
+
+        Raises:
+            UserError: The file is no floor plan, or a setting is out of range.
+        """
+        from pedzoo.models.controller import Controller
+
+        return Controller(self.policy(noise), map, **settings)
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
