@@ -25,6 +25,7 @@ class OpenGraph:
 
     Attributes:
         grid: The floor plan.
+        distance: From cell centres to the nearest wall (H, W) float32, metres, negative inside it.
         shape: Rows and columns of the floor plan.
         open: Which cells are open (H, W).
         cells: Flat index (row * W + column) of every open cell (N,), growing.
@@ -36,12 +37,12 @@ class OpenGraph:
 
     def __init__(self, grid: OccupancyGrid, unknown: Unknown, clearance: float) -> None:
         """Find the open cells; a floor plan may have none."""
-        distance = grid.signed_distance(unknown)
         self.grid = grid
-        self.shape = distance.shape
-        self.open = distance >= clearance - 1e-6
+        self.distance = grid.signed_distance(unknown)
+        self.shape = self.distance.shape
+        self.open = self.distance >= clearance - 1e-6
         self.cells = np.flatnonzero(self.open)
-        self.index = np.full(distance.size, -1, dtype=np.int32)
+        self.index = np.full(self.distance.size, -1, dtype=np.int32)
         self.index[self.cells] = np.arange(len(self.cells), dtype=np.int32)
         row, column = np.divmod(self.cells, self.shape[1])
         self.place = np.stack((column, row), axis=1).astype(np.int32)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from pedzoo.errors import UserError
-from pedzoo.geometry import move_to_map, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
 from pedzoo.maps.graph import OpenGraph
-from pedzoo.maps.tables import Goal, Tables
+from pedzoo.maps.tables import Found, Goal, Tables
 
 BODY_CLEARANCE = 0.15
 """Metres that the line to the carrot keeps from walls: a body's radius."""
@@ -54,6 +55,32 @@ class Guidance(NamedTuple):
     """As in `Look` (P,)."""
 
 
+class Frame(NamedTuple):
+    """How the scenes of P people lie on their maps; vectors have x and y as rows, which is faster."""
+
+    cosine: Tensor
+    sine: Tensor
+    mirror: Tensor
+    shift: Tensor
+
+    @classmethod
+    def of(cls, pose: Tensor) -> Frame:
+        """Return the frames of scene poses (P, 4)."""
+        angle, mirror, x, y = pose.float().unbind(1)
+        return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
+
+    def to_map(self, points: Tensor) -> Tensor:
+        """Move scene positions (P, 2) to the map: (2, P), as `geometry.move_to_map` does."""
+        x, y = points.t() - self.shift
+        return torch.stack((self.cosine * x + self.sine * y, (self.cosine * y - self.sine * x) * self.mirror))
+
+    def to_scene(self, points: Tensor, shifted: bool = True) -> Tensor:
+        """Move map positions (2, P) to the scenes (2, P); vectors are only turned."""
+        x, y = points[0], points[1] * self.mirror
+        turned = torch.stack((self.cosine * x - self.sine * y, self.sine * x + self.cosine * y))
+        return turned + self.shift if shifted else turned
+
+
 class Planner:
     """Ways to goals on the floor plans of a bank.
 
@@ -83,7 +110,9 @@ class Planner:
         self._corners: dict[int, CornerGraph] = {}
         self._ids: dict[tuple[int, float, float], int] = {}
         self._goals: list[Goal] = []
-        self._tables = Tables.build([None] * len(bank.grids), [], None, [])
+        self._rows: set[int] = set()  # maps that the tables know
+        self._with_fields = 0  # goals that they know
+        self._tables: Tables | None = None
 
     @property
     def goals(self) -> int:
@@ -128,25 +157,44 @@ class Planner:
         return torch.tensor(ids, dtype=torch.long)
 
     def prepare(self) -> None:
-        """Build the fields of all goals that have none yet."""
-        first = self._tables.goals
-        fresh = self._goals[first:]
-        if not fresh:
-            return
-        fields: dict[int, Fields] = {}
-        for row in {goal.row for goal in fresh}:
-            mine = [i for i, goal in enumerate(fresh) if goal.row == row]
-            if row < 0:
-                built = Fields(torch.zeros(len(mine), 0, dtype=torch.int32), torch.zeros(len(mine), 0))
-            else:
-                graph = self.graph(row)
-                points = graph.to_place(np.array([fresh[i].point for i in mine]))
-                built = build_fields(graph, np.array([fresh[i].cell for i in mine]), points)
+        """Build the fields of all goals that have none yet; look-ups do so, too.
+
+        Whoever knows many goals adds them all before: building them together is faster, and each time the
+        tables are copied.
+        """
+        self._prepared()
+
+    def _prepared(self) -> Tables:
+        tables, known = self._tables, self._with_fields
+        if tables is not None and known == len(self._goals):
+            return tables
+        fresh = self._goals[known:]
+        rows = {goal.row for goal in fresh}
+        if tables is None or not rows <= self._rows:
+            self._rows |= rows
+            whole = range(len(self.bank.grids))
+            built = Tables.build([self.graph(r) if r in self._rows else None for r in whole], self.clearance)
+            if tables is not None:
+                built = built.to(tables.entry.device)
+                built = replace(built, point=tables.point, goal=tables.goal, entry=tables.entry)
+            tables = built
+        if fresh:
+            tables = tables.with_goals(fresh, self._build(fresh))
+        self._tables, self._with_fields = tables, len(self._goals)
+        return tables
+
+    def _build(self, goals: Sequence[Goal]) -> list[Fields]:
+        """Return the fields of goals, one each; all of a map are built together."""
+        nothing = Fields(torch.zeros(1, 0, dtype=torch.int32), torch.zeros(1, 0))
+        fields = [nothing] * len(goals)
+        for row in {goal.row for goal in goals} - {-1}:
+            mine = [i for i, goal in enumerate(goals) if goal.row == row]
+            graph = self.graph(row)
+            points = graph.to_place(np.array([goals[i].point for i in mine]))
+            built = build_fields(graph, np.array([goals[i].cell for i in mine]), points)
             for k, i in enumerate(mine):
                 fields[i] = Fields(built.waypoint[k : k + 1], built.length[k : k + 1])
-        maps = [self._graphs.get(row) for row in range(len(self.bank.grids))]
-        ordered = [fields[i] for i in range(len(fresh))]
-        self._tables = Tables.build(maps, self._goals, self._tables, ordered)
+        return fields
 
     def look(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> Look:
         """Return everybody's next waypoints and how far their goals are.
@@ -160,26 +208,33 @@ class Planner:
             pose: Scene poses (P, 4).
 
         Raises:
-            UserError: A goal is of another map than the person, or unknown.
+            UserError: A goal is of another map than the person.
         """
-        waypoint, after, goal, onward, _ = self._look(points, goal_id, map_id, pose)
-        distance = (waypoint - points).norm(dim=1) + onward
+        frame, _, found = self._find(points, goal_id, self.bank.index(map_id), pose)
+        with torch.no_grad():
+            waypoint, after, goal = (
+                frame.to_scene(part).t().contiguous() for part in (found.waypoint, found.after, found.goal)
+            )
+        distance = (waypoint - points).norm(dim=1) + found.onward
         return Look(waypoint, after, goal, distance)
 
-    def _look(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> tuple[Tensor, ...]:
-        self.prepare()
-        self._tables = tables = self._tables.to(points.device)
-        row = self.bank.index(map_id)
-        with torch.no_grad():
-            home = move_to_map(points, pose)
-            found = tables.look(home, goal_id, row)
-            scene = move_to_scene(torch.stack((found.waypoint, found.after, found.goal), dim=1), pose)
-            waypoint, after, goal = scene.unbind(1)
-            stay = (goal_id < 0) | found.onward.isinf()
-        waypoint = torch.where(stay[:, None], points.detach(), waypoint)
-        after = torch.where(stay[:, None], points.detach(), after)
-        goal = torch.where((goal_id < 0)[:, None], points.detach(), goal)
-        return waypoint, after, goal, found.onward, found.last
+    @torch.no_grad()
+    def _find(self, points: Tensor, goal: Tensor, row: Tensor, pose: Tensor) -> tuple[Frame, Tensor, Found]:
+        """Return the frames of people's scenes, their positions on the map (2, P) and where they go."""
+        self._tables = tables = self._prepared().to(points.device)
+        frame = Frame.of(pose)
+        home = frame.to_map(points.detach().float())
+        found = tables.look(home, goal, row)
+        lost = found.onward.isinf()
+        stay = (goal < 0) | lost
+        if stay.any():
+            found = found._replace(
+                waypoint=torch.where(stay, home, found.waypoint),
+                after=torch.where(stay, home, found.after),
+                goal=torch.where(goal < 0, home, found.goal),
+                last=found.last | stay,
+            )
+        return frame, home, found
 
     def guide(
         self,
@@ -193,8 +248,9 @@ class Planner:
         """Return everybody's carrot and desired velocity.
 
         The carrot is the point of the way that is reached in ``look_ahead_seconds`` at ``pref_speed``; past
-        the goal the last segment is prolonged, so that people walk through it instead of braking. It is
-        moved back towards the waypoint until the line to it keeps a body's radius from walls.
+        the goal the last segment is prolonged, so that people walk through it instead of braking. Beyond the
+        next waypoint it is moved back until the line to it keeps a body's radius from walls: a half of what
+        is beyond, a quarter, or to the waypoint itself. People without a goal, or without a way to it, stay.
 
         Args:
             points: Scene positions (P, 2), metres.
@@ -204,44 +260,46 @@ class Planner:
             pref_speed: Metres per second (P,).
             look_ahead_seconds: How far ahead the carrot is.
         """
-        waypoint, after, end, onward, last = self._look(points, goal_id, map_id, pose)
-        way = waypoint - points
-        length = way.norm(dim=1)
-        second = after - waypoint
-        second_length = second.norm(dim=1)
-        there = (length > _EPSILON)[:, None]
-        beyond = second / second_length.clamp_min(_EPSILON)[:, None]
-        direction = torch.where(there, way / length.clamp_min(_EPSILON)[:, None], beyond)
-        beyond = torch.where((second_length > _EPSILON)[:, None], beyond, direction)
-
-        ahead = pref_speed * look_ahead_seconds
-        rest = (ahead - length).clamp_min(0)
-        # a second segment that does not end at the goal is as far as anybody looks
-        rest = torch.where(last, rest, torch.minimum(rest, second_length))
+        row = self.bank.index(map_id)
+        frame, home, found = self._find(points, goal_id, row, pose)
         with torch.no_grad():
-            rest = self._in_sight(points, map_id, pose, waypoint, beyond, rest)
-        goal = torch.where(
-            (length < ahead)[:, None], waypoint + beyond * rest[:, None], points + direction * ahead[:, None]
-        )
-        return Guidance(goal, direction * pref_speed[:, None], waypoint, end, length + onward)
+            ahead = pref_speed * look_ahead_seconds
+            way, second = found.waypoint - home, found.after - found.waypoint
+            length, second_length = way.norm(dim=0), second.norm(dim=0)
+            there, ends = length < _EPSILON, second_length < _EPSILON
+            # beyond the goal the way goes on as it came
+            beyond = torch.where(
+                ends, way / length.clamp_min(_EPSILON), second / second_length.clamp_min(_EPSILON)
+            )
+            # a second segment that does not end at the goal is as far as anybody looks
+            rest = (ahead - length).clamp_min(0)
+            rest = torch.where(found.last, rest, rest.minimum(second_length))
+            rest = self._in_sight(home, row, found.waypoint, beyond, rest)
+            carrot = frame.to_scene(found.waypoint + beyond * rest).t()
+            waypoint = frame.to_scene(found.waypoint).t().contiguous()
+            point = frame.to_scene(found.goal).t().contiguous()
+            turned = frame.to_scene(beyond, shifted=False).t()
+            straight = (length >= ahead)[:, None]
+        way = waypoint - points
+        distance = way.norm(dim=1)
+        unit = way / distance.clamp_min(_EPSILON)[:, None]
+        if there.any():  # on the waypoint the way goes on along the second segment
+            unit = torch.where(there[:, None], turned, unit)
+        goal = torch.where(straight, points + unit * ahead[:, None], carrot)
+        return Guidance(goal, unit * pref_speed[:, None], waypoint, point, distance + found.onward)
 
-    def _in_sight(
-        self, points: Tensor, map_id: Tensor, pose: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor
-    ) -> Tensor:
+    def _in_sight(self, home: Tensor, row: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor) -> Tensor:
         """Return how far beyond the waypoint the carrot is seen (P,): ``rest``, a half, a quarter, or not."""
-        rest = rest.clone()
-        who = torch.nonzero((rest > 0) & (map_id >= 0))[:, 0]
-        for _ in range(3):
+        tables = self._prepared()
+        who = torch.nonzero((rest > 0) & (row >= 0))[:, 0]
+        for part in (1.0, 0.5, 0.25):
             if not len(who):
                 return rest
-            here, carrot = points[who], waypoint[who] + beyond[who] * rest[who, None]
-            chord = carrot - here
-            count = int(chord.norm(dim=1).max() / _SPACING) + 1
-            part = torch.arange(1, count + 1, device=points.device) / count
-            line = here[:, None] + chord[:, None] * part[:, None]
-            clear = (self.bank.signed_distance(line, map_id[who], pose[who]) >= BODY_CLEARANCE).all(dim=1)
-            who = who[~clear]
-            rest[who] *= 0.5
+            begin, end = home[:, who], waypoint[:, who] + beyond[:, who] * (part * rest[who])
+            hidden = tables.lowest(begin, end, row[who], _SPACING) < BODY_CLEARANCE
+            seen = who[~hidden]
+            rest[seen] = rest[seen] * part
+            who = who[hidden]
         rest[who] = 0
         return rest
 
@@ -262,17 +320,14 @@ class Planner:
         if row < 0:
             return ends[1:]
         graph = self.graph(row)
-        first, begin = self._settle(row, ends[:1], "start")
-        last, place = self._settle(row, ends[1:], "goal")
-        if graph.component[first[0]] != graph.component[last[0]]:
+        (first, last), moved = self._settle(row, ends, "start or goal")
+        if graph.component[first] != graph.component[last]:
             raise UserError(
                 f"no way from {_show(ends[0])} to {_show(ends[1])} on map {graph.grid.name!r}: they are in "
                 f"rooms without a door between that leaves clearance {self.clearance} m"
             )
-        bends = self.corners(row).way(
-            int(first[0]), int(last[0]), graph.to_place(begin)[0], graph.to_place(place)[0]
-        )
-        return np.concatenate((graph.xy[bends], place))
+        bends = self.corners(row).way(first, last, *graph.to_place(moved))
+        return np.concatenate((graph.xy[bends], moved[1:]))
 
     def _settle(
         self, row: int, points: NDArray[np.float64], what: str
@@ -285,8 +340,11 @@ class Planner:
                 " there"
             )
         flat, inside = graph.locate(points)
+        cell = graph.index[flat]
+        snapped = ~inside | (cell < 0)
+        if not snapped.any():
+            return cell, points
         cell = graph.nearest[flat]
-        snapped = ~inside | (graph.index[flat] < 0)
         moved = np.where(snapped[:, None], graph.xy[cell], points)
         far = np.linalg.norm(moved - points, axis=1) > self.snap
         if far.any():
