@@ -196,3 +196,24 @@ def test_the_gradient_is_the_direction() -> None:
     ahead, _ = bank.closest_wall(points.detach() + step * away, ids, pose)
     # walking away changes the distance by as much, except where another wall is as near
     assert ((ahead - distance.detach() - step).abs() < 1e-9).float().mean() > 0.97
+
+
+def test_distances_on_a_real_map(shared: Path) -> None:
+    grid = OccupancyGrid.load(shared / "maps" / "igibson_rs.yaml")
+    points = np.random.default_rng(0).uniform(-1, 21, (20_000, 2))
+    walls = np.pad(grid.occupied("wall"), 20)
+    corner = points[:, None] / grid.resolution + 20
+    expected = np.zeros(len(points))
+    for sign, side in ((1, walls), (-1, ~walls)):
+        parts = merge_cells(side)  # a partition: the nearest of these few is the nearest square
+        gap = np.maximum(np.maximum(parts[:, :2] - corner, corner - parts[:, 2:]), 0)
+        expected += sign * np.hypot(*gap.transpose(2, 0, 1)).min(axis=1) * grid.resolution
+    bank = MapBank([grid], unknown="wall")
+    ids = torch.full((len(points),), grid.map_id)
+    found, _ = bank.closest_wall(
+        torch.from_numpy(points) + torch.tensor(grid.origin[:2]), ids, identity_pose(len(points))
+    )
+    error = np.abs(found.numpy() - expected)
+    assert error.max() < 0.05 * grid.resolution
+    assert error[np.abs(expected) < 0.2].max() < 1e-9
+    assert (error < 1e-9).mean() > 0.9999
