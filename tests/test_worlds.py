@@ -80,3 +80,44 @@ def test_bounds_change_no_contact(scenes: int, people: int) -> None:
     if people > 1:
         assert 0 < found.agent.float().mean() < 0.9
         assert 0 < found.wall.float().mean() < 0.9
+
+
+def test_contacts_by_hand() -> None:
+    grid = hall()
+    for world in worlds(MapBank([grid], "wall")):
+        # two walk towards one another and stop 0.29 m apart at the end of trace point 1; one stands 0.14 m from
+        # the left wall's face at x = 0.2; the last one is absent, in the middle of everything
+        start = torch.tensor([[[1.0, 3.0], [2.0, 3.0], [0.34, 2.0], [1.5, 3.0]]])
+        path = start[:, :, None, None].repeat(1, 1, 3, 2, 1)
+        path[0, 0, 0, :, 0] = torch.tensor([1.2, 1.3])
+        path[0, 1, 0, :, 0] = torch.tensor([1.8, 1.61])
+        path[0, 0, 1, :, 0] = torch.tensor([1.32, 1.3])
+        path[0, 1, 1, :, 0] = torch.tensor([1.61, 1.7])
+        path[0, 2, 2, :, 0] = torch.tensor([0.36, 0.36])
+        people = crowd(start, grid, torch.tensor([[True, True, True, False]]))
+        found = world.contacts(path, people)
+        assert found.agent[0].tolist() == [[False, True, False]] * 2 + [[False] * 3] * 2
+        assert found.wall[0].tolist() == [[False] * 3] * 2 + [[True, True, False], [False] * 3]
+
+
+def test_distances_by_hand() -> None:
+    grid = hall()
+    for world in worlds(MapBank([grid], "wall")):
+        people = crowd(
+            torch.tensor([[[0.7, 3.0], [1.0, 3.4], [5.0, 2.0], [5.1, 2.0]]]),
+            grid,
+            torch.tensor([[True, True, True, False]]),
+        )
+        found = world.distances(people, reach=1.5)
+        assert found.agent[0].tolist() == pytest.approx([0.5, 0.5, 1.5, 1.5], abs=1e-5)
+        assert found.wall[0].tolist() == pytest.approx([0.5, 0.8, 1.2, 1.5], abs=1e-5)
+        assert found.agent_normal[0].flatten().tolist() == pytest.approx([-0.6, -0.8, 0.6, 0.8] + [0] * 4, abs=1e-5)
+        # the third one stands as far from the corner of the door's wall as Pythagoras says
+        assert found.wall_normal[0, 0].tolist() == pytest.approx([1, 0], abs=1e-5)
+        assert found.wall_normal[0, 3].tolist() == [0, 0]
+
+
+def worlds(bank: MapBank) -> list[World]:
+    bullet = pytest.importorskip("pedzoo.sim.worlds.bullet")
+    pytest.importorskip("pybullet")
+    return [GridWorld(bank), bullet.BulletWorld(bank)]

@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.types import BODY_RADIUS
 
@@ -130,7 +130,8 @@ class World(ABC):
             people: Who is where.
             scene: Which of the B scenes.
             size: Width and height in pixels.
-            camera: Where it is taken from; by default from the top, the whole floor plan or else all people.
+            camera: Where it is taken from; by default from the top, all free space of the floor plan, or
+                all people where there is none.
         """
 
     def close(self) -> None:  # noqa: B027 (most worlds hold nothing)
@@ -165,15 +166,19 @@ class World(ABC):
         if grid is None:
             found = camera.around(people.position[scene][people.mask[scene]], size)
         else:
-            corners = torch.from_numpy(_corners(grid)).to(people.pose)
-            found = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.2)
+            corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
+            found = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
         width = found.width if camera.width is None else camera.width
         return Camera(camera.view, camera.center or found.center, width, camera.heading, camera.pitch)
 
 
-def _corners(grid: OccupancyGrid) -> NDArray[np.float64]:
-    """The corners of a floor plan in its map's frame (4, 2), metres."""
-    rows, columns = grid.cells.shape
+def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
+    """The corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
+    free = ~grid.occupied(unknown)
+    if not free.any():
+        free = ~free
+    (top, bottom), (left, right) = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    left, right, top, bottom = left - 0.5, right + 0.5, top - 0.5, bottom + 0.5
+    cells = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     affine = grid.map_to_cell()
-    cells = np.array([[-0.5, -0.5], [columns - 0.5, -0.5], [columns - 0.5, rows - 0.5], [-0.5, rows - 0.5]])
     return (cells - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T

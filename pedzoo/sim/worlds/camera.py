@@ -13,7 +13,7 @@ from torch import Tensor
 FLOOR = (236, 236, 232)
 """RGB of free cells."""
 
-WALL = (96, 98, 104)
+WALL = (112, 114, 122)
 """RGB of walls."""
 
 OUTSIDE = (205, 208, 212)

@@ -16,9 +16,9 @@ from pedzoo.sim.worlds.wall_rays import WallRays
 from pedzoo.types import BODY_RADIUS
 
 _FIELD_ERROR = 1.25
-"""Cells by which the bilinear distance field can exceed the exact distance: a fifth at centres of cells, at most
-0.71 by reading between them, and outside the map 0.5 for the half cells beyond the outermost centres (where
-reading goes along one axis only and errs by at most 0.5)."""
+"""Cells by which the bilinear distance field can exceed the exact distance: a fifth at centres of cells, at
+most 0.71 by reading between them, and outside the map 0.5 for the half cells beyond the outermost centres
+(where reading goes along one axis only and errs by at most 0.5)."""
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""

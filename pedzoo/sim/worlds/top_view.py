@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.geometry import move_to_scene
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.worlds.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
+from pedzoo.sim.worlds.frames import after, inverse, map_to_scene
 
 _FINE = 4
 """cv2 draws at whole pixels, or at sixteenths of them with this shift."""
@@ -43,7 +42,7 @@ def draw_top_view(
     image = np.full((size[1], size[0], 3), FLOOR, dtype=np.uint8)
     if grid is not None:
         colors = np.array([FLOOR, WALL], dtype=np.uint8)[grid.occupied(unknown).astype(int)]
-        affine = _after(to_pixel, _after(_map_to_scene(pose), _inverse(grid.map_to_cell())))
+        affine = after(to_pixel, after(map_to_scene(pose), inverse(grid.map_to_cell())))
         cv2.warpAffine(
             colors,
             affine,
@@ -61,19 +60,3 @@ def draw_top_view(
         cv2.circle(image, (x, y), across, person_color(person), cv2.FILLED, cv2.LINE_AA, _FINE)
         cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)
     return image
-
-
-def _map_to_scene(pose: Tensor) -> NDArray[np.float64]:
-    """The pose as an affine (2, 3)."""
-    corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
-    zero, x, y = move_to_scene(corners[None], pose.detach().cpu().double()[None])[0].numpy()
-    return np.column_stack((x - zero, y - zero, zero))
-
-
-def _after(second: NDArray[np.float64], first: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The affine (2, 3) that applies ``first`` and then ``second``."""
-    return np.column_stack((second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]))
-
-
-def _inverse(affine: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.linalg.inv(np.vstack((affine, [0, 0, 1])))[:2]

@@ -1,0 +1,252 @@
+"""A world of pybullet: extruded walls, capsules, closest-point queries, ray casts and a camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
+from pedzoo.sim.worlds.bullet_scene import BulletScene
+from pedzoo.sim.worlds.camera import Camera
+from pedzoo.sim.worlds.frames import Affine, scene_to_grid
+from pedzoo.sim.worlds.near import farthest, near_pairs
+from pedzoo.sim.worlds.pybullet_client import load_pybullet
+from pedzoo.types import BODY_RADIUS
+
+_SLACK = 1e-6
+"""Metres by which the broad phase is generous: far above rounding."""
+
+_VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
+"""Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
+
+
+class _Asked(NamedTuple):
+    """One scene of a question.
+
+    Attributes:
+        index: Which of the B scenes.
+        bullet: Where its floor plan is built.
+        affine: From the scene to pybullet's frame.
+        places: Where everybody is in pybullet's frame (A, 2), metres.
+        present: Who is there, in ascending order.
+    """
+
+    index: int
+    bullet: BulletScene
+    affine: Affine
+    places: NDArray[np.float64]
+    present: list[int]
+
+
+class BulletWorld(World):
+    """One pybullet client per floor plan, made when it is first asked about.
+
+    pybullet answers; torch only says which bodies are near enough to be asked about. Inside a wall the
+    distance is negative, but pybullet's depth is that in one box and not in the whole wall.
+
+    It can be pickled and sent to workers: the copy makes its own clients.
+    """
+
+    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
+        """Take the floor plans.
+
+        Raises:
+            UserError: The radius is not above zero, or pybullet is not installed.
+        """
+        super().__init__(bank, body_radius)
+        load_pybullet()
+        self._scenes: dict[int, BulletScene] = {}
+        self._closed = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_scenes": {}}
+
+    def close(self) -> None:
+        """Disconnect all clients."""
+        for scene in self._scenes.values():
+            scene.close()
+        self._scenes.clear()
+        self._closed = True
+
+    def _asked(self, people: People, present: Tensor) -> Iterator[_Asked]:
+        """Yield scene after scene.
+
+        Raises:
+            UserError: The world was closed, or a client is gone.
+        """
+        rows = self.bank.index(people.map_id[:, 0]).tolist()
+        for index, row in enumerate(rows):
+            affine = scene_to_grid(people.pose[index], self.bank.grids[row] if row >= 0 else None)
+            who = present[index].nonzero()[:, 0].tolist()
+            yield _Asked(index, self._bullet(row), affine, _move(affine, people.position[index]), who)
+
+    def _bullet(self, row: int) -> BulletScene:
+        if self._closed:
+            raise UserError("this BulletWorld was closed: make a new one, BulletWorld(bank)")
+        if row not in self._scenes:
+            grid = self.bank.grids[row] if row >= 0 else None
+            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius)
+        self._scenes[row].check()
+        return self._scenes[row]
+
+    @torch.no_grad()
+    def distances(self, people: People, reach: float = REACH) -> Distances:
+        """See `World.distances`; not differentiable."""
+        self._check_reach(reach)
+        shape = people.mask.shape
+        gaps = np.full((2, *shape), reach)
+        normals = np.zeros((2, *shape, 2))
+        for asked in self._asked(people, self._present(people)):
+            for person in asked.present:
+                asked.bullet.place(person, *asked.places[person])
+            for person in asked.present:
+                found = self._nearest_person(asked, person, reach), self._nearest_wall(asked, person, reach)
+                for kind, (gap, away) in enumerate(found):
+                    gaps[kind, asked.index, person] = gap
+                    normals[kind, asked.index, person] = away @ asked.affine[:, :2]
+        (agent, wall), (agent_normal, wall_normal) = (
+            torch.from_numpy(values).to(people.position) for values in (gaps, normals)
+        )
+        return Distances(agent, wall, agent_normal, wall_normal)
+
+    def _nearest_person(self, asked: _Asked, person: int, reach: float) -> tuple[float, NDArray[np.float64]]:
+        others = [other for other in asked.present if other != person]
+        apart = np.linalg.norm(asked.places[others] - asked.places[person], axis=1)
+        if not len(apart) or apart.min() >= reach:
+            return reach, np.zeros(2)
+        both = 2 * self.body_radius
+        found = asked.bullet.person_gap(person, others[int(apart.argmin())], max(reach - both, 0.0))
+        return (found[0] + both, found[1]) if found else (reach, np.zeros(2))
+
+    def _nearest_wall(self, asked: _Asked, person: int, reach: float) -> tuple[float, NDArray[np.float64]]:
+        best, away = reach, np.zeros(2)
+        place, bounds = asked.places[person], asked.bullet.wall_bounds
+        beyond = np.maximum(np.maximum(bounds[:, :2] - place, place - bounds[:, 2:]), 0)
+        least = np.linalg.norm(beyond, axis=1)
+        # nearest bounds first: most others are farther than what was found by then
+        for wall in np.argsort(least).tolist():
+            if least[wall] > max(best, 0):
+                break
+            found = asked.bullet.wall_gap(person, wall, max(best - self.body_radius, 0.0))
+            if found and found[0] + self.body_radius < best:
+                best, away = found[0] + self.body_radius, found[1]
+        return best, away
+
+    @torch.no_grad()
+    def contacts(self, path: Tensor, people: People) -> Contacts:
+        """See `World.contacts`."""
+        far = farthest(path, people.position)
+        present = people.mask & far.isfinite()
+        agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
+        pairs = near_pairs(people.position, present, far, 2 * self.body_radius + _SLACK)
+        apart = (path[pairs.scene, pairs.first] - path[pairs.scene, pairs.second]).abs().amax(-1)
+        pair, trace, step = (apart < 2 * self.body_radius + _SLACK).nonzero(as_tuple=True)
+        meetings: list[list[tuple[int, ...]]] = [[] for _ in range(len(path))]
+        columns = (pairs.scene[pair], pairs.first[pair], pairs.second[pair], trace, step)
+        for scene, *meeting in torch.stack(columns, 1).tolist():
+            meetings[scene].append(tuple(meeting))
+        for asked in self._asked(people, present):
+            way = _move(asked.affine, path[asked.index])
+            self._meet(asked.bullet, way, meetings[asked.index], agent[asked.index])
+            self._hit(asked, way, far[asked.index].cpu().numpy(), wall[asked.index])
+        return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
+
+    def _meet(
+        self,
+        bullet: BulletScene,
+        way: NDArray[np.float64],
+        meetings: list[tuple[int, ...]],
+        touching: NDArray[np.bool_],
+    ) -> None:
+        for first, second, trace, step in meetings:
+            if touching[first, trace] and touching[second, trace]:
+                continue
+            bullet.place(first, *way[first, trace, step])
+            bullet.place(second, *way[second, trace, step])
+            found = bullet.person_gap(first, second, 0.0)
+            if found and found[0] < 0:
+                touching[[first, second], trace] = True
+
+    def _hit(
+        self, asked: _Asked, way: NDArray[np.float64], far: NDArray[Any], touching: NDArray[np.bool_]
+    ) -> None:
+        low, high = np.split(asked.bullet.wall_bounds, 2, axis=1)
+        low, high = low - self.body_radius - _SLACK, high + self.body_radius + _SLACK
+        start, room = asked.places[asked.present, None], far[asked.present, None, None]
+        near, wall = np.nonzero(((start > low - room) & (start < high + room)).all(-1))
+        person = np.array(asked.present, dtype=np.int64)[near]
+        points = way[person]
+        at = (points > low[wall, None, None]) & (points < high[wall, None, None])
+        which, trace, step = np.nonzero(at.all(-1))
+        questions = np.stack((person[which], wall[which], trace, step), axis=1).tolist()
+        for person, wall, trace, step in questions:
+            if not touching[person, trace]:
+                asked.bullet.place(person, *way[person, trace, step])
+                found = asked.bullet.wall_gap(person, wall, 0.0)
+                touching[person, trace] = found is not None and found[0] < 0
+
+    @torch.no_grad()
+    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+        """See `World.rays`: pybullet's batched ray test, at the height of the chest."""
+        found = np.full(origin.shape[:2], reach)
+        for asked in self._asked(people, self._present(people)):
+            start = _move(asked.affine, origin[asked.index])
+            along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
+            which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
+            found[asked.index, which] = self._scene_rays(asked, start[which], along[which], reach)
+        return torch.from_numpy(found).to(origin)
+
+    def _scene_rays(
+        self, asked: _Asked, start: NDArray[np.float64], along: NDArray[np.float64], reach: float
+    ) -> NDArray[np.float64]:
+        asked.bullet.clear()
+        for person in asked.present:
+            asked.bullet.place(person, *asked.places[person])
+        # pybullet hits some bodies from inside and others not: whoever contains the start is taken away
+        starts, of = np.unique(start, axis=0, return_inverse=True)
+        apart = starts[:, None] - asked.places[None, asked.present]
+        holds = np.square(apart).sum(-1) <= self.body_radius**2
+        groups, group = np.unique(holds, axis=0, return_inverse=True)
+        group = group.reshape(-1)[of.reshape(-1)]
+        found = np.full(len(start), reach)
+        for number, held in enumerate(groups):
+            taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
+            for person in taken:
+                asked.bullet.remove(person)
+            rays = np.flatnonzero(group == number)
+            found[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
+            for person in taken:
+                asked.bullet.place(person, *asked.places[person])
+        found[asked.bullet.in_wall(start)] = 0.0
+        return found
+
+    def image(
+        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+    ) -> NDArray[np.uint8]:
+        """See `World.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
+        one = People(*(values[[scene]] for values in people))
+        (asked,) = self._asked(one, self._present(one))
+        camera = self._framed(people, scene, size, camera)
+        linear, shift = asked.affine[:, :2], asked.affine[:, 2]
+        angle = _VIEW_ANGLE[camera.view]
+        eye, target, up = (np.array(values) for values in camera.eye(angle))
+        for place in (eye, target):
+            place[:2] = linear @ place[:2] + shift
+        up[:2] = linear @ up[:2]
+        where = {person: (float(x), float(y)) for person, (x, y) in enumerate(asked.places)}
+        where = {person: where[person] for person in asked.present}
+        picture = asked.bullet.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
+        # in a mirrored scene, left is right
+        return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
+
+
+def _move(affine: Affine, points: Tensor) -> NDArray[np.float64]:
+    return points.detach().cpu().double().numpy() @ affine[:, :2].T + affine[:, 2]

@@ -1,0 +1,138 @@
+"""What cameras see of a floor plan in pybullet, apart from the bodies that questions are about."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pedzoo.sim.worlds.camera import FLOOR, WALL, person_color
+from pedzoo.sim.worlds.pybullet_client import connect, egl_plugin, load_egl
+
+_CUT_HEIGHT = 1.0
+"""Metres at which walls are cut off in pictures, so that people behind them are seen."""
+
+BODY_HEIGHT = 1.75
+"""Metres, with both round ends of the capsule."""
+
+SHAPES = 16
+"""pybullet takes so many shapes per body and drops the others without a word."""
+
+AWAY = (0.0, 0.0, -100.0)
+"""Where bodies wait that nobody asks for: below the floor."""
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+"""No rotation, as a quaternion."""
+
+
+class BulletLooks:
+    """Walls, floor and figures of people in a pybullet client of their own.
+
+    pybullet draws every body that can be collided with, in colours of its choice. And a GPU's renderer shows
+    only what is made after it is loaded, which takes long: whoever takes no pictures should not wait for it.
+    """
+
+    def __init__(self, boxes: NDArray[np.float64], body_radius: float) -> None:
+        """Connect, and build walls over the rectangles ``boxes`` (M, 4), and a floor."""
+        pybullet, client, self._finalizer = connect(self)
+        self._p, self.client, self._radius = pybullet, client, body_radius
+        plugin = egl_plugin()
+        self._egl = plugin is not None and load_egl(client, plugin)
+        for i in range(0, len(boxes), SHAPES):
+            part = boxes[i : i + SHAPES]
+            shape = pybullet.createVisualShapeArray(
+                shapeTypes=[pybullet.GEOM_BOX] * len(part),
+                halfExtents=half_extents(part, _CUT_HEIGHT),
+                visualFramePositions=middles(part, _CUT_HEIGHT),
+                rgbaColors=[_rgba(WALL)] * len(part),
+                physicsClientId=client,
+            )
+            pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
+        self._floor(boxes)
+        self._figures: list[int] = []
+
+    def close(self) -> None:
+        """Disconnect; a second time does nothing."""
+        self._finalizer()
+
+    def render(
+        self,
+        positions: dict[int, tuple[float, float]],
+        size: tuple[int, int],
+        eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
+        view_angle: float,
+    ) -> NDArray[np.uint8]:
+        """Return a picture (H, W, 3) uint8 RGB.
+
+        Args:
+            positions: Where to draw which person.
+            size: Width and height in pixels.
+            eye: Where the camera stands, what it looks at and which way is up.
+            view_angle: Horizontal opening angle, radians.
+        """
+        self._add_figures(max(positions, default=-1) + 1)
+        for person, body in enumerate(self._figures):
+            where = positions.get(person)
+            place = AWAY if where is None else (*where, BODY_HEIGHT / 2)
+            self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self.client)
+        width, height = size
+        distance = math.dist(eye[0], eye[1])
+        upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
+        found = self._p.getCameraImage(
+            width,
+            height,
+            viewMatrix=self._p.computeViewMatrix(*eye),
+            projectionMatrix=self._p.computeProjectionMatrixFOV(
+                math.degrees(upright), width / height, max(0.1, 0.2 * distance), 3 * distance + 10
+            ),
+            lightDirection=(-3, -5, 12),
+            lightColor=(1, 1, 1),
+            lightAmbientCoeff=0.62,
+            lightDiffuseCoeff=0.42,
+            lightSpecularCoeff=0.0,
+            shadow=1,
+            renderer=self._p.ER_BULLET_HARDWARE_OPENGL if self._egl else self._p.ER_TINY_RENDERER,
+            flags=self._p.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self.client,
+        )
+        return np.asarray(found[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
+
+    def _add_figures(self, people: int) -> None:
+        for person in range(len(self._figures), people):
+            shape = self._p.createVisualShape(
+                self._p.GEOM_CAPSULE,
+                radius=self._radius,
+                length=BODY_HEIGHT - 2 * self._radius,
+                rgbaColor=_rgba(person_color(person)),
+                physicsClientId=self.client,
+            )
+            self._figures.append(self._p.createMultiBody(0, -1, shape, AWAY, physicsClientId=self.client))
+
+    def _floor(self, boxes: NDArray[np.float64]) -> None:
+        low, high = np.array([-50.0, -50.0]), np.array([50.0, 50.0])
+        if len(boxes):
+            low, high = boxes[:, :2].min(axis=0) - 20, boxes[:, 2:].max(axis=0) + 20
+        shape = self._p.createVisualShape(
+            self._p.GEOM_BOX,
+            halfExtents=[*((high - low) / 2), 0.01],
+            rgbaColor=_rgba(FLOOR),
+            physicsClientId=self.client,
+        )
+        middle = [*((low + high) / 2), -0.01]
+        self._p.createMultiBody(0, -1, shape, middle, physicsClientId=self.client)
+
+
+def half_extents(part: NDArray[np.float64], height: float) -> list[list[float]]:
+    """Return the half sides (x, y, z) of walls over rectangles (M, 4)."""
+    return [[*half, height / 2] for half in ((part[:, 2:] - part[:, :2]) / 2).tolist()]
+
+
+def middles(part: NDArray[np.float64], height: float) -> list[list[float]]:
+    """Return the centres (x, y, z) of walls that stand on rectangles (M, 4)."""
+    return [[*middle, height / 2] for middle in ((part[:, :2] + part[:, 2:]) / 2).tolist()]
+
+
+def _rgba(color: tuple[int, int, int]) -> list[float]:
+    return [*(value / 255 for value in color), 1.0]
