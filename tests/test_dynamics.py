@@ -87,7 +87,9 @@ def test_gradients_follow_the_wall() -> None:
     velocity = torch.tensor([[[1.0, 1.0]]], requires_grad=True)
     map_id = torch.tensor([BANK.grids[0].map_id])
     end = walk(torch.tensor([[[1.85, 1.0]]]), velocity, 0.4, 16, BANK, map_id, identity_pose(1))[0, 0, -1]
-    gradient = torch.stack([torch.autograd.grad(value, velocity, retain_graph=True)[0][0, 0] for value in end])
+    gradient = torch.stack(
+        [torch.autograd.grad(value, velocity, retain_graph=True)[0][0, 0] for value in end]
+    )
     # along the wall the whole 0.4 s count, against it nothing
     assert torch.allclose(gradient, torch.tensor([[0.0, 0.0], [0.0, 0.4]]), atol=1e-4)
     free = walk(torch.tensor([[[0.5, 1.0]]]), velocity, 0.4, 16, BANK, map_id, identity_pose(1))[0, 0, -1]
@@ -105,5 +107,7 @@ def test_a_turned_and_mirrored_scene_moves_alike() -> None:
 
 
 def test_without_floor_plans_nothing_is_in_the_way() -> None:
-    path = walk(torch.zeros(1, 1, 2), torch.ones(1, 1, 2), 0.4, 4, MapBank(), torch.tensor([-1]), identity_pose(1))
+    path = walk(
+        torch.zeros(1, 1, 2), torch.ones(1, 1, 2), 0.4, 4, MapBank(), torch.tensor([-1]), identity_pose(1)
+    )
     assert torch.allclose(path[0, 0, -1], torch.tensor([0.4, 0.4]))

@@ -1,0 +1,403 @@
+"""The loop contract of the design, clause by clause."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs import check_env_specs
+from torchrl.envs.utils import step_mdp
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.eval.rollout import rollout
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env
+from pedzoo.sim.policies.go_to_goal import GoToGoal
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.scenario import Layout
+from pedzoo.sim.scenarios.door import BEFORE, Door
+from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TOP_SPEED_RATIO
+
+SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")
+
+
+def walked(env: PedestrianEnv, steps: int, policy: Any = None) -> list[TensorDict]:
+    """Return the results of some steps, without resets in between."""
+    policy = policy or GoToGoal()
+    policy.bind(env.bank)
+    now, results = env.reset(), []
+    for _ in range(steps):
+        results.append(env.step(policy(now)))
+        now = step_mdp(results[-1])
+    return results
+
+
+def positions(results: list[TensorDict]) -> Tensor:
+    """Return everybody's trace (B, A, T, 2)."""
+    return torch.cat([result["next", "agents", "info", "trace"] for result in results], dim=2)
+
+
+# 1. Time
+
+
+@pytest.mark.parametrize("scenario", SCENES)
+@pytest.mark.parametrize("dt", [0.1, 0.4])
+def test_specs(scenario: str, dt: float) -> None:
+    check_env_specs(make_env(scenario, num_envs=2, decision_dt=dt))
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.2, 0.4])
+def test_history_is_sampled_every_0_4_s_whatever_a_decision_takes(dt: float) -> None:
+    env = make_env("door", num_envs=2, decision_dt=dt)
+    results = walked(env, round(1.6 / dt))
+    trace = positions(results)
+    expected = trace[:, :, [3, 7, 11, 15]]  # 0.4, 0.8, 1.2, 1.6 s
+    assert torch.equal(results[-1]["next", "agents", "history"][:, :, -4:], expected)
+    assert results[-1]["next", "agents", "valid"].all()
+    assert torch.allclose(results[-1]["next", "time"], torch.tensor(1.6))
+
+
+def test_decisions_take_whole_tenths_of_a_second() -> None:
+    for dt in (0.25, 0.0, 0.04):
+        with pytest.raises(UserError, match=r"expected a multiple of 0\.1 s"):
+            make_env("door", decision_dt=dt)
+
+
+def test_a_learned_model_is_refused_another_step_than_its_own() -> None:
+    with pytest.raises(UserError, match=r"decides every 0\.4 s, not every 0\.1 s"):
+        rollout("sgan_goal.zara1", "door", "grid", 1, decision_dt=0.1)
+
+
+# 2. Speed
+
+
+def test_preferred_speeds_and_the_same_draw_for_every_policy() -> None:
+    env = make_env("goals:people=5,pool=2", num_envs=400, warm_start="static")
+    speed = env.reset()["agents", "pref_speed"]
+    assert float(speed.mean()) == pytest.approx(1.3, abs=0.02)
+    assert float(speed.std()) == pytest.approx(0.2, abs=0.02)
+    one, _ = rollout("go_to_goal", "door", "grid", 3)
+    other, _ = rollout("orca:radius=0.3", "door", "grid", 3)
+    assert torch.equal(one.pref_speed, other.pref_speed)
+    assert torch.equal(one.past, other.past)
+
+
+def test_nobody_is_faster_than_their_top_speed() -> None:
+    env = make_env("door", num_envs=3)
+    now = env.reset()
+    now["agents", "action"] = torch.full((3, 2, 2), 50.0)
+    after = env.step(now)["next"]
+    moved = (after["agents", "history"][:, :, -1] - now["agents", "history"][:, :, -1]).norm(dim=-1)
+    top = TOP_SPEED_RATIO * now["agents", "pref_speed"][..., 0]
+    assert torch.allclose(moved, 0.4 * top, atol=1e-4)
+
+
+# 3. Radii
+
+
+def test_bodies_touch_at_twice_their_radius_and_walls_at_one() -> None:
+    env = make_env("door:jitter=0,offset=0,speed_std=0", world="grid", decision_dt=0.1)
+    touched = []
+    for result in walked(env, 80, GoToGoal(0.1)):
+        info = result["next", "agents", "info"]
+        apart = info["trace"][0, 0, -1] - info["trace"][0, 1, -1]
+        touched.append((float(apart.norm()), bool(info["agent_contact"].any())))
+    assert any(hit for _, hit in touched)
+    for apart, hit in touched:
+        assert hit or apart >= 2 * BODY_RADIUS
+        # sub-steps in between may be closer than the trace point, by what two people walk in 0.1 s
+        assert not hit or apart < 2 * BODY_RADIUS + 2 * 0.1 * 1.3
+
+
+# 4. Goal: the carrot itself is tested with the planner
+
+
+def test_the_short_term_goal_leads_the_desired_velocity() -> None:
+    now = make_env("door", num_envs=8).reset()
+    ahead = now["agents", "goal"] - now["agents", "history"][:, :, -1]
+    velocity = now["agents", "desired_velocity"]
+    assert torch.allclose(velocity.norm(dim=-1), now["agents", "pref_speed"][..., 0], atol=1e-4)
+    assert (torch.nn.functional.cosine_similarity(ahead, velocity, dim=-1) > 0.7).all()
+    assert (ahead.norm(dim=-1) <= 3.2 * now["agents", "pref_speed"][..., 0] + 1e-4).all()
+
+
+# 5. Success
+
+
+def test_the_goal_is_noticed_between_two_decisions() -> None:
+    """At 3 m/s a person passes through the goal's whole disk within one decision of 0.8 s."""
+    env = make_env("door:people=1,jitter=0,offset=0,speed=3,speed_std=0", decision_dt=0.8)
+    results = walked(env, 6)
+    reached = torch.cat([result["next", "agents", "info", "reached"] for result in results], dim=2)[0, 0]
+    trace = positions(results)[0, 0]
+    goal = torch.tensor([3.0, 0.0])
+    decisions = (trace[7::8] - goal).norm(dim=-1)
+    assert (decisions > GOAL_RADIUS).all()
+    assert int(reached[-1]) == 1
+
+
+def test_time_limits_and_how_scenes_end() -> None:
+    class Stands(GoToGoal):
+        """Stays where it is."""
+
+        def forward(self, tensordict: Any) -> Any:
+            tensordict["agents", "action"] = torch.zeros_like(tensordict["agents", "velocity"])
+            return tensordict
+
+    env = make_env("door", num_envs=2)
+    env.reset()
+    way, speed = env.state.way, env.state.pref_speed
+    assert torch.allclose(env.state.deadline, torch.clamp(4 * way / speed, min=20.0))
+    results = walked(env, math.ceil(float(env.state.deadline.max()) / 0.4) + 1, Stands())
+    last = results[-1]["next"]
+    assert last["truncated"].all() and not last["terminated"].any()
+    assert last["agents", "info", "late"].all()
+    first = next(i for i, result in enumerate(results) if bool(result["next", "done"][0]))
+    assert 0.4 * (first + 1) > float(env.state.deadline[0].max())
+
+
+def test_who_is_finished_draws_goals_until_everybody_is() -> None:
+    result, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "grid", 6)
+    most = (result.reached * result.present).amax(2)
+    assert (most >= 2).all()  # everybody has reached both
+    assert (most > 2).any()  # and some went on
+    assert (result.present.any(1) == result.present.all(1)).all()  # nobody leaves before the end
+
+
+# 6. Warm start
+
+
+@pytest.mark.parametrize("scenario", ["door", "door:people=6,speed_std=0.3", "door:speed_ratio=1.4"])
+def test_everybody_is_2_5_m_from_the_door_after_seven_steps(scenario: str) -> None:
+    env = make_env(scenario, num_envs=16)
+    now = env.reset()
+    history = now["agents", "history"]
+    assert float(history[:, :, -1, 0].abs().min()) >= BEFORE - 0.02
+    moved = history.diff(dim=2).norm(dim=-1)
+    assert (moved[..., -1] > 0.1).all()
+    assert float(now["time"].abs().max()) == 0
+    assert not now["agents", "info", "reached"].any()
+
+
+def test_static_warm_start() -> None:
+    history = make_env("goals:pool=2", num_envs=3, warm_start="static").reset()["agents", "history"]
+    assert (history == history[:, :, :1]).all()
+
+
+class Recorded(Door):
+    """The door with people who come as they were recorded."""
+
+    def layout(self, draws: Draws) -> Layout:
+        """Add histories that walk towards the door."""
+        layout = super().layout(draws)
+        steps = torch.arange(8).view(1, 1, 8, 1)
+        towards = -layout.start.sign() * torch.tensor([0.4, 0.0])
+        return layout._replace(history=layout.start.unsqueeze(2) + steps * towards.unsqueeze(2))
+
+
+def test_recorded_warm_start() -> None:
+    env = make_env(Recorded(), num_envs=2, warm_start="recorded")
+    now = env.reset()
+    steps = now["agents", "history"].diff(dim=2)
+    assert torch.allclose(steps.abs(), torch.tensor([0.4, 0.0]).expand_as(steps), atol=1e-5)
+    assert torch.allclose(now["agents", "velocity"].abs(), torch.tensor([1.0, 0.0]), atol=1e-4)
+    with pytest.raises(UserError, match="no recorded histories"):
+        make_env("door", warm_start="recorded").reset()
+    with pytest.raises(UserError, match="did you mean 'static'"):
+        make_env("door", warm_start="statick")  # type: ignore[arg-type]
+
+
+# 7. Seeds
+
+
+@pytest.mark.parametrize("scenario", SCENES)
+def test_scene_i_of_a_seed_is_the_same_in_every_batch(scenario: str) -> None:
+    whole = make_env(scenario, num_envs=6, seed=3).reset()
+    single = make_env(scenario, num_envs=1, seed=3)
+    for i in range(6):
+        alone = single.reset()
+        for key in ("history", "goal", "pref_speed", "mask"):
+            assert torch.allclose(
+                alone["agents", key][0].float(), whole["agents", key][i].float(), atol=1e-5
+            ), key
+        assert torch.equal(alone["scene_key"][0], whole["scene_key"][i])
+    other = make_env(scenario, num_envs=6, seed=4).reset()
+    assert not torch.allclose(other["agents", "history"], whole["agents", "history"])
+
+
+def test_seeding_again_starts_again() -> None:
+    env = make_env("goals:pool=6", num_envs=2)
+    first, second = env.reset(), env.reset()
+    assert not torch.equal(first["scene_key"], second["scene_key"])
+    env.set_seed(0)
+    assert torch.equal(env.reset()["agents", "history"], first["agents", "history"])
+
+
+def test_workers_share_a_seed() -> None:
+    whole = make_env("door", num_envs=4, seed=1)
+    workers = [make_env("door", num_envs=2, seed=1, first_episode=2 * i, stride=4) for i in range(2)]
+    for _ in range(2):
+        together = torch.cat([worker.reset()["scene_key"] for worker in workers])
+        assert torch.equal(together, whole.reset()["scene_key"])
+
+
+@pytest.mark.parametrize("scenario", SCENES)
+def test_both_worlds_show_the_same_episode(scenario: str) -> None:
+    grid = walked(make_env(scenario, num_envs=2, world="grid"), 12)
+    bullet_env = make_env(scenario, num_envs=2, world="bullet")
+    bullet = walked(bullet_env, 12)
+    bullet_env.world.close()
+    assert torch.equal(positions(grid), positions(bullet))
+    for one, other in zip(grid, bullet, strict=True):
+        for key in ("agent_contact", "wall_contact", "reached"):
+            assert torch.equal(one["next", "agents", "info", key], other["next", "agents", "info", key]), key
+
+
+def test_noise_belongs_to_the_scene_not_to_the_batch() -> None:
+    small, _ = rollout("sgan_goal.zara1", "door", "grid", 2)
+    large, _ = rollout("sgan_goal.zara1", "door", "grid", 5)
+    steps = min(small.trace.shape[2], 20)
+    assert torch.allclose(small.trace[:, :, :steps], large.trace[:2, :, :steps], atol=1e-4)
+
+
+# 8. Bodies: see test_dynamics.py
+
+
+def test_nobody_leaves_a_closed_building() -> None:
+    env = make_env("goals:people=4,pool=6", num_envs=16)
+    now = env.reset()
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(30):
+        now["agents", "action"] = 5 * torch.randn(16, 4, 2, generator=generator)
+        now = step_mdp(env.step(now))
+    state = env.state
+    distance, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
+    assert float(distance[state.mask].min()) > BODY_RADIUS - 0.02
+
+
+# 9. Failure
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_bad_action_fails_its_scene_only(bad: float) -> None:
+    class Breaks(GoToGoal):
+        """Fails for one person at the third decision."""
+
+        broken = False
+
+        def forward(self, tensordict: Any) -> Any:
+            super().forward(tensordict)
+            action = tensordict["agents", "action"].clone()
+            if self.broken and abs(float(tensordict["time"][0, 0]) - 0.8) < 1e-3:
+                action[1, 0, 1] = bad
+            tensordict["agents", "action"] = action
+            return tensordict
+
+    fine = walked(make_env("door", num_envs=3), 6, Breaks())
+    policy = Breaks()
+    policy.broken = True
+    env = make_env("door", num_envs=3)
+    env.policy_name = "mine"
+    with pytest.warns(UserWarning, match="mine gave the action .* for agent 0 of scene 1"):
+        hurt = walked(env, 6, policy)
+    assert torch.equal(positions(fine)[[0, 2]], positions(hurt)[[0, 2]])
+    ended = hurt[2]["next"]
+    assert ended["failed"].flatten().tolist() == [False, True, False]
+    assert ended["truncated"].flatten().tolist() == [False, True, False]
+    assert torch.isfinite(positions(hurt)).all()
+
+
+# 11. Auto-reset
+
+
+def test_a_partial_reset_changes_only_the_scenes_that_are_reset() -> None:
+    env = make_env("goals:people=2,pool=6", num_envs=3)
+    results = walked(env, 3)
+    before = env.state
+    flags = torch.tensor([[False], [True], [False]])
+    after = env.reset(results[-1]["next"].clone().set("_reset", flags))
+    assert torch.equal(after["agents", "history"][[0, 2]], results[-1]["next", "agents", "history"][[0, 2]])
+    assert torch.equal(env.state.clock, torch.tensor([1.2, 0.0, 1.2]))
+    assert not torch.equal(env.state.key[1], before.key[1])
+    # the scene that follows is the one a batch of three comes to next
+    assert torch.equal(env.state.key[1:2], Draws.of(0, torch.tensor([4])).key)
+
+
+def test_episodes_follow_one_another_in_a_long_rollout() -> None:
+    env = make_env("door", num_envs=3, seed=5)
+    policy = load_policy("orca")
+    policy.bind(env.bank)
+    long = env.rollout(60, policy, break_when_any_done=False)
+    keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
+    assert all(len(row) > 1 for row in keys)
+    for row, found in enumerate(keys):
+        expected = Draws.of(5, torch.arange(len(found)) * 3 + row).key
+        assert found == expected.tolist()
+    starts = long["time"][..., 0] == 0
+    assert int(starts.sum()) == sum(map(len, keys))
+
+
+def test_states_are_never_written_in_place() -> None:
+    env = make_env("door", num_envs=2)
+    results = walked(env, 4)
+    for before, after in pairwise(results):
+        assert torch.equal(before["next", "agents", "history"], after["agents", "history"])
+        assert not torch.equal(after["agents", "history"], after["next", "agents", "history"])
+
+
+# Bad input
+
+
+def test_more_people_than_free_space() -> None:
+    with pytest.raises(UserError, match="500 people do not fit on map 'flat'"):
+        make_env("goals:people=500")
+
+
+def test_unknown_names() -> None:
+    for name, told in (("dor", "did you mean 'door'"), ("goals:persons=3", "known: .*people")):
+        with pytest.raises(UserError, match=told):
+            make_env(name)
+    with pytest.raises(UserError, match="did you mean 'bullet'"):
+        make_env("door", world="bulet")  # type: ignore[arg-type]
+
+
+def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from pedzoo.sim.scenarios.door import Door\n\n\nclass Wide(Door):\n"
+        "    def __init__(self, width: float = 2.0) -> None:\n        super().__init__(width=width)\n"
+    )
+    env = make_env(f"{tmp_path}/mine.py:Wide:width=1.5")
+    assert isinstance(env.scenario, Door)
+    assert env.scenario.width == 1.5
+
+
+def test_a_different_number_of_people_per_scene() -> None:
+    env = make_env("goals:people=[2,4],pool=2", num_envs=60, warm_start="static")
+    counts = env.reset()["agents", "mask"].sum(1)
+    assert sorted(counts.unique().tolist()) == [2, 3, 4]
+
+
+def test_gradients_flow_through_the_loop() -> None:
+    env = make_env("door", num_envs=2)
+    now = env.reset()
+    gain = torch.tensor(1.0, requires_grad=True)
+    for _ in range(3):
+        now["agents", "action"] = gain * now["agents", "desired_velocity"]
+        now = step_mdp(env.step(now), exclude_reward=False)
+    loss = now["agents", "history"].square().sum() + now["agents", "reward"].sum()
+    (gradient,) = torch.autograd.grad(loss, gain)
+    assert gradient.isfinite() and gradient != 0
+
+
+def test_no_warnings() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        walked(make_env("goals:pool=6", num_envs=2), 3)
