@@ -11,7 +11,7 @@ from torch import Tensor
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.walls import Walls
+from pedzoo.maps.walls import LocalWalls, Walls
 
 MAX_DISTANCE = 5.0
 """Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
@@ -146,7 +146,16 @@ class MapBank:
             Distance (N, ...) in metres, negative inside walls, and unit vectors (N, ..., 2) in the scene's
             frame along which it grows.
         """
-        return self._walls.closest(points, self.index(map_id), pose)
+        return self.walls_around(map_id, pose).closest(points)
+
+    def walls_around(self, map_id: Tensor, pose: Tensor) -> LocalWalls:
+        """Return what `closest_wall` asks of N entries, for those who ask about the same entries again.
+
+        Args:
+            map_id: Floor plan of each entry (N,) long, -1 for none.
+            pose: Scene poses (N, 4).
+        """
+        return self._walls.around(self.index(map_id), pose)
 
     @property
     def field_error(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import move_to_map, turn_to_scene
+from pedzoo.geometry import move_to_map, turn_to_map
 from pedzoo.maps.contenders import CONTENDERS, contenders
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
@@ -89,63 +89,99 @@ class Walls:
             return self
         return Walls(**{part.name: getattr(self, part.name).to(device) for part in fields(self)})
 
-    def closest(self, points: Tensor, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the distance to the nearest wall and the direction in which it grows.
+    def around(self, row: Tensor, pose: Tensor) -> LocalWalls:
+        """Return the walls as N entries see them, to be asked any number of times.
+
+        Args:
+            row: Which map (N,) long, -1 for none.
+            pose: Scene poses (N, 4).
+        """
+        row, pose = row % self.place.shape[1], pose.double()
+        xx, xy, yx, yy, shift_x, shift_y = self.affine.index_select(1, row)
+        # pose and map together are one affine from the scene to cells
+        axes = torch.eye(2, dtype=pose.dtype, device=pose.device).expand(len(pose), 2, 2)
+        (ax, ay), (bx, by) = turn_to_map(axes, pose).permute(1, 2, 0)
+        home_x, home_y = move_to_map(pose.new_zeros(len(pose), 2), pose).unbind(1)
+        affine = (
+            xx * ax + xy * ay,
+            xx * bx + xy * by,
+            yx * ax + yy * ay,
+            yx * bx + yy * by,
+            xx * home_x + xy * home_y + shift_x,
+            yx * home_x + yy * home_y + shift_y,
+        )
+        columns, lines, begin = (values.unsqueeze(1) for values in self.place.index_select(1, row))
+        resolution = self.resolution.index_select(0, row).unsqueeze(1)
+        return LocalWalls(
+            self, tuple(part.unsqueeze(1) for part in affine), columns, lines, begin, resolution
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LocalWalls:
+    """The walls as N entries see them, each on its map and in its scene's frame.
+
+    Attributes:
+        walls: Those of all maps.
+        affine: Scene positions in metres to cells of the padded map: two rows and two shifts (6, N, 1).
+        columns: Of the padded map (N, 1).
+        lines: Its rows (N, 1).
+        begin: Where its cells begin (N, 1).
+        resolution: Side of a cell in metres (N, 1).
+    """
+
+    walls: Walls
+    affine: tuple[Tensor, ...]
+    columns: Tensor
+    lines: Tensor
+    begin: Tensor
+    resolution: Tensor
+
+    def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the distance (N, ...) to the nearest wall and the direction (N, ..., 2) in which it grows.
 
         Computed in float64, returned in the type of ``points``; the gradient of the distance with respect to
         ``points`` is the direction. See `MapBank.closest_wall`.
 
         Args:
             points: Scene positions (N, ..., 2), metres.
-            row: Which map (N,) long, -1 for none.
-            pose: Scene poses (N, 4).
-
-        Returns:
-            Distance (N, ...) and direction (N, ..., 2).
         """
         with torch.no_grad():
-            row, exact = row % self.place.shape[1], pose.double()
             flat = points.double().reshape(len(points), math.prod(points.shape[1:-1]), 2)
-            distance, away = self._look(move_to_map(flat, exact), row)
+            distance, away = self._look(*flat.unbind(2))
             distance = distance.view(points.shape[:-1]).to(points.dtype)
-            away = turn_to_scene(away, exact).view(points.shape).to(points.dtype)
+            away = away.view(points.shape).to(points.dtype)
         if points.requires_grad:
             distance = distance + ((points - points.detach()) * away).sum(dim=-1)
         return distance, away
 
-    def _look(self, points: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        # The same for map-frame positions (N, K, 2). Coordinates are handled one by one: on the CPU that is
-        # several times faster than pairs of them.
-        xx, xy, yx, yy, shift_x, shift_y = (_at(values, row[:, None]) for values in self.affine)
-        x, y = points.unbind(2)
+    def _look(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        # Coordinates (N, K) are handled one by one: on the CPU several times faster than pairs of them.
+        walls, columns, lines, begin = self.walls, self.columns, self.lines, self.begin
+        xx, xy, yx, yy, shift_x, shift_y = self.affine
         x, y = xx * x + xy * y + shift_x, yx * x + yy * y + shift_y
-        columns, lines, begin = (_at(values, row[:, None]) for values in self.place)
-        zero = torch.zeros_like(columns)
-        column = (x * 2).long().clamp(zero, 2 * columns - 1)
-        line = (y * 2).long().clamp(zero, 2 * lines - 1)
-        inside = _at(self.wall, begin + (line >> 1) * columns + (column >> 1))
-        choice = _at(self.choice, 4 * begin + line * (2 * columns) + column)
-        around = torch.stack([_at(boxes, choice) for boxes in self.option])
-        beyond_x = torch.maximum(_at(self.box[0], around) - x, x - _at(self.box[2], around)).clamp_min(0)
-        beyond_y = torch.maximum(_at(self.box[1], around) - y, y - _at(self.box[3], around)).clamp_min(0)
-        squared, best = (beyond_x.square() + beyond_y.square()).min(dim=0)
-        nearest = around.gather(0, best[None])[0]
-        x0, y0, x1, y1 = (_at(values, nearest) for values in self.box)
-
-        depth = squared.sqrt()
+        column = (x * 2).long().clamp_min(0).minimum(2 * columns - 1)
+        line = (y * 2).long().clamp_min(0).minimum(2 * lines - 1)
+        inside = _at(walls.wall, begin + (line >> 1) * columns + (column >> 1))
+        choice = _at(walls.choice, 4 * begin + line * (2 * columns) + column)
+        around = torch.stack([_at(boxes, choice) for boxes in walls.option])
+        x0, y0, x1, y1 = (_at(values, around) for values in walls.box)
         dx, dy = x - x.clamp(x0, x1), y - y.clamp(y0, y1)
-        # On the very edge of a box the direction is square to that edge.
+        squared, best = (dx.square() + dy.square()).min(dim=0)
+        best = best.unsqueeze(0)
+        dx, dy = dx.gather(0, best)[0], dy.gather(0, best)[0]
+        depth = squared.sqrt()
         edge = depth == 0
-        along_x = torch.maximum(x0 - x, x - x1) >= torch.maximum(y0 - y, y - y1)
-        dx = torch.where(edge, along_x * (2 * x - x0 - x1).sign(), dx / depth)
-        dy = torch.where(edge, ~along_x * (2 * y - y0 - y1).sign(), dy / depth)
-
-        resolution = _at(self.resolution, row[:, None])
+        if bool(edge.any()):  # on the very edge of a box the direction is square to that edge
+            x0, y0, x1, y1 = (values.gather(0, best)[0] for values in (x0, y0, x1, y1))
+            along_x = torch.maximum(x0 - x, x - x1) >= torch.maximum(y0 - y, y - y1)
+            dx = torch.where(edge, along_x * (2 * x - x0 - x1).sign(), dx)
+            dy = torch.where(edge, ~along_x * (2 * y - y0 - y1).sign(), dy)
+        distance = depth * self.resolution
         sign = 1 - 2 * inside.double()
-        distance = depth * resolution
-        scale = torch.where(distance < self.limit, sign * resolution, 0)
+        scale = torch.where(distance < walls.limit, sign * self.resolution, 0) / torch.where(edge, 1, depth)
         away = torch.stack(((xx * dx + yx * dy) * scale, (xy * dx + yy * dy) * scale), dim=2)
-        return distance.minimum(self.limit) * sign, away
+        return distance.minimum(walls.limit) * sign, away
 
 
 def _at(values: Tensor, index: Tensor) -> Tensor:

@@ -7,12 +7,12 @@ along. Nobody is pushed apart: overlapping people are counted, not repaired.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
 SKIN = 0.01
@@ -76,35 +76,24 @@ def walk(
         scene, slot = scene[touching], slot[touching]
     if not len(scene):
         return path
-    slid = _slide(
-        position[scene, slot],
-        velocity[scene, slot] * (seconds / steps),
-        steps,
-        lambda points: bank.closest_wall(points, map_id[scene], pose[scene]),
-        reach,
-    )
+    walls = bank.walls_around(map_id[scene], pose[scene])
+    slid = _slide(position[scene, slot], velocity[scene, slot] * (seconds / steps), steps, walls, reach)
     return path.index_put((scene, slot), slid)
 
 
-def _slide(
-    position: Tensor,
-    move: Tensor,
-    steps: int,
-    closest_wall: Callable[[Tensor], tuple[Tensor, Tensor]],
-    reach: float,
-) -> Tensor:
+def _slide(position: Tensor, move: Tensor, steps: int, walls: LocalWalls, reach: float) -> Tensor:
     """Return paths (P, N, 2) of people (P, 2) who meet a wall and want to ``move`` (P, 2) per sub-step."""
-    distance, _ = closest_wall(position)
+    distance, _ = walls.closest(position)
     path = []
     for _ in range(steps):
         wanted = position + move
         allowed = distance.detach().clamp_max(reach)  # whoever is too close already may not come closer
-        gap, away = closest_wall(wanted)
+        gap, away = walls.closest(wanted)
         for _ in range(_PUSHES):
             if not bool((gap < allowed - _ROUNDING).any()):
                 break
             wanted = wanted + (allowed - gap).clamp_min(0.0).unsqueeze(-1) * away.detach()
-            gap, away = closest_wall(wanted)
+            gap, away = walls.closest(wanted)
         stuck = gap < allowed - _ROUNDING
         position = torch.where(stuck.unsqueeze(-1), position, wanted)
         distance = torch.where(stuck, distance, gap)
