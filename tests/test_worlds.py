@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import pickle
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +19,7 @@ from pedzoo.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.worlds.base import People, World
+from pedzoo.sim.worlds.bullet import BulletWorld
 from pedzoo.sim.worlds.camera import FLOOR, WALL, Camera, person_color
 from pedzoo.sim.worlds.grid import GridWorld
 
@@ -21,12 +27,17 @@ RADIUS = 0.15
 
 
 def hall(name: str = "hall", **options: object) -> OccupancyGrid:
-    """6 x 4 m behind 0.2 m walls: a wall with a door 1 m wide at x = 3, and a pillar of 0.4 m around (1.6, 1)."""
+    """6 x 4 m behind 0.2 m walls, a wall with a door 1 m wide at x = 3.2, a pillar of 0.4 m at (1.8, 1.2)."""
     cells = np.zeros((44, 64), dtype=np.uint8)
     cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = 1, 1, 1, 1
     cells[2:17, 31:33], cells[27:42, 31:33] = 1, 1
     cells[10:14, 16:20] = 1
     return OccupancyGrid(cells, 0.1, name=name, **options)  # type: ignore[arg-type]
+
+
+def worlds(bank: MapBank) -> list[World]:
+    pytest.importorskip("pybullet")
+    return [GridWorld(bank), BulletWorld(bank)]
 
 
 def crowd(
@@ -85,8 +96,8 @@ def test_bounds_change_no_contact(scenes: int, people: int) -> None:
 def test_contacts_by_hand() -> None:
     grid = hall()
     for world in worlds(MapBank([grid], "wall")):
-        # two walk towards one another and stop 0.29 m apart at the end of trace point 1; one stands 0.14 m from
-        # the left wall's face at x = 0.2; the last one is absent, in the middle of everything
+        # two walk towards one another and are 0.29 m apart once, in trace point 1; one stands 0.14 m from the
+        # left wall's face at x = 0.2; the last one is absent, in the middle of everything
         start = torch.tensor([[[1.0, 3.0], [2.0, 3.0], [0.34, 2.0], [1.5, 3.0]]])
         path = start[:, :, None, None].repeat(1, 1, 3, 2, 1)
         path[0, 0, 0, :, 0] = torch.tensor([1.2, 1.3])
@@ -111,13 +122,278 @@ def test_distances_by_hand() -> None:
         found = world.distances(people, reach=1.5)
         assert found.agent[0].tolist() == pytest.approx([0.5, 0.5, 1.5, 1.5], abs=1e-5)
         assert found.wall[0].tolist() == pytest.approx([0.5, 0.8, 1.2, 1.5], abs=1e-5)
-        assert found.agent_normal[0].flatten().tolist() == pytest.approx([-0.6, -0.8, 0.6, 0.8] + [0] * 4, abs=1e-5)
-        # the third one stands as far from the corner of the door's wall as Pythagoras says
+        assert found.agent_normal[0].flatten().tolist() == pytest.approx(
+            [-0.6, -0.8, 0.6, 0.8] + [0] * 4, abs=1e-5
+        )
         assert found.wall_normal[0, 0].tolist() == pytest.approx([1, 0], abs=1e-5)
         assert found.wall_normal[0, 3].tolist() == [0, 0]
 
 
-def worlds(bank: MapBank) -> list[World]:
-    bullet = pytest.importorskip("pedzoo.sim.worlds.bullet")
+def test_a_corner_is_not_blunt() -> None:
+    grid = hall()
+    corner = torch.tensor([2.0, 1.4], dtype=torch.float64)  # of the pillar
+    angle = torch.linspace(0.05, math.pi / 2 - 0.05, 9, dtype=torch.float64)
+    away = torch.stack((angle.cos(), angle.sin()), dim=-1)
+    for world in worlds(MapBank([grid], "wall")):
+        for gap in (0.16, 0.4):
+            people = crowd((corner + gap * away)[:, None], grid)
+            found = world.distances(people)
+            torch.testing.assert_close(found.wall, torch.full_like(found.wall, gap), atol=1e-5, rtol=0)
+            torch.testing.assert_close(found.wall_normal[:, 0], away, atol=1e-4, rtol=0)
+        for gap, touches in ((0.1501, False), (0.1499, True)):
+            position = (corner + gap * away)[:, None]
+            found = world.contacts(position[:, :, None, None], crowd(position, grid))
+            assert (found.wall == touches).all()
+
+
+def agree(bank: MapBank, people: People, seed: int) -> None:
+    """The contract: both worlds give the same answers."""
+    grid, bullet = worlds(bank)
+    path = walks(people.position, seed, trace=2, steps=2)
+    first, second = grid.distances(people), bullet.distances(people)
+    torch.testing.assert_close(first.agent, second.agent, atol=1e-4, rtol=0)
+    outside = first.wall > 1e-3
+    torch.testing.assert_close(first.wall[outside], second.wall[outside], atol=1e-3, rtol=0)
+    assert (second.wall[first.wall < -1e-3] < 1e-3).all()
+
+    # Normals agree where the nearest wall is the only one: a short step along them adds its whole length.
+    step = 0.02
+    moved = grid.distances(people._replace(position=people.position + step * first.wall_normal))
+    unique = outside & ((moved.wall - first.wall - step).abs() < 1e-4) & (first.wall < 4.9)
+    degree = (first.wall_normal * second.wall_normal).sum(-1)[unique]
+    assert len(degree) == 0 or degree.min() > math.cos(math.radians(1))
+
+    first, second = grid.contacts(path, people), bullet.contacts(path, people)
+    gaps, _ = bank.closest_wall(path, people.map_id[:, 0], people.pose)
+    clear = ((gaps - RADIUS).abs() > 1e-4).all(-1)
+    assert torch.equal(first.wall[clear], second.wall[clear])
+    apart = (path.unsqueeze(2) - path.unsqueeze(1)).norm(dim=-1)
+    clear = ((apart - 2 * RADIUS).abs() > 1e-4).all(-1).all(2)
+    assert torch.equal(first.agent[clear], second.agent[clear])
+
+    angle = torch.arange(16) * (2 * math.pi / 16) + 0.03
+    direction = torch.stack((angle.cos(), angle.sin()), -1).repeat(people.mask.shape[1], 1)
+    direction = direction.expand(len(people.mask), -1, -1)
+    origin = people.position.repeat_interleave(16, dim=1)
+    ours, theirs = (world.rays(people, origin, direction, 4.0) for world in (grid, bullet))
+    # A ray that grazes something may just miss it: then it hits at one side of itself and not at the other.
+    side = 2e-3 * torch.stack((-direction[..., 1], direction[..., 0]), -1)
+    left, right = (grid.rays(people, origin + sign * side, direction, 4.0) for sign in (1, -1))
+    grazing = (left - ours).abs().maximum((right - ours).abs()) > 0.02
+    assert grazing.float().mean() < 0.15
+    torch.testing.assert_close(ours[~grazing], theirs[~grazing], atol=5e-3, rtol=0)
+    bullet.close()
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_worlds_agree_on_plain_geometry(yaw: float, mirror: float) -> None:
+    grid = hall(origin=(1.0, -2.0, yaw))
+    generator = torch.Generator().manual_seed(1)
+    position = torch.rand(12, 8, 2, generator=generator, dtype=torch.float64) * torch.tensor([6.4, 4.4])
+    c, s = math.cos(yaw), math.sin(yaw)
+    position = position @ torch.tensor([[c, s], [-s, c]], dtype=torch.float64) + torch.tensor([1.0, -2.0])
+    pose = torch.tensor([[2.1, mirror, 3.0, -1.0]] * 11 + [[0.0, 1.0, 0.0, 0.0]])
+    mask = torch.rand(12, 8, generator=generator) < 0.9
+    people = crowd(move_to_scene(position, pose).float(), grid, mask, pose)
+    people.map_id[5] = -1
+    agree(MapBank([hall("other"), grid], "wall"), people, seed=2)
+
+
+@pytest.mark.parametrize("name", ["aws_small_house", "fetch_hq", "igibson_rs", "nav2_depot", "willow_2010"])
+def test_the_worlds_agree_on_a_shared_map(shared: Path, name: str) -> None:
+    grid = OccupancyGrid.from_ros_yaml(shared / "maps" / f"{name}.yaml")
+    walls = grid.signed_distance("wall")
+    row, column = np.nonzero((walls > 0.05) & (walls < 0.6))
+    rng = np.random.default_rng(0)
+    pick = rng.integers(len(row), size=300)
+    cells = np.stack((column[pick], row[pick]), axis=1) + rng.uniform(-0.5, 0.5, (300, 2))
+    affine = grid.map_to_cell()
+    places = (cells - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+    people = crowd(torch.tensor(places, dtype=torch.float32).view(5, 60, 2), grid)
+    agree(MapBank([grid], "wall"), people, seed=3)
+
+
+def test_rays_by_hand() -> None:
+    grid = hall()
+    for world in worlds(MapBank([grid], "wall")):
+        people = crowd(
+            torch.tensor([[[1.0, 3.0], [2.0, 3.0], [1.5, 3.0]]]), grid, torch.tensor([[True, True, False]])
+        )
+        origin = torch.tensor([[[1.0, 3.0], [1.0, 3.0], [0.5, 3.0], [0.1, 3.0], [1.0, 3.0], [math.nan, 3.0]]])
+        direction = torch.tensor([[[1.0, 0], [-1, 0], [1, 0], [1, 0], [0, -1], [1, 0]]])
+        found = world.rays(people, origin, direction, reach=2.5)
+        # the other's body; the wall, past the own body; the first body from outside; from within a wall;
+        # nothing within reach; and no ray at all
+        assert found[0].tolist() == pytest.approx([0.85, 0.8, 0.35, 0.0, 2.5, 2.5], abs=2e-4)
+
+
+def test_overlapping_bodies_and_rays_from_within_both() -> None:
+    people = crowd(torch.tensor([[[0.0, 0.0], [0.2, 0.0], [1.0, 0.0]]]))
+    origin = torch.tensor([[[0.1, 0.0], [0.0, 0.0], [-0.05, 0.0], [1.0, 0.0]]])
+    direction = torch.tensor([[[1.0, 0.0], [1, 0], [1, 0], [-1, 0]]])
+    for world in worlds(MapBank()):
+        found = world.rays(people, origin, direction)
+        assert found[0].tolist() == pytest.approx([0.75, 0.05, 0.1, 0.65], abs=2e-4)
+
+
+def test_open_floor_and_nobody() -> None:
+    for world in worlds(MapBank()):
+        for count in (0, 1):
+            people = crowd(torch.zeros(2, count, 2))
+            found = world.distances(people)
+            assert (found.agent == 5).all() and (found.wall == 5).all()
+            assert not found.agent_normal.any() and not found.wall_normal.any()
+            contacts = world.contacts(torch.zeros(2, count, 4, 1, 2), people)
+            assert contacts.agent.shape == contacts.wall.shape == (2, count, 4)
+            assert not contacts.agent.any() and not contacts.wall.any()
+            assert world.rays(people, torch.zeros(2, 0, 2), torch.zeros(2, 0, 2)).shape == (2, 0)
+
+
+def test_the_absent_and_the_lost_disturb_nobody() -> None:
+    grid = hall()
+    generator = torch.Generator().manual_seed(5)
+    position = torch.rand(3, 6, 2, generator=generator) * torch.tensor([5.0, 3.0]) + 0.5
+    mask = torch.rand(3, 6, generator=generator) < 0.7
+    broken = position.clone()
+    broken[~mask] = 1e6
+    broken[1] = math.nan
+    broken[~mask][::2] = math.inf
+    origin, direction = position, torch.tensor([1.0, 0.0]).expand(3, 6, 2)
+    for world in worlds(MapBank([grid], "wall")):
+        answers = []
+        for places in (position, broken):
+            people = crowd(places, grid, mask)
+            path = places[:, :, None, None].repeat(1, 1, 2, 2, 1)
+            answers.append(
+                (
+                    *world.distances(people),
+                    *world.contacts(path, people),
+                    world.rays(people, origin, direction),
+                )
+            )
+        for whole, partly in zip(*answers, strict=True):
+            assert torch.equal(whole[[0, 2]], partly[[0, 2]])
+        agent, wall, agent_normal, wall_normal, agent_contact, wall_contact, _ = answers[1]
+        for lost in (torch.tensor([[False], [True], [False]]) & mask, ~mask):
+            assert (agent[lost] == 5).all() and (wall[lost] == 5).all()
+            for nothing in (agent_normal, wall_normal, agent_contact, wall_contact):
+                assert not nothing[lost].any()
+
+
+def test_distances_of_the_grid_are_differentiable() -> None:
+    grid = hall()
+    position = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [1.0, 3.0]]], requires_grad=True)
+    mask = torch.tensor([[True, True, False]])
+    found = GridWorld(MapBank([grid], "wall")).distances(crowd(position, grid, mask))
+    (gradient,) = torch.autograd.grad(found.wall.sum(), position, retain_graph=True)
+    torch.testing.assert_close(gradient, found.wall_normal)
+    (gradient,) = torch.autograd.grad(found.agent[0, 0], position)
+    torch.testing.assert_close(gradient[0], torch.tensor([[-0.6, -0.8], [0.6, 0.8], [0.0, 0.0]]))
+
+
+def test_a_reach_beyond_the_bank_is_refused() -> None:
+    grid = hall()
+    for world in worlds(MapBank([grid], "wall", max_distance=2.0)):
+        with pytest.raises(UserError, match=r"MapBank\(..., max_distance=3.0\)"):
+            world.distances(crowd(torch.ones(1, 1, 2), grid), reach=3.0)
+    with pytest.raises(UserError, match="body_radius 0"):
+        GridWorld(MapBank(), body_radius=0)
+
+
+def color_at(picture: np.ndarray, camera: Camera, x: float, y: float) -> np.ndarray:
+    height, width, _ = picture.shape
+    column, row = camera.to_pixel((width, height)) @ (x, y, 1)
+    return picture[round(row), round(column)].astype(int)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 1.0, 0.0, 0.0), (0.4, -1.0, 2.0, 1.0)])
+def test_pictures_show_people_and_walls_where_they_are(pose: tuple[float, ...]) -> None:
+    grid = hall(origin=(0.5, 0.5, 0.3))
+    poses = torch.tensor([pose])
+    hall_to_map = torch.tensor([[math.cos(0.3), math.sin(0.3)], [-math.sin(0.3), math.cos(0.3)]])
+    in_hall = torch.tensor([[[1.0, 3.4], [2.6, 1.2], [5.0, 2.0], [1.8, 1.2]]])
+    *places, pillar = move_to_scene(in_hall @ hall_to_map + 0.5, poses).unbind(1)
+    places = torch.stack(places, 1)
+    people = crowd(places, grid, torch.tensor([[True, True, False]]), poses)
+    camera = Camera().around(places, size=(160, 120), margin=1.5)
+    for world in worlds(MapBank([grid], "wall")):
+        picture = world.image(people, 0, (160, 120), camera)
+        assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8
+        shown = [color_at(picture, camera, *place) for place in places[0].tolist()]
+        for found, expected in zip(shown, (person_color(0), person_color(1), FLOOR), strict=True):
+            assert np.abs(found - expected).max() < 40
+        found = color_at(picture, camera, *pillar[0].tolist())
+        assert np.abs(found - WALL).max() < 40
+
+
+def test_pictures_of_everything_by_default() -> None:
+    grid = hall()
+    people = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid)
+    for world in worlds(MapBank([grid], "wall")):
+        for someone in (people, people._replace(map_id=torch.tensor([[-1]]))):
+            for camera in (None, Camera("perspective")):
+                picture = world.image(someone, 0, (200, 150), camera)
+                for person in (0, 1):
+                    near = np.abs(picture.astype(int) - person_color(person)).max(-1) < 60
+                    assert near.sum() > 10
+        assert world.image(crowd(torch.zeros(1, 0, 2)), 0, (64, 48)).shape == (48, 64, 3)
+
+
+def test_a_closed_world_and_a_lost_client_say_what_to_do() -> None:
+    pybullet = pytest.importorskip("pybullet")
+    people = crowd(torch.zeros(1, 2, 2))
+    with BulletWorld(MapBank()) as world:
+        assert world.distances(people).agent.tolist() == [[0.0, 0.0]]
+    world.close()
+    for ask in (lambda: world.distances(people), lambda: world.image(people, 0, (32, 24))):
+        with pytest.raises(UserError, match="was closed: make a new one"):
+            ask()
+    world = BulletWorld(MapBank())
+    world.distances(people)
+    pybullet.disconnect(world._scenes[-1].client)
+    with pytest.raises(UserError, match=r"client .* is gone.*make a new BulletWorld"):
+        world.distances(people)
+    world.close()
+
+
+def test_clients_go_with_their_world() -> None:
+    pybullet = pytest.importorskip("pybullet")
+    world = BulletWorld(MapBank())
+    world.image(crowd(torch.zeros(1, 1, 2)), 0, (32, 24))
+    client = world._scenes[-1].client
+    assert pybullet.isConnected(client)
+    del world
+    gc.collect()
+    assert not pybullet.isConnected(client)
+
+
+def test_without_pybullet_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(UserError, match=r"pip install pybullet.*3\.11.*world='grid'"):
+        BulletWorld(MapBank())
+
+
+def test_worlds_can_be_pickled_before_and_after_their_use() -> None:
+    grid = hall()
+    people = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid)
+    for world in worlds(MapBank([grid], "wall")):
+        for _ in range(2):
+            copy = pickle.loads(pickle.dumps(world))
+            for ours, theirs in zip(world.distances(people), copy.distances(people), strict=True):
+                assert torch.equal(ours, theirs)
+            copy.close()
+
+
+def test_pybullet_prints_nothing() -> None:
     pytest.importorskip("pybullet")
-    return [GridWorld(bank), bullet.BulletWorld(bank)]
+    code = (
+        "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.worlds.base import People; "
+        "from pedzoo.geometry import identity_pose; from pedzoo.sim.worlds.bullet import BulletWorld; "
+        "mask, map_id = torch.ones(1, 2).bool(), torch.full((1, 1), -1); "
+        "people = People(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "
+        "world = BulletWorld(MapBank()); world.distances(people); "
+        "world.image(people, 0, (32, 24)); world.close()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
