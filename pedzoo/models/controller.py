@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 import torch
@@ -21,6 +21,8 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planner import Guidance, Planner
 from pedzoo.models.roster import PREF_SPEED, Roster, as_points
 from pedzoo.types import OBS_LEN, PRED_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+
+Id = TypeVar("Id", bound=Hashable)
 
 _GOALS_KEPT = 64
 """The planner forgets goals that nobody has any more when it holds more than this, and 4 per person."""
@@ -111,10 +113,10 @@ class Controller:
     @torch.no_grad()
     def step(
         self,
-        positions: Mapping[Hashable, Any],
-        goals: Mapping[Hashable, Any] | None = None,
-        velocities: Mapping[Hashable, Any] | None = None,
-    ) -> dict[Hashable, NDArray[np.float64]]:
+        positions: Mapping[Id, Any],
+        goals: Mapping[Any, Any] | None = None,
+        velocities: Mapping[Any, Any] | None = None,
+    ) -> dict[Id, NDArray[np.float64]]:
         """Return the velocity (2,) of everybody, m/s, at most 1.3 times their preferred speed.
 
         Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. A call that
@@ -156,9 +158,7 @@ class Controller:
         answer = people.velocity.double().numpy()
         return {one: answer[people.row[one]] for one in positions}
 
-    def _with_goals(
-        self, people: Roster, position: Tensor, goals: dict[Hashable, Any]
-    ) -> tuple[Planner, Roster]:
+    def _with_goals(self, people: Roster, position: Tensor, goals: dict[Any, Any]) -> tuple[Planner, Roster]:
         """Return the planner that knows everybody's goals, and the people with their numbers."""
         asked = people.goal.clone()
         asked[people.rows(goals)] = as_points(goals, "goal")
@@ -211,9 +211,11 @@ class Controller:
 
     def _decided(self, people: Roster, guidance: Guidance) -> Tensor:
         """Return the policy's velocities (N, 2)."""
-        batch = self._batch(people, guidance)
+        batch, device = self._batch(people, guidance), people.past.device
         if isinstance(self.policy, nn.Module):
-            batch = batch.to(next(self.policy.parameters(), people.past).device)
+            device = next(self.policy.parameters(), people.past).device
+        if device != people.past.device:
+            batch = batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
             action = cast("Tensor", self.policy(batch)["agents", "action"])[0].to(people.past)
@@ -251,7 +253,7 @@ class Controller:
         return TensorDict(scene, (1,))
 
 
-def _of(present: Mapping[Hashable, Any], given: Mapping[Hashable, Any] | None) -> dict[Hashable, Any]:
+def _of(present: Mapping[Any, Any], given: Mapping[Any, Any] | None) -> dict[Any, Any]:
     """Return what is given for people who are there."""
     return {one: value for one, value in (given or {}).items() if one in present}
 

@@ -63,7 +63,7 @@ class Roster(NamedTuple):
         """Who has no past (N,) bool."""
         return self.past[:, -1, 0].isnan()
 
-    def rows(self, ids: Mapping[Hashable, Any]) -> Tensor:
+    def rows(self, ids: Mapping[Any, Any]) -> Tensor:
         """Return the rows of people (n,) long."""
         return torch.tensor([self.row[one] for one in ids], dtype=torch.long)
 
@@ -73,7 +73,7 @@ class Roster(NamedTuple):
         found = [repr(ids[i]) for i in which.nonzero()[:, 0].tolist()]
         return ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
 
-    def now(self, present: Mapping[Hashable, Any], pref_speed: float | Mapping[Any, float]) -> Roster:
+    def now(self, present: Mapping[Any, Any], pref_speed: float | Mapping[Any, float]) -> Roster:
         """Return the roster of exactly the people of ``present``; newcomers have neither past nor goal.
 
         Args:
@@ -121,7 +121,7 @@ def number_of(one: Hashable) -> int:
     return int.from_bytes(blake2b(repr(one).encode(), digest_size=8).digest()) % 2**63
 
 
-def as_points(given: Mapping[Hashable, Any], what: str) -> Tensor:
+def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
     """Return the values of a dictionary, each two numbers, as (n, 2) float64.
 
     Args:
