@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,16 +12,12 @@ from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.carrot import seen_beyond
 from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
 from pedzoo.maps.graph import OpenGraph
+from pedzoo.maps.planar import Frame
 from pedzoo.maps.tables import Found, Goal, Tables
-
-BODY_CLEARANCE = 0.15
-"""Metres that the line to the carrot keeps from walls: a body's radius."""
-
-_SPACING = 0.3
-"""Metres between samples of that line: with the clearance around each, no wall fits between two of them."""
 
 _EPSILON = 1e-6
 
@@ -53,32 +48,6 @@ class Guidance(NamedTuple):
     """As in `Look` (P, 2)."""
     distance: Tensor
     """As in `Look` (P,)."""
-
-
-class Frame(NamedTuple):
-    """How the scenes of P people lie on their maps; vectors have x and y as rows, which is faster."""
-
-    cosine: Tensor
-    sine: Tensor
-    mirror: Tensor
-    shift: Tensor
-
-    @classmethod
-    def of(cls, pose: Tensor) -> Frame:
-        """Return the frames of scene poses (P, 4)."""
-        angle, mirror, x, y = pose.float().unbind(1)
-        return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
-
-    def to_map(self, points: Tensor) -> Tensor:
-        """Move scene positions (P, 2) to the map: (2, P), as `geometry.move_to_map` does."""
-        x, y = points.t() - self.shift
-        return torch.stack((self.cosine * x + self.sine * y, (self.cosine * y - self.sine * x) * self.mirror))
-
-    def to_scene(self, points: Tensor, shifted: bool = True) -> Tensor:
-        """Move map positions (2, P) to the scenes (2, P); vectors are only turned."""
-        x, y = points[0], points[1] * self.mirror
-        turned = torch.stack((self.cosine * x - self.sine * y, self.sine * x + self.cosine * y))
-        return turned + self.shift if shifted else turned
 
 
 class Planner:
@@ -172,12 +141,8 @@ class Planner:
         rows = {goal.row for goal in fresh}
         if tables is None or not rows <= self._rows:
             self._rows |= rows
-            whole = range(len(self.bank.grids))
-            built = Tables.build([self.graph(r) if r in self._rows else None for r in whole], self.clearance)
-            if tables is not None:
-                built = built.to(tables.entry.device)
-                built = replace(built, point=tables.point, goal=tables.goal, entry=tables.entry)
-            tables = built
+            maps = [self.graph(r) if r in self._rows else None for r in range(len(self.bank.grids))]
+            tables = tables.with_maps(maps, self.clearance) if tables else Tables.build(maps, self.clearance)
         if fresh:
             tables = tables.with_goals(fresh, self._build(fresh))
         self._tables, self._with_fields = tables, len(self._goals)
@@ -212,9 +177,8 @@ class Planner:
         """
         frame, _, found = self._find(points, goal_id, self.bank.index(map_id), pose)
         with torch.no_grad():
-            waypoint, after, goal = (
-                frame.to_scene(part).t().contiguous() for part in (found.waypoint, found.after, found.goal)
-            )
+            places = torch.stack((found.waypoint, found.after, found.goal), dim=1)
+            waypoint, after, goal = frame.to_scene(places)
         distance = (waypoint - points).norm(dim=1) + found.onward
         return Look(waypoint, after, goal, distance)
 
@@ -265,7 +229,7 @@ class Planner:
         with torch.no_grad():
             ahead = pref_speed * look_ahead_seconds
             way, second = found.waypoint - home, found.after - found.waypoint
-            length, second_length = way.norm(dim=0), second.norm(dim=0)
+            length, second_length = torch.hypot(*way), torch.hypot(*second)
             there, ends = length < _EPSILON, second_length < _EPSILON
             # beyond the goal the way goes on as it came
             beyond = torch.where(
@@ -274,34 +238,17 @@ class Planner:
             # a second segment that does not end at the goal is as far as anybody looks
             rest = (ahead - length).clamp_min(0)
             rest = torch.where(found.last, rest, rest.minimum(second_length))
-            rest = self._in_sight(home, row, found.waypoint, beyond, rest)
-            carrot = frame.to_scene(found.waypoint + beyond * rest).t()
-            waypoint = frame.to_scene(found.waypoint).t().contiguous()
-            point = frame.to_scene(found.goal).t().contiguous()
-            turned = frame.to_scene(beyond, shifted=False).t()
+            rest = seen_beyond(self._prepared().distance, row, home, found.waypoint, beyond, rest)
+            places = torch.stack((found.waypoint, found.goal, found.waypoint + beyond * rest), dim=1)
+            waypoint, point, carrot = frame.to_scene(places)
             straight = (length >= ahead)[:, None]
         way = waypoint - points
         distance = way.norm(dim=1)
         unit = way / distance.clamp_min(_EPSILON)[:, None]
         if there.any():  # on the waypoint the way goes on along the second segment
-            unit = torch.where(there[:, None], turned, unit)
+            unit = torch.where(there[:, None], frame.turn_to_scene(beyond), unit)
         goal = torch.where(straight, points + unit * ahead[:, None], carrot)
         return Guidance(goal, unit * pref_speed[:, None], waypoint, point, distance + found.onward)
-
-    def _in_sight(self, home: Tensor, row: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor) -> Tensor:
-        """Return how far beyond the waypoint the carrot is seen (P,): ``rest``, a half, a quarter, or not."""
-        tables = self._prepared()
-        who = torch.nonzero((rest > 0) & (row >= 0))[:, 0]
-        for part in (1.0, 0.5, 0.25):
-            if not len(who):
-                return rest
-            begin, end = home[:, who], waypoint[:, who] + beyond[:, who] * (part * rest[who])
-            hidden = tables.lowest(begin, end, row[who], _SPACING) < BODY_CLEARANCE
-            seen = who[~hidden]
-            rest[seen] = rest[seen] * part
-            who = who[hidden]
-        rest[who] = 0
-        return rest
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest way in the map's frame: the goal is the last.

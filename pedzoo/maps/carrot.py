@@ -1,0 +1,74 @@
+"""The carrot: the point ahead on people's ways that they are told to walk to."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from pedzoo.maps.atlas import Atlas
+from pedzoo.maps.planar import pairs
+
+BODY_CLEARANCE = 0.15
+"""Metres that the line to the carrot keeps from walls: a body's radius."""
+
+_SPACING = 0.3
+"""Metres between the points looked at: with the clearance around each, no wall fits between two of them."""
+
+_PARTS = (1.0, 0.5, 0.25)
+"""How much of the way beyond the waypoint is tried."""
+
+
+def seen_beyond(
+    distance: Atlas, row: Tensor, home: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor
+) -> Tensor:
+    """Return how far beyond the waypoint people see their carrot (P,): ``rest``, a half, a quarter, or not.
+
+    It is seen if the straight line to it keeps a body's radius from walls. Beyond a map's border its
+    outermost cells go on.
+
+    Args:
+        distance: Distances to the nearest wall.
+        row: Everybody's map in it (P,), -1 for none.
+        home: Where people are, in the map's frame (2, P), metres.
+        waypoint: Their next waypoints (2, P), which they see.
+        beyond: Unit vectors of where the way goes from there (2, P).
+        rest: Metres that the carrot is beyond the waypoint (P,), not negative.
+    """
+    rest = rest.clone()
+    who = torch.nonzero((rest > 0) & (row >= 0))[:, 0]
+    if not len(who):
+        return rest
+    number = row.index_select(0, who)
+    linear = distance.linear.view(-1, 4).index_select(0, number).t().contiguous()
+    shift, low, high = (
+        of.index_select(0, number).t() for of in (distance.shift, distance.low, distance.high)
+    )
+
+    def locate(points: Tensor) -> Tensor:
+        x, y = points
+        column = linear[0] * x + linear[1] * y + shift[0]
+        line = linear[2] * x + linear[3] * y + shift[1]
+        return pairs(column.clamp(low[0], high[0]), line.clamp(low[1], high[1]))
+
+    begin, corner, way, ahead = (of.index_select(-1, who) for of in (home, waypoint, beyond, rest))
+    end = corner + way * ahead
+    longest = (end - begin).square().sum(0)
+    places = locate(begin), locate(corner), locate(end)
+    for part in _PARTS:
+        begin, corner, end = places
+        samples = int(longest.max().sqrt() / _SPACING) + 1
+        steps = torch.arange(1, samples + 1, device=who.device)[:, None, None] / samples
+        line = torch.lerp(begin, torch.lerp(corner, end, part), steps)
+        lowest = F.grid_sample(distance.image, line[None], align_corners=True)[0, 0].amin(dim=0)
+        hidden = lowest < BODY_CLEARANCE
+        if part < 1:
+            seen = who[~hidden]
+            rest[seen] = rest[seen] * part
+        still = torch.nonzero(hidden)[:, 0]
+        who, longest = who.index_select(0, still), longest.index_select(0, still)
+        places = begin.index_select(0, still), corner.index_select(0, still), end.index_select(0, still)
+        if not len(who):
+            return rest
+    rest[who] = 0
+    return rest
