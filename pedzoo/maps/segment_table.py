@@ -28,7 +28,7 @@ class SegmentTable:
     """All segments of R maps, and which of them can matter in each bucket; row -1 means "no map".
 
     Attributes:
-        segments: In the maps' frames (S + 1, 12): start, end, unit direction, directions of the segments
+        segments: In the maps' frames (12, S + 1): start, end, unit direction, directions of the segments
             before and after, and whether the corners at start and end are convex (1 or 0). The last one
             stands for none.
         candidates: Numbers of segments, bucket after bucket (C,) long.
@@ -48,37 +48,40 @@ class SegmentTable:
     reach: float
 
     @classmethod
-    def build(cls, maps: Sequence[Sequence[Floats]], reach: float, most: int) -> SegmentTable:
-        """Return the table of the polygons (V, 2) of each map.
+    def build(cls, maps: Sequence[Floats], reach: float, most: int) -> SegmentTable:
+        """Return the table of the segments of each map.
 
         Args:
-            maps: For each map its polygons, in its frame, walls to the left of every edge.
+            maps: For each map its segments (S, 12), in its frame.
             reach: Metres up to which people ask for segments.
             most: How many segments one person gets.
         """
-        segments, lists, counts, lows, sizes = [np.zeros((0, 12))], [], [], [], []
-        for polygons in maps:
-            own = np.concatenate([np.zeros((0, 12)), *(_edges(polygon) for polygon in polygons)])
+        lists, counts, lows, sizes = [], [], [], []
+        for own in maps:
             low = own[:, :2].min(0, initial=math.inf) - reach if len(own) else np.zeros(2)
             high = own[:, :2].max(0, initial=-math.inf) + reach if len(own) else np.zeros(2)
             size = np.ceil((high - low) / BUCKET).astype(np.int64)
             found, count = _bucket_lists(own, low, size, reach, most)
-            lists.append(found + sum(map(len, segments)))
-            segments.append(own)
+            lists.append(found + sum(map(len, maps[: len(lists)])))
             counts.append(count)
             lows.append(low)
             sizes.append(size)
         first = np.cumsum([0, *(len(count) for count in counts)])
         offset = np.cumsum(np.concatenate([[0], *counts]))
         return cls(
-            segments=torch.as_tensor(np.concatenate([*segments, NOWHERE]), dtype=torch.float64),
-            candidates=torch.as_tensor(np.concatenate([np.zeros(0), *lists]), dtype=torch.long),
+            segments=torch.as_tensor(np.concatenate([*maps, NOWHERE]).T.copy()),
+            candidates=torch.as_tensor(np.concatenate([np.zeros(0, np.int64), *lists]), dtype=torch.long),
             offset=torch.as_tensor(offset, dtype=torch.long),
             first=torch.as_tensor(first),
             low=torch.as_tensor(np.array([*lows, np.zeros(2)])),
             size=torch.as_tensor(np.array([*sizes, np.zeros(2)]), dtype=torch.long),
             reach=reach,
         )
+
+    @property
+    def none(self) -> int:
+        """Number of the segment that stands for none."""
+        return self.segments.shape[1] - 1
 
     def to(self, device: torch.device, dtype: torch.dtype) -> SegmentTable:
         """Return the table for people on a device whose positions are of a dtype."""
@@ -106,11 +109,11 @@ class SegmentTable:
         begin = self.offset[bucket]
         count = torch.where(inside, self.offset[bucket + 1] - begin, 0) if len(self.offset) > 1 else begin
         person = torch.arange(len(place), device=place.device).repeat_interleave(count)
-        skipped = (begin - (count.cumsum(0) - count))[person]
+        skipped = (begin - (count.cumsum(0) - count)).index_select(0, person)
         segment = self.candidates[torch.arange(len(person), device=place.device) + skipped]
 
-        x, y = place.T[:, person]
-        start_x, start_y, end_x, end_y = self.segments.T[:4, segment]
+        x, y = place.T.contiguous().index_select(1, person)
+        start_x, start_y, end_x, end_y = self.segments[:4].index_select(1, segment)
         along_x, along_y = end_x - start_x, end_y - start_y
         from_x, from_y = x - start_x, y - start_y
         length2 = along_x * along_x + along_y * along_y
@@ -118,11 +121,11 @@ class SegmentTable:
         away_x, away_y = from_x - t * along_x, from_y - t * along_y
         distance2 = away_x * away_x + away_y * away_y
         outside = along_x * from_y - along_y * from_x < 0
-        kept = (outside & (distance2 < (reach * reach)[person])).nonzero()[:, 0]
-        return person[kept], segment[kept], distance2[kept]
+        kept = (outside & (distance2 < (reach * reach).index_select(0, person))).nonzero()[:, 0]
+        return person.index_select(0, kept), segment.index_select(0, kept), distance2.index_select(0, kept)
 
 
-def _edges(polygon: Floats) -> Floats:
+def edges(polygon: Floats) -> Floats:
     """Return the segments (V, 12) of a polygon as the table keeps them."""
     end = np.roll(polygon, -1, axis=0)
     direction = (end - polygon) / np.linalg.norm(end - polygon, axis=1, keepdims=True)

@@ -14,7 +14,7 @@ from pedzoo.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.outlines import outlines
-from pedzoo.maps.segment_table import SegmentTable
+from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
 
 
 class Segments(NamedTuple):
@@ -88,11 +88,22 @@ class WallSegments:
         order, rank = order[kept], rank[kept]
         slots = int(rank.max()) + 1 if len(rank) else 0
         # the last segment of the table stands for none
-        chosen = person.new_full((slots * len(points),), len(table.segments) - 1)
+        chosen = person.new_full((slots * len(points),), table.none)
         chosen[rank * len(points) + person[order]] = segment[order]
-        parts = table.segments.T.index_select(1, chosen).view(12, slots, len(points))
-        valid = (chosen < len(table.segments) - 1).view(slots, len(points))
+        parts = table.segments.index_select(1, chosen).view(12, slots, len(points))
+        valid = (chosen < table.none).view(slots, len(points))
         return _in_scene(parts, pose, valid)
+
+    def polygons(self, grid: OccupancyGrid) -> list[NDArray[np.float64]]:
+        """Return the outlines (V, 2) of a floor plan's walls in its frame, metres, walls to the left."""
+        affine = grid.map_to_cell()  # whole at cell centres
+        turn = np.linalg.inv(affine[:, :2]).T
+        found = outlines(grid.occupied(self.bank.unknown), self.tolerance)
+        return [(polygon - 0.5 - affine[:, 2]) @ turn for polygon in found]
+
+    def edges(self, grid: OccupancyGrid) -> NDArray[np.float64]:
+        """Return the segments (S, 12) of a floor plan's walls in the form of `SegmentTable`."""
+        return np.concatenate([NOWHERE[:0], *(edges(polygon) for polygon in self.polygons(grid))])
 
     def _table(self, reach: float, points: Tensor) -> SegmentTable:
         """Return the look-up for people like these, computed anew where it does not reach far enough."""
@@ -100,20 +111,10 @@ class WallSegments:
         table = self._tables.get(key)
         if table is None or table.reach < reach:
             whole = math.ceil(reach) or 1  # slightly faster people do not compute it again
-            polygons = [
-                _to_map(outlines(grid.occupied(self.bank.unknown), self.tolerance), grid)
-                for grid in self.bank.grids
-            ]
-            table = SegmentTable.build(polygons, whole, self.most).to(*key)
+            segments = [self.edges(grid) for grid in self.bank.grids]
+            table = SegmentTable.build(segments, whole, self.most).to(*key)
             self._tables[key] = table
         return table
-
-
-def _to_map(polygons: list[NDArray[np.float64]], grid: OccupancyGrid) -> list[NDArray[np.float64]]:
-    """Move corners (V, 2), in cells from the outer corner of the first one, to the map's frame."""
-    affine = grid.map_to_cell()  # whole at cell centres
-    turn = np.linalg.inv(affine[:, :2]).T
-    return [(polygon - 0.5 - affine[:, 2]) @ turn for polygon in polygons]
 
 
 def _ranked(person: Tensor, distance2: Tensor) -> tuple[Tensor, Tensor]:

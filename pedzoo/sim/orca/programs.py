@@ -35,7 +35,7 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
     result, failed = nearest(lines, start, preferred, max_speed, towards=False)
     rows = (failed < lines.shape[1]).nonzero()[:, 0]
     if len(rows):
-        packed = lines[:, :, rows], result[:, rows], failed[rows], max_speed[rows]
+        packed = _of(lines, rows), result[:, rows], failed[rows], max_speed[rows]
         result[:, rows] = least_violating(*packed, walls)
     return result
 
@@ -67,7 +67,7 @@ def nearest(
         still = (line < count).nonzero()[:, 0]
         if not len(still):
             break
-        rows, line, lines = rows[still], line[still], lines[:, :, still]
+        rows, line, lines = rows[still], line[still], _of(lines, still)
         optimum, max_speed = optimum[:, still], max_speed[still]
         own, feasible = best_on_line(lines, line, optimum, max_speed, towards)
         failed[rows] = torch.where(feasible, count, line)
@@ -134,7 +134,7 @@ def least_violating(lines: Tensor, result: Tensor, first: Tensor, max_speed: Ten
         still = (line < count).nonzero()[:, 0]
         if not len(still):
             return answer
-        rows, last, lines, own = rows[still], line[still], lines[:, :, still], own[:, still]
+        rows, last, lines, own = rows[still], line[still], _of(lines, still), own[:, still]
         max_speed = max_speed[still]
         chosen = lines.gather(1, last.expand(4, 1, -1))
         inward = torch.stack((-chosen[3, 0], chosen[2, 0]))
@@ -168,6 +168,12 @@ def violation(lines: Tensor, velocity: Tensor) -> Tensor:
     """Return how far velocities (2, N) are on the wrong side of ``lines`` (4, L, N): (L, N), m/s."""
     px, py, dx, dy = lines
     return dx * (py - velocity[1]) - dy * (px - velocity[0])
+
+
+def _of(lines: Tensor, rows: Tensor) -> Tensor:
+    """Return the constraints (4, L, M) of some people (M,)."""
+    # selecting from a matrix is several times faster than from three dimensions
+    return lines.flatten(0, 1).index_select(1, rows).unflatten(0, lines.shape[:2])
 
 
 def _first(wrong: Tensor) -> Tensor:

@@ -1,0 +1,260 @@
+"""Compares pedzoo's ORCA with RVO2 (pyrvo), one step at a time from the same states, and times both.
+
+    python tools/compare_orca.py [--steps 12000] [--json FILE]
+
+Everybody walks to random places, replaced at arrival and at times; after each step everybody is where RVO2
+put them. Both sides compute in float32 with the same parameters and the same wall polygons. RVO2 splits walls
+while it builds its search tree, which is not always neutral; "on RVO2's pieces" is pedzoo on its own pieces.
+What is 1e-3 m/s and more apart is counted in the first of these classes that it falls into:
+
+* split: on RVO2's pieces pedzoo agrees with it;
+* tie: it agrees for another order of segments at the same distance, such as two that meet at a corner;
+* edge: the answer jumps, and a change of the state by less than 1e-4 gives the other one's answer;
+* blocked: no velocity obeys all walls, so that the answer depends on the order of lines;
+* other.
+
+The last table times both on one thread, in turns; with walls, looking up the segments counts as ours.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from rvo2_peer import Rvo2
+from side_by_side import Row, race, report
+from torch import Tensor
+
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.segments import WallSegments
+from pedzoo.sim.orca.programs import nearest
+from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.sim.orca.wall_lines import wall_lines
+
+SPEED, TOP_SPEED = 1.3, 1.69
+SETTINGS = OrcaSettings(time_step=0.1, max_obstacles=1000)
+APART = 1e-3
+CELL = 0.1
+
+
+class Pieces(WallSegments):
+    """Walls as RVO2 has split them."""
+
+    def __init__(self, bank: MapBank, pieces: NDArray[np.float64]) -> None:
+        """Take the segments (S, 12) of the only floor plan; of two equally near ones the first counts first."""
+        super().__init__(bank, most=SETTINGS.max_obstacles)
+        self.pieces = pieces
+
+    def edges(self, grid: OccupancyGrid) -> NDArray[np.float64]:
+        """Return them."""
+        return self.pieces
+
+
+@dataclass(frozen=True)
+class State:
+    """Where people are, how they walk and want to walk, all (B, A, 2)."""
+
+    position: Tensor
+    velocity: Tensor
+    preferred: Tensor
+
+    def ours(self, walls: WallSegments | None, settings: OrcaSettings = SETTINGS) -> Tensor:
+        """Return pedzoo's velocities (B, A, 2)."""
+        speed = torch.full(self.position.shape[:2], TOP_SPEED)
+        present = torch.ones_like(speed, dtype=torch.bool)
+        near = None if walls is None else self.near(walls)
+        return orca_velocity(self.position, self.velocity, self.preferred, speed, present, settings, near)
+
+    def near(self, walls: WallSegments):
+        """Return the segments near everybody."""
+        points, reach = self.position.flatten(0, 1), SETTINGS.wall_reach(torch.tensor(TOP_SPEED))
+        ids = torch.full((len(points),), walls.bank.grids[0].map_id)
+        return walls.near(points, ids, identity_pose(len(points)), float(reach))
+
+    def nudged(self, scene: int, copies: int, by: float) -> State:
+        """Return many copies of one scene, each a little different."""
+        parts = (
+            part[scene].expand(copies, -1, -1) for part in (self.position, self.velocity, self.preferred)
+        )
+        return State(*(part + by * (2 * torch.rand_like(part) - 1) for part in parts))
+
+
+class Walk:
+    """Scenes of people who walk to random places, moved by RVO2."""
+
+    def __init__(self, grid: OccupancyGrid, walled: bool, scenes: int, agents: int, seed: int) -> None:
+        """Place them on free cells."""
+        bank = MapBank([grid], unknown="wall")
+        self.walls = WallSegments(bank, most=SETTINGS.max_obstacles) if walled else None
+        polygons = self.walls.polygons(grid) if self.walls else []
+        self.peer = Rvo2(scenes, agents, TOP_SPEED, SETTINGS, polygons)
+        self.polygons = polygons
+        self.pieces = Pieces(bank, self.peer.edges) if walled else None
+        clear = np.argwhere(grid.signed_distance("wall") > SETTINGS.radius)
+        self.free = torch.as_tensor((clear[:, ::-1] + 0.5) * grid.resolution, dtype=torch.float32)
+        self.random = torch.Generator().manual_seed(seed)
+        self.place, self.goal = self.draw(scenes, agents), self.draw(scenes, agents)
+        self.velocity = torch.zeros_like(self.place)
+
+    def draw(self, *shape: int) -> Tensor:
+        """Return free places (*shape, 2)."""
+        return self.free[torch.randint(len(self.free), shape, generator=self.random)]
+
+    def step(self) -> tuple[State, Tensor]:
+        """Return the state and RVO2's velocities (B, A, 2), and go on."""
+        way = self.goal - self.place
+        distance = way.norm(dim=-1, keepdim=True)
+        state = State(self.place, self.velocity, SPEED * way / distance.clamp_min(1e-6))
+        self.peer.prepare(state.position, state.velocity, state.preferred)
+        self.peer.step()
+        self.velocity = self.peer.velocity()
+        self.place = self.place + SETTINGS.time_step * self.velocity
+        tired = torch.rand(distance.shape, generator=self.random) < 0.02
+        self.goal = torch.where((distance < 0.3) | tired, self.draw(*self.place.shape[:2]), self.goal)
+        return state, self.velocity
+
+
+def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:
+    """Return a square room of ``side`` cells with boxes in it."""
+    cells, random = np.zeros((side, side), dtype=np.uint8), np.random.default_rng(seed)
+    cells[[0, -1]] = cells[:, [0, -1]] = OCCUPIED
+    for _ in range(boxes):
+        (x, y), (width, height) = random.integers(2, side - 12, 2), random.integers(1, 15, 2)
+        cells[y : y + height, x : x + width] = OCCUPIED
+    return OccupancyGrid(cells, CELL, name=f"plan {side} {boxes} {seed}")
+
+
+def classify(state: State, walk: Walk, scene: int, agent: int, theirs: Tensor) -> str:
+    """Return the class of a person of whom both sides think differently."""
+
+    def close(velocity: Tensor, to: Tensor, margin: float = APART) -> bool:
+        return bool(((velocity[..., agent, :] - to).norm(dim=-1) < margin).any())
+
+    one = state.nudged(scene, 1, 0.0)
+    mine = one.ours(walk.walls)[0, agent]
+    if walk.walls and walk.pieces:
+        if close(one.ours(walk.pieces), theirs):
+            return "split"
+        for edges in (walk.pieces.pieces, walk.walls.edges(walk.walls.bank.grids[0])):
+            for seed in range(16):
+                order = np.random.default_rng(seed).permutation(len(edges))
+                if close(one.ours(Pieces(walk.walls.bank, edges[order])), theirs):
+                    return "tie"
+    peer = Rvo2(1, one.position.shape[1], TOP_SPEED, SETTINGS, walk.polygons)
+    for by in (1e-6, 1e-5, 1e-4):
+        copies = state.nudged(scene, 64, by)
+        if close(copies.ours(walk.walls), theirs, APART + 10 * by):
+            return "edge"
+        for copy in range(64):
+            peer.prepare(*(part[copy : copy + 1] for part in vars(copies).values()))
+            peer.step()
+            if close(peer.velocity(), mine, APART + 10 * by):
+                return "edge"
+    return "blocked" if walk.pieces and blocked(one, walk.pieces)[0, agent] else "other"
+
+
+def blocked(state: State, walls: WallSegments) -> Tensor:
+    """Return who has no velocity (B, A) that obeys all walls."""
+    place, velocity, preferred = (part.flatten(0, 1).T for part in vars(state).values())
+    lines = wall_lines(state.near(walls), place, velocity, SETTINGS)
+    speed = torch.full(place.shape[1:], TOP_SPEED)
+    failed = nearest(lines, preferred, preferred, speed, towards=False)[1]
+    return (failed < lines.shape[1]).view(state.position.shape[:2])
+
+
+def agreement(name: str, side: int, boxes: int | None, agents: int, steps: int) -> list[str]:
+    """Compare at least so many steps of people; returns a row of the table."""
+    apart, on_pieces, capped, classes = [], [], [], Counter()
+    plans, rounds = 6, 40
+    for seed in range(plans):
+        scenes = -(-steps // (plans * rounds * agents))
+        walk = Walk(plan(side, boxes or 0, seed), boxes is not None, scenes, agents, seed)
+        for _ in range(rounds):
+            state, theirs = walk.step()
+            found = (state.ours(walk.walls) - theirs).norm(dim=-1)
+            apart.append(found.flatten())
+            if walk.walls:
+                on_pieces.append((state.ours(walk.pieces) - theirs).norm(dim=-1).flatten())
+                few = state.ours(walk.walls, replace(SETTINGS, max_obstacles=OrcaSettings.max_obstacles))
+                capped.append((few - state.ours(walk.walls)).norm(dim=-1).flatten())
+            for scene, agent in (found >= APART).nonzero().tolist():
+                classes[classify(state, walk, scene, agent, theirs[scene, agent])] += 1
+    all_apart = torch.cat(apart)
+
+    def share(parts: list[Tensor]) -> str:
+        return f"{100 * float((torch.cat(parts) < APART).double().mean()):.3f}" if parts else ""
+
+    rest = ", ".join(f"{count} {kind}" for kind, count in classes.most_common())
+    return [
+        name,
+        str(len(all_apart)),
+        f"{float(all_apart.median()):.1e}",
+        f"{float(all_apart.double().quantile(0.999)):.1e}",
+        f"{float(all_apart.max()):.1e}",
+        share(apart),
+        share(on_pieces),
+        rest,
+        share(capped),
+    ]
+
+
+def speed(name: str, scenes: int, agents: int, side: int, boxes: int | None, bar: float | None) -> list[Row]:
+    """Time one step of all scenes: from torch's wishes to torch's velocities, and RVO2's own part of it."""
+    walk = Walk(plan(side, boxes or 0, 0), boxes is not None, scenes, agents, 0)
+    walls = WallSegments(walk.walls.bank) if walk.walls else None
+    for _ in range(20):
+        state, _ = walk.step()
+    few = replace(SETTINGS, max_obstacles=OrcaSettings.max_obstacles)
+
+    def ours() -> Tensor:
+        return state.ours(walls, few)
+
+    def theirs() -> Tensor:
+        walk.peer.wish(state.preferred)
+        walk.peer.step()
+        return walk.peer.velocity()
+
+    walk.peer.prepare(state.position, state.velocity, state.preferred)
+    whole, _ = race(name, bar, theirs, ours, 15)
+    walk.peer.prepare(state.position, state.velocity, state.preferred)
+    return [whole, race(f"{name}, RVO2 without Python", None, walk.peer.step, ours, 15)[0]]
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--steps", type=int, default=12_000, help="steps of people per row")
+    parser.add_argument("--json", help="also write the timings to this file")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    head = ("scenes", "n", "median", "99.9 %", "most", "% < 1e-3", "on RVO2's pieces", "the rest")
+    table = Table(*head, "16 walls", title="difference to RVO2, m/s")
+    for name, side, boxes, agents in (
+        ("no walls, sparse", 120, None, 5),
+        ("no walls, dense", 50, None, 20),
+        ("walls, sparse", 120, 14, 5),
+        ("walls, dense", 80, 8, 20),
+    ):
+        table.add_row(*agreement(name, side, boxes, agents, options.steps))
+    Console(width=150).print(table)
+    rows = []
+    for scenes, agents, without, walled in ((1024, 5, 3.0, 1.0), (64, 20, None, None), (64, 5, None, None)):
+        rows += speed(f"{scenes} x {agents}, no walls", scenes, agents, 100, None, without)
+        rows += speed(f"{scenes} x {agents}, walls", scenes, agents, 100, 10, walled)
+    report("one step of ORCA, one thread", rows, {}, options.json)
+
+
+if __name__ == "__main__":
+    main()
