@@ -253,7 +253,7 @@ def test_goals_that_nobody_has_any_more_are_forgotten():
         way = goal - (2.0, 2.0)
         if np.linalg.norm(way) > 0.1:
             np.testing.assert_allclose(velocity["turns"], 1.3 * way / np.linalg.norm(way), atol=1e-5)
-    assert controller._planner.goals < 80
+    assert controller._ways.planner.goals < 80
 
 
 @pytest.mark.parametrize(
@@ -308,3 +308,12 @@ def test_ids_have_numbers_that_no_run_changes():
     assert [number_of(one) for one in (0, 3, np.int64(3), True)] == [0, 3, 3, 1]
     assert number_of("anna") == 1857110474486603798
     assert number_of(-1) >= 0
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_model_on_a_gpu_walks_as_on_the_cpu():
+    people, goals = {"a": (1.0, 3.0), "b": (9.0, 2.0)}, {"a": (9.0, 3.0), "b": (1.0, 2.0)}
+    here, there = pedzoo.load("sgan_goal_map.zara1"), pedzoo.load("sgan_goal_map.zara1").cuda()
+    expected, found = (arrays(m.controller(ROOMS).step(people, goals)) for m in (here, there))
+    np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -20,12 +20,10 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planner import Guidance, Planner
 from pedzoo.models.roster import PREF_SPEED, Roster, as_points
-from pedzoo.types import OBS_LEN, PRED_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.models.ways import Ways
+from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 
 Id = TypeVar("Id", bound=Hashable)
-
-_GOALS_KEPT = 64
-"""The planner forgets goals that nobody has any more when it holds more than this, and 4 per person."""
 
 
 class WalkingPolicy(Protocol):
@@ -99,8 +97,7 @@ class Controller:
         grid = OccupancyGrid.load(map) if isinstance(map, str | Path) else map
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._map_id, self._row = (-1, -1) if grid is None else (grid.map_id, 0)
-        self._planner = Planner(bank, clearance)
+        self._ways = Ways(Planner(bank, clearance))
         self.policy.bind(bank)
         self.reset(seed)
 
@@ -138,13 +135,13 @@ class Controller:
             return {}
         position = torch.empty_like(people.velocity)
         position[people.rows(positions)] = as_points(positions, "position").float()
-        planner, people = self._with_goals(people, position, _of(positions, goals))
+        ways, people = self._ways.with_goals(people, position, _of(positions, goals))
 
         new = people.is_new
         past = torch.cat((people.past[:, 1:], position.unsqueeze(1)), dim=1)
         decide = new | (self._calls % self._every == 0)
         if decide.any():
-            guidance = self._guide(planner, people, position)
+            guidance = ways.guide(people, position)
             present = guidance.desired_velocity
             if given := _of(positions, velocities):
                 present = present.index_put((people.rows(given),), as_points(given, "velocity").float())
@@ -154,54 +151,9 @@ class Controller:
             people = people._replace(velocity=torch.where(decide.unsqueeze(1), action, people.velocity))
         else:
             people = people._replace(past=past)
-        self._planner, self._people, self._calls = planner, people, self._calls + 1
+        self._ways, self._people, self._calls = ways, people, self._calls + 1
         answer = people.velocity.double().numpy()
         return {one: answer[people.row[one]] for one in positions}
-
-    def _with_goals(self, people: Roster, position: Tensor, goals: dict[Any, Any]) -> tuple[Planner, Roster]:
-        """Return the planner that knows everybody's goals, and the people with their numbers."""
-        asked = people.goal.clone()
-        asked[people.rows(goals)] = as_points(goals, "goal")
-        if (missing := asked[:, 0].isnan()).any():
-            raise UserError(
-                f"no goal for {people.names(missing)}: whoever is new needs one, "
-                "step(positions, {id: (x, y)})"
-            )
-        fresh = (asked != people.goal).any(1)
-        planner = self._planner
-        if not fresh.any():
-            return planner, people
-        wanted = fresh
-        if planner.goals > max(_GOALS_KEPT, 4 * len(fresh)):
-            # its fields are as large as the floor plan, and people keep coming with goals of their own
-            planner, wanted = Planner(planner.bank, planner.clearance), torch.ones_like(fresh)
-        goal_id = people.goal_id.clone()
-        goal_id[wanted] = self._added(planner, people, asked, wanted)
-        people = people._replace(goal=asked, goal_id=goal_id)
-        unreached = self._guide(planner, people, position).distance.isinf() & fresh
-        if unreached.any():
-            raise UserError(
-                f"no way leads to the goal of {people.names(unreached)}: it is in another room, without a "
-                f"door between that leaves clearance {planner.clearance} m"
-            )
-        return planner, people
-
-    def _added(self, planner: Planner, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
-        try:
-            return planner.add_goals(self._row, asked[which])
-        except UserError:
-            for i in which.nonzero()[:, 0].tolist():  # whose is it?
-                try:
-                    planner.add_goals(self._row, asked[i : i + 1])
-                except UserError as error:
-                    raise UserError(f"goal of {people.ids[i]!r}: {error}") from None
-            raise
-
-    def _guide(self, planner: Planner, people: Roster, position: Tensor) -> Guidance:
-        map_id = torch.full_like(people.goal_id, self._map_id)
-        pose = identity_pose(len(map_id))
-        ahead = PRED_LEN * STEP_SECONDS
-        return planner.guide(position, people.goal_id, map_id, pose, people.pref_speed, ahead)
 
     def _prolonged(self, position: Tensor, velocity: Tensor) -> Tensor:
         """Return pasts (N, L, 2) of people who have come straight to where they are."""
@@ -245,7 +197,7 @@ class Controller:
         }
         scene = {
             "agents": TensorDict(agents, size),
-            "map_id": torch.tensor([[self._map_id]]),
+            "map_id": torch.tensor([[self._ways.map_id]]),
             "scene_pose": identity_pose(1),
             "scene_key": self._key.unsqueeze(1),
             "time": torch.tensor([[self._calls * self.dt]]),
