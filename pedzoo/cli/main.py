@@ -12,7 +12,7 @@ from importlib import import_module
 from pedzoo import __version__
 from pedzoo.errors import UserError
 from pedzoo.paths import config_names, weight_files
-from pedzoo.registry import DATASETS, MODELS, Registry
+from pedzoo.registry import DATASETS, MODELS, POLICIES, SCENARIOS, Registry
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
 
@@ -55,6 +55,8 @@ def overview() -> str:
     for title, found in (
         ("models", MODELS.names()),
         ("weights", list(weight_files())),
+        ("policies (and every model)", POLICIES.names()),
+        ("scenarios", SCENARIOS.names()),
         ("datasets", DATASETS.names()),
         ("configs", config_names()),
     ):

@@ -164,6 +164,7 @@ class TrainingCLI(LightningCLI):
                 run.discard_if_empty()
         if run and (chosen := next((path for path in (run.best, run.last) if path.is_file()), None)):
             print(f"\nnext: pedzoo forecast {chosen} {self._data_options()} --samples 20")
+            print(f"      pedzoo rollout {chosen} --scenario door --plot rollout.png --video rollout.webm")
         return 0
 
     def measure(self) -> int:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
@@ -16,19 +16,25 @@ from pedzoo.models.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import Policy, load_policy
+from pedzoo.sim.state import State
 
 AT_ONCE = {"grid": 64, "bullet": 16}
 """Scenes run together: pybullet asks about one after the other, so more of them bring nothing."""
 
 Progress = Callable[[str, int, int], None]
 
+_OVER_TIME = ("trace", "goal", "present", "agent_contact", "wall_contact", "reached")
+
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
 
+    Nothing changes after an episode's end: positions and counts stay as they were, nobody is present.
+
     Attributes:
         trace: Positions (E, A, T, 2), metres.
+        goal: Where everybody was going (E, A, T, 2), metres.
         present: Who is there, the episode still running (E, A, T) bool.
         agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false where nobody is.
         wall_contact: A wall was (E, A, T) bool.
@@ -45,6 +51,7 @@ class Rollout:
     """
 
     trace: Tensor
+    goal: Tensor
     present: Tensor
     agent_contact: Tensor
     wall_contact: Tensor
@@ -58,6 +65,16 @@ class Rollout:
     map_id: Tensor
     pose: Tensor
     goals: int
+
+    @property
+    def length(self) -> Tensor:
+        """Number of trace points that each episode has (E,) long."""
+        return self.present.any(1).sum(1)
+
+    def episodes(self, index: slice) -> Rollout:
+        """Return some of the episodes."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Rollout(**{key: value if key == "goals" else value[index] for key, value in values.items()})
 
 
 def rollout(
@@ -85,53 +102,81 @@ def rollout(
     Raises:
         UserError: An unknown name or setting, or a decision step that the policy cannot serve.
     """
+    walks, env = prepare(policy, scenario, world, episodes, seed, **settings)
+    parts = list(walk(walks, env, episodes, deterministic, progress))
+    return joined(parts), env
+
+
+def prepare(
+    policy: str, scenario: str, world: str, episodes: int, seed: int = 0, **settings: Any
+) -> tuple[Policy | Walker, PedestrianEnv]:
+    """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if episodes < 1:
         raise UserError(f"episodes {episodes}: expected at least 1")
     walks = load_policy(policy)
+    wanted = settings.pop("decision_dt", None)
+    if wanted is not None and not math.isclose(wanted, walks.decision_dt):
+        learned = isinstance(walks, Walker)
+        why = "it was trained on that step" if learned else f"its setting dt says so, {policy}:dt=..."
+        raise UserError(f"{policy} decides every {walks.decision_dt} s, not every {wanted} s: {why}")
     runs = -(-episodes // AT_ONCE.get(world, 1))
-    settings = {"decision_dt": walks.decision_dt, **settings}
-    if settings["decision_dt"] != walks.decision_dt:
-        raise UserError(
-            f"{policy} decides every {walks.decision_dt} s, not every {settings['decision_dt']} s"
-        )
-    env = make_env(scenario, num_envs=-(-episodes // runs), world=world, seed=seed, **settings)
+    settings |= {"world": world, "seed": seed, "decision_dt": walks.decision_dt}
+    env = make_env(scenario, num_envs=-(-episodes // runs), **settings)
     env.policy_name = policy
     walks.bind(env.bank)
-    parts, done = [], 0
-    with torch.no_grad(), set_exploration_type(_exploration(deterministic)):
-        while done < episodes:
-            part = _first(run(walks, env), episodes - done)
-            parts.append(part)
-            done += len(part.failed)
+    return walks, env
+
+
+def walk(
+    policy: Policy | Walker,
+    env: PedestrianEnv,
+    episodes: int,
+    deterministic: bool = False,
+    progress: Progress | None = None,
+) -> Iterator[Rollout]:
+    """Yield the episodes of ``env``, as many at once as it has scenes, until there are ``episodes``."""
+    done = 0
+    while done < episodes:
+
+        def tell(ended: int, done: int = done) -> None:
             if progress:
-                progress(policy, done, episodes)
-    return _joined(parts), env
+                progress(env.policy_name, min(done + ended, episodes), episodes)
+
+        exploration = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
+        with torch.no_grad(), set_exploration_type(exploration):
+            part = run(policy, env, tell).episodes(slice(episodes - done))
+        done += len(part.failed)
+        yield part
 
 
-def run(policy: Policy | Walker, env: PedestrianEnv) -> Rollout:
-    """Return one episode of every scene of ``env``, from its reset to the end of the last one."""
+def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None] | None = None) -> Rollout:
+    """Return one episode of every scene of ``env``, from its reset to the end of the last one.
+
+    Args:
+        policy: Decides; bound to the bank of ``env``.
+        env: The scenes.
+        ended: Called after every decision with the number of episodes that are over.
+    """
     now = env.reset()
-    start = env.state
+    start = before = env.state
     alive = torch.ones(env.batch_size, dtype=torch.bool)
-    steps: list[TensorDict] = []
+    late, failed = start.late, start.failed
+    steps: list[dict[str, Tensor]] = []
     while alive.any():
-        there = now["agents", "mask"] & alive.unsqueeze(1)
         result = env.step(policy(now))
         after: Any = result["next"]
-        info = after["agents", "info"].select("trace", "agent_contact", "wall_contact", "reached", "late")
-        steps.append(info.set("present", there.unsqueeze(-1).expand_as(info["agent_contact"])))
+        state = env.state
+        steps.append(_kept(after, before, state, alive, steps[-1] if steps else None))
+        late = torch.where(alive.unsqueeze(1), state.late, late)
+        failed = torch.where(alive, state.failed, failed)
         alive = alive & ~after["done"][:, 0]
-        now = step_mdp(result)
-    points = {
-        key: torch.cat([step[key] for step in steps], dim=2)
-        for key in ("trace", "present", "agent_contact", "wall_contact", "reached")
-    }
-    for key in ("agent_contact", "wall_contact"):
-        points[key] = points[key] & points["present"]
+        if ended:
+            ended(int((~alive).sum()))
+        before, now = state, step_mdp(result)
     return Rollout(
-        **points,
-        late=env.state.late,
-        failed=env.state.failed,
+        **{key: torch.cat([step[key] for step in steps], dim=2) for key in _OVER_TIME},
+        late=late,
+        failed=failed,
         mask=start.mask,
         past=start.past,
         pref_speed=start.pref_speed,
@@ -142,31 +187,38 @@ def run(policy: Policy | Walker, env: PedestrianEnv) -> Rollout:
     )
 
 
-def _exploration(deterministic: bool) -> ExplorationType:
-    return ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
-
-
-def _first(part: Rollout, episodes: int) -> Rollout:
-    """Return at most so many episodes."""
-    values = {field.name: getattr(part, field.name) for field in fields(part)}
-    return Rollout(**{key: value[:episodes] if key != "goals" else value for key, value in values.items()})
-
-
-def _joined(parts: list[Rollout]) -> Rollout:
+def joined(parts: Sequence[Rollout]) -> Rollout:
     """Join rollouts of the same environment; shorter ones stand still, absent, until the longest ends."""
     longest = max(part.trace.shape[2] for part in parts)
 
-    def grown(value: Tensor, name: str) -> Tensor:
+    def grown(value: Tensor) -> Tensor:
         missing = longest - value.shape[2]
         last = value[:, :, -1:].expand(*value.shape[:2], missing, *value.shape[3:])
         return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
 
-    joined: dict[str, Any] = {"goals": parts[0].goals}
+    found: dict[str, Any] = {"goals": parts[0].goals}
     for field in fields(Rollout):
-        if field.name == "goals":
-            continue
-        values = [getattr(part, field.name) for part in parts]
-        if field.name in ("trace", "present", "agent_contact", "wall_contact", "reached"):
-            values = [grown(value, field.name) for value in values]
-        joined[field.name] = torch.cat(values)
-    return Rollout(**joined)
+        if field.name != "goals":
+            values = [getattr(part, field.name) for part in parts]
+            found[field.name] = torch.cat([grown(v) for v in values] if field.name in _OVER_TIME else values)
+    return Rollout(**found)
+
+
+def _kept(
+    after: Any, before: State, state: State, alive: Tensor, last: dict[str, Tensor] | None
+) -> dict[str, Tensor]:
+    """Return what is kept of one decision: scenes that were over before it stay as they ended."""
+    info = after["agents", "info"]
+    points = info["reached"].shape[2]
+    # where the policy gave no number nobody walked
+    there = before.mask & (alive & ~state.failed).unsqueeze(1)
+    kept = {key: info[key] for key in ("trace", "agent_contact", "wall_contact", "reached")}
+    kept["present"] = there.unsqueeze(2).expand(-1, -1, points)
+    kept["goal"] = before.goal_point.unsqueeze(2).expand(-1, -1, points, -1)
+    for key in ("agent_contact", "wall_contact"):
+        kept[key] = kept[key] & kept["present"]
+    if last is not None:
+        for key in ("trace", "goal", "reached"):
+            running = alive.view(-1, *[1] * (kept[key].dim() - 1))
+            kept[key] = torch.where(running, kept[key], last[key][:, :, -1:])
+    return kept

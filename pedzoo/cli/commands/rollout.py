@@ -1,0 +1,98 @@
+"""``pedzoo rollout``: policies walk through the same scenes, and one can look at it."""
+
+from __future__ import annotations
+
+HELP = "policies walk through the same scenes: table, trajectories, video"
+EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --video door.webm"
+
+
+def run(argv: list[str]) -> int:
+    """Print the table; returns the exit code."""
+    from typing import Literal
+
+    from jsonargparse import ArgumentParser
+    from jsonargparse.typing import NonNegativeInt, PositiveInt
+
+    from pedzoo.cli.output import print_report, write_json
+    from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+    from pedzoo.cli.progress import progress_bar
+    from pedzoo.errors import UserError
+    from pedzoo.eval.closed_loop import Comparison
+    from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
+    from pedzoo.eval.video import check_video_path, film
+    from pedzoo.sim.warm_start import WarmStart
+    from pedzoo.versions import versions
+
+    usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--world WORLD] [...]\nexample: {EXAMPLE}"
+    parser = ArgumentParser(prog="pedzoo rollout", usage=usage, description=HELP, **PARSER_SETTINGS)
+    parser.add_argument(
+        "policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model, one row each."
+    )
+    parser.add_argument(
+        "--scenario", type=str, default="door", help="door:width=0.9,people=4 or goals:map=FILE."
+    )
+    parser.add_argument(
+        "--world", type=Literal["bullet", "grid"], default="bullet", help="pybullet, or torch alone (faster)."
+    )
+    parser.add_argument("--episodes", type=PositiveInt, default=20, help="Scenes per policy.")
+    parser.add_argument("--seed", type=NonNegativeInt, default=0, help="Of the scenes, the same for all.")
+    parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
+    parser.add_argument(
+        "--warm_start", "--warm-start", type=WarmStart, default="orca", help="The first 2.8 s, not counted."
+    )
+    parser.add_argument(
+        "--decision_dt",
+        "--decision-dt",
+        type=float | None,
+        help="Refused unless the policies' own, seconds.",
+    )
+    parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
+    parser.add_argument("--plot", type=str | None, help="Draw trajectories into this .png, .pdf or .svg.")
+    parser.add_argument("--video", type=str | None, help="Film an episode into this .webm or .mp4.")
+    parser.add_argument(
+        "--video_view",
+        "--video-view",
+        type=Literal["perspective", "top"],
+        default="perspective",
+        help="Where the camera is; the grid world is always seen from the top.",
+    )
+    parser.add_argument(
+        "--show", type=NonNegativeInt, default=0, help="Number of the episode in plot and video."
+    )
+    options = parse(parser, argv)
+    if options.plot:
+        check_plot_path(options.plot)
+    if options.video:
+        check_video_path(options.video)
+    if options.show >= options.episodes:
+        raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
+
+    settings = {"warm_start": options.warm_start, "decision_dt": options.decision_dt}
+    names, where = options.policies, (options.scenario, options.world, options.episodes, options.seed)
+
+    with Comparison(names, *where, options.deterministic, **settings) as comparison:
+
+        def tell(**more: bool) -> None:
+            report = {"command": "rollout", **comparison.report(), "versions": versions(), **more}
+            print_report(report)
+            if options.json:
+                write_json(options.json, report)
+
+        try:
+            with progress_bar() as progress:
+                comparison.run(progress)
+        except KeyboardInterrupt:
+            if comparison.walked:
+                print("interrupted: only what was over by then")
+                tell(interrupted=True)
+            raise
+        tell()
+        if options.plot:
+            plot_rollouts(comparison.walked, options.plot, options.show)
+            print(f"plot:  {options.plot}")
+        if options.video:
+            with progress_bar() as progress:
+                size = (640, 480) if len(names) == 1 else (480, 360)
+                film(comparison.walked, options.video, options.show, options.video_view, size, None, progress)
+            print(f"video: {options.video}")
+    return 0

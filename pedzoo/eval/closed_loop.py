@@ -1,0 +1,209 @@
+"""The closed-loop table: policies walk through the same scenes, one row each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.eval.rollout import Progress, Rollout, joined, prepare, walk
+from pedzoo.metrics.intervals import Interval, bootstrap, wilson
+from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
+from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
+from pedzoo.sim.env import PedestrianEnv
+
+
+class Walked(NamedTuple):
+    """What one policy did.
+
+    Attributes:
+        name: The policy as it was given.
+        rollout: Its episodes.
+        env: Where it walked.
+    """
+
+    name: str
+    rollout: Rollout
+    env: PedestrianEnv
+
+
+class Comparison:
+    """Policies on the same scenes of one seed.
+
+    Attributes:
+        walked: Those that have walked, in the given order. After an interruption the last of them may have
+            fewer episodes than the others.
+    """
+
+    def __init__(
+        self,
+        policies: Sequence[str],
+        scenario: str,
+        world: str = "bullet",
+        episodes: int = 20,
+        seed: int = 0,
+        deterministic: bool = False,
+        **settings: Any,
+    ) -> None:
+        """Build all policies and their environments, so that a misspelt one is found before any has walked.
+
+        Args:
+            policies: Names with settings.
+            scenario: Its name with settings.
+            world: ``bullet`` or ``grid``.
+            episodes: E.
+            seed: Of the scenes.
+            deterministic: Without noise.
+            settings: More of `pedzoo.make_env`.
+
+        Raises:
+            UserError: An unknown name or setting, or a decision step that a policy cannot serve.
+        """
+        self._prepared = {}
+        self.walked: list[Walked] = []
+        for name in dict.fromkeys(policies):
+            self._prepared[name] = prepare(name, scenario, world, episodes, seed, **settings)
+        self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
+        self._protocol = {
+            "scenario": scenario,
+            "world": world,
+            "episodes": episodes,
+            "noise": "none" if deterministic else "sampled",
+            **{"warm_start": "orca"} | {key: value for key, value in settings.items() if value is not None},
+        }
+
+    def __enter__(self) -> Comparison:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for _, env in self._prepared.values():
+            env.world.close()
+
+    def run(self, progress: Progress | None = None) -> None:
+        """Let all policies walk; episodes that are over are kept whatever interrupts it.
+
+        Args:
+            progress: Called with the policy, episodes done and episodes in all.
+        """
+        for name, (policy, env) in self._prepared.items():
+            parts: list[Rollout] = []
+            try:
+                for part in walk(policy, env, self._episodes, self._deterministic, progress):
+                    parts.append(part)
+            finally:
+                if parts:
+                    self.walked.append(Walked(name, joined(parts), env))
+
+    def report(self) -> dict[str, Any]:
+        """Return protocol, seeds and rows of all that has walked."""
+        rows = [row(name, rollout, env.decision_dt) for name, rollout, env in self.walked]
+        return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
+
+
+def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
+    """Return the metrics of a policy with their 95 % intervals, and what each person did.
+
+    ``n`` are episodes, intervals are over episodes. ``goals_per_person_min`` are those of an episode's person
+    with the fewest. Contacts are counted for everybody who touches, per minute that a person walks;
+    distances are those of an episode's nearest two. ``time_s`` is when the last person arrives, of episodes
+    in which all do in time, and ``decisions`` is that in steps of the policy.
+
+    Args:
+        name: The policy as it was given.
+        rollout: Its episodes.
+        decision_dt: Seconds between its decisions.
+    """
+    people = _People.of(rollout)
+    mask, episodes = rollout.mask, len(rollout.failed)
+    one = torch.ones(episodes, dtype=torch.float64)
+    shares = {
+        "success": (people.success.sum(1), mask.sum(1)),
+        "episode_success": ((people.success | ~mask).all(1) & ~rollout.failed, one),
+        "failed": (rollout.failed, one),
+        "agent_contact_episodes": ((people.agent_contacts > 0).any(1), one),
+        "wall_contact_episodes": ((people.wall_contacts > 0).any(1), one),
+    }
+    time = episode_seconds(people.seconds, people.success, mask)
+    nearest = people.least_distance.amin(1)
+    minutes = person_minutes(rollout.present).sum(1)
+    fewest = people.goals.masked_fill(~mask, people.goals.max()).amin(1)
+    means = {
+        "goals_per_person": (people.goals.sum(1), mask.sum(1)),
+        "goals_per_person_min": (fewest, one),
+        "agent_contacts_per_min": (people.agent_contacts.sum(1), minutes),
+        "wall_contacts_per_min": (people.wall_contacts.sum(1), minutes),
+        "least_distance_m": _finite(nearest),
+        "time_s": _finite(time),
+        "decisions": _finite((time / decision_dt - 1e-6).ceil()),
+    }
+    metrics: dict[str, float] = {}
+    intervals: dict[str, Interval] = {}
+    for key, (above, below) in (shares | means).items():
+        if float(below.sum()) == 0:
+            continue  # nobody arrived, nobody met, nobody walked
+        metrics[key] = float(above.double().sum() / below.double().sum())
+        interval = wilson(metrics[key], episodes) if key in shares else bootstrap(above, below)
+        if interval[0] < interval[1]:  # where all episodes agree a bootstrap knows nothing
+            intervals[key] = interval
+    return {
+        "name": name,
+        "case": {},
+        "decision_dt_s": decision_dt,
+        "n": episodes,
+        "metrics": metrics,
+        "ci95": intervals,
+        "per_agent": people.listed(rollout),
+    }
+
+
+class _People(NamedTuple):
+    """What each person did, (E, A) each."""
+
+    success: Tensor
+    goals: Tensor
+    seconds: Tensor
+    agent_contacts: Tensor
+    wall_contacts: Tensor
+    least_distance: Tensor
+
+    @classmethod
+    def of(cls, walked: Rollout) -> _People:
+        return cls(
+            success(walked.reached, walked.goals, walked.late, walked.failed, walked.mask),
+            walked.reached[..., -1].where(walked.mask, 0),
+            finish_seconds(walked.reached, walked.goals),
+            contact_events(walked.agent_contact),
+            contact_events(walked.wall_contact),
+            least_distance(walked.trace, walked.present),
+        )
+
+    def listed(self, walked: Rollout) -> list[dict[str, Any]]:
+        found = []
+        for episode, agent in walked.mask.nonzero().tolist():
+            values = {key: value[episode, agent].item() for key, value in self._asdict().items()}
+            found.append(
+                {
+                    "episode": episode,
+                    "agent": agent,
+                    "pref_speed_m_per_s": round(walked.pref_speed[episode, agent].item(), 4),
+                    "success": values["success"],
+                    "goals": values["goals"],
+                    "time_s": _known(values["seconds"], 1),
+                    "agent_contacts": values["agent_contacts"],
+                    "wall_contacts": values["wall_contacts"],
+                    "least_distance_m": _known(values["least_distance"], 4),
+                }
+            )
+        return found
+
+
+def _finite(value: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the finite values and how many they are, per episode (E,) each: a mean over those."""
+    known = value.isfinite()
+    return value.where(known, 0.0), known
+
+
+def _known(value: float, digits: int) -> float | None:
+    return round(value, digits) if value != float("inf") else None

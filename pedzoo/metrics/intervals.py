@@ -1,0 +1,46 @@
+"""95 % intervals of closed-loop numbers: episodes are independent of each other, people in them are not."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+_NORMAL_95 = 1.959964
+
+Interval = tuple[float, float]
+
+
+def wilson(share: float, trials: int) -> Interval:
+    """Return Wilson's score interval of a share; it has a width even where nothing or everything succeeded.
+
+    With episodes as trials it is on the safe side for shares of people, who meet each other in an episode.
+
+    Args:
+        share: Between 0 and 1.
+        trials: Independent ones, at least 1.
+    """
+    square = _NORMAL_95**2
+    middle = share + square / (2 * trials)
+    half = _NORMAL_95 * math.sqrt(share * (1 - share) / trials + square / (4 * trials**2))
+    low, high = ((middle + sign * half) / (1 + square / trials) for sign in (-1, 1))
+    return max(0.0, low), min(1.0, high)
+
+
+def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, seed: int = 0) -> Interval:
+    """Return the percentile bootstrap interval of ``numerator.sum() / denominator.sum()`` over episodes.
+
+    Args:
+        numerator: One value per episode (E,).
+        denominator: Likewise, at least one of them above 0; a mean has 1 for each episode that counts.
+        resamples: Drawn with replacement.
+        seed: Of the draws.
+    """
+    episodes = len(numerator)
+    generator = torch.Generator().manual_seed(seed)
+    chosen = torch.randint(episodes, (resamples, episodes), generator=generator)
+    below = denominator.double()[chosen].sum(1)
+    found = (numerator.double()[chosen].sum(1) / below)[below > 0]
+    low, high = torch.quantile(found, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
+    return low, high
