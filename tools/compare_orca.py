@@ -1,6 +1,6 @@
 """Compares pedzoo's ORCA with RVO2 (pyrvo), one step at a time from the same states, and times both.
 
-    python tools/compare_orca.py [--steps 12000] [--json FILE]
+    python tools/compare_orca.py [--steps 12000] [--map ../shared/maps/igibson_rs.yaml] [--json FILE]
 
 Everybody walks to random places, replaced at arrival and at times; after each step everybody is where RVO2
 put them. Both sides compute in float32 with the same parameters and the same wall polygons. RVO2 splits walls
@@ -50,7 +50,7 @@ class Pieces(WallSegments):
     """Walls as RVO2 has split them."""
 
     def __init__(self, bank: MapBank, pieces: NDArray[np.float64]) -> None:
-        """Take the segments (S, 12) of the only floor plan; of two equally near ones the first counts first."""
+        """Take the segments (S, 12) of the only floor plan; of equally near ones the first counts first."""
         super().__init__(bank, most=SETTINGS.max_obstacles)
         self.pieces = pieces
 
@@ -100,7 +100,7 @@ class Walk:
         self.polygons = polygons
         self.pieces = Pieces(bank, self.peer.edges) if walled else None
         clear = np.argwhere(grid.signed_distance("wall") > SETTINGS.radius)
-        self.free = torch.as_tensor((clear[:, ::-1] + 0.5) * grid.resolution, dtype=torch.float32)
+        self.free = torch.as_tensor(_centres(grid, clear), dtype=torch.float32)
         self.random = torch.Generator().manual_seed(seed)
         self.place, self.goal = self.draw(scenes, agents), self.draw(scenes, agents)
         self.velocity = torch.zeros_like(self.place)
@@ -121,6 +121,12 @@ class Walk:
         tired = torch.rand(distance.shape, generator=self.random) < 0.02
         self.goal = torch.where((distance < 0.3) | tired, self.draw(*self.place.shape[:2]), self.goal)
         return state, self.velocity
+
+
+def _centres(grid: OccupancyGrid, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the centres (F, 2) of cells (row, column) in the map's frame."""
+    affine = grid.map_to_cell()
+    return (cells[:, ::-1] - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
 
 
 def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:
@@ -171,13 +177,13 @@ def blocked(state: State, walls: WallSegments) -> Tensor:
     return (failed < lines.shape[1]).view(state.position.shape[:2])
 
 
-def agreement(name: str, side: int, boxes: int | None, agents: int, steps: int) -> list[str]:
+def agreement(name: str, plans: list[OccupancyGrid], walled: bool, agents: int, steps: int) -> list[str]:
     """Compare at least so many steps of people; returns a row of the table."""
     apart, on_pieces, capped, classes = [], [], [], Counter()
-    plans, rounds = 6, 40
-    for seed in range(plans):
-        scenes = -(-steps // (plans * rounds * agents))
-        walk = Walk(plan(side, boxes or 0, seed), boxes is not None, scenes, agents, seed)
+    rounds = 40
+    for seed, grid in enumerate(plans):
+        scenes = -(-steps // (len(plans) * rounds * agents))
+        walk = Walk(grid, walled, scenes, agents, seed)
         for _ in range(rounds):
             state, theirs = walk.step()
             found = (state.ours(walk.walls) - theirs).norm(dim=-1)
@@ -235,19 +241,24 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--steps", type=int, default=12_000, help="steps of people per row")
+    parser.add_argument("--map", action="append", default=[], help="a floor plan for two more rows")
     parser.add_argument("--json", help="also write the timings to this file")
     options = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
     head = ("scenes", "n", "median", "99.9 %", "most", "% < 1e-3", "on RVO2's pieces", "the rest")
     table = Table(*head, "16 walls", title="difference to RVO2, m/s")
-    for name, side, boxes, agents in (
-        ("no walls, sparse", 120, None, 5),
-        ("no walls, dense", 50, None, 20),
-        ("walls, sparse", 120, 14, 5),
-        ("walls, dense", 80, 8, 20),
-    ):
-        table.add_row(*agreement(name, side, boxes, agents, options.steps))
+    cases = [
+        ("no walls, sparse", [plan(120, 0, seed) for seed in range(6)], False, 5),
+        ("no walls, dense", [plan(50, 0, seed) for seed in range(6)], False, 20),
+        ("walls, sparse", [plan(120, 14, seed) for seed in range(6)], True, 5),
+        ("walls, dense", [plan(80, 8, seed) for seed in range(6)], True, 20),
+    ]
+    for path in options.map:
+        grid = OccupancyGrid.load(path)
+        cases += [(f"{grid.name}, {agents} people", [grid], True, agents) for agents in (5, 20)]
+    for case in cases:
+        table.add_row(*agreement(*case, options.steps))
     Console(width=150).print(table)
     rows = []
     for scenes, agents, without, walled in ((1024, 5, 3.0, 1.0), (64, 20, None, None), (64, 5, None, None)):
