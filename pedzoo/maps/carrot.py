@@ -25,7 +25,7 @@ def seen_beyond(
     """Return how far beyond the waypoint people see their carrot (P,): ``rest``, a half, a quarter, or not.
 
     It is seen if the straight line to it keeps a body's radius from walls. Beyond a map's border its
-    outermost cells go on.
+    outermost cells go on, and the line is followed to the border's nearest point.
 
     Args:
         distance: Distances to the nearest wall.
@@ -40,35 +40,28 @@ def seen_beyond(
     if not len(who):
         return rest
     number = row.index_select(0, who)
-    linear = distance.linear.view(-1, 4).index_select(0, number).t().contiguous()
-    shift, low, high = (
-        of.index_select(0, number).t() for of in (distance.shift, distance.low, distance.high)
-    )
-
-    def locate(points: Tensor) -> Tensor:
-        x, y = points
-        column = linear[0] * x + linear[1] * y + shift[0]
-        line = linear[2] * x + linear[3] * y + shift[1]
-        return pairs(column.clamp(low[0], high[0]), line.clamp(low[1], high[1]))
-
+    a, b, c, d = distance.linear.view(-1, 4).index_select(0, number).unbind(1)
+    shift, low, high = (of.index_select(0, number) for of in (distance.shift, distance.low, distance.high))
     begin, corner, way, ahead = (of.index_select(-1, who) for of in (home, waypoint, beyond, rest))
     end = corner + way * ahead
     longest = (end - begin).square().sum(0)
-    places = locate(begin), locate(corner), locate(end)
+    x, y = torch.stack((begin, corner, end), dim=1)
+    begin, corner, end = (pairs(a * x + b * y, c * x + d * y) + shift).unbind(0)
     for part in _PARTS:
-        begin, corner, end = places
+        target = torch.lerp(corner, end, part).clamp(low, high)
         samples = int(longest.max().sqrt() / _SPACING) + 1
         steps = torch.arange(1, samples + 1, device=who.device)[:, None, None] / samples
-        line = torch.lerp(begin, torch.lerp(corner, end, part), steps)
+        line = torch.lerp(begin, target, steps)
         lowest = F.grid_sample(distance.image, line[None], align_corners=True)[0, 0].amin(dim=0)
         hidden = lowest < BODY_CLEARANCE
         if part < 1:
             seen = who[~hidden]
             rest[seen] = rest[seen] * part
         still = torch.nonzero(hidden)[:, 0]
-        who, longest = who.index_select(0, still), longest.index_select(0, still)
-        places = begin.index_select(0, still), corner.index_select(0, still), end.index_select(0, still)
-        if not len(who):
+        if not len(still):
             return rest
+        who, longest = who.index_select(0, still), longest.index_select(0, still)
+        begin, corner, end = (of.index_select(0, still) for of in (begin, corner, end))
+        low, high = low.index_select(0, still), high.index_select(0, still)
     rest[who] = 0
     return rest

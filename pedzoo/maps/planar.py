@@ -23,7 +23,7 @@ class Frame(NamedTuple):
     @classmethod
     def of(cls, pose: Tensor) -> Frame:
         """Return the frames of scene poses (P, 4)."""
-        angle, mirror, x, y = pose.float().t().contiguous()
+        angle, mirror, x, y = pose.float().unbind(1)
         return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
 
     def to_map(self, points: Tensor) -> Tensor:

@@ -1,0 +1,434 @@
+"""The planner, against ways computed by hand, a brute-force search, and people who follow it."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.sparse.csgraph import dijkstra
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.fields import build_fields
+from pedzoo.maps.graph import OpenGraph
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.planner import Guidance, Look, Planner
+
+
+def drawn(*rows: str, **options: object) -> OccupancyGrid:
+    """A plan of 1 m cells drawn with # for walls, the first row at the top."""
+    cells = np.array([[OCCUPIED * (c == "#") for c in row] for row in rows], dtype=np.uint8)
+    return OccupancyGrid(np.flipud(cells), 1.0, **options)  # type: ignore[arg-type]
+
+
+def cells_planner(grid: OccupancyGrid) -> Planner:
+    """With this clearance every free cell of a plan of 1 m cells is open: ways can be drawn on paper."""
+    return Planner(MapBank([grid]), clearance=0.5)
+
+
+TWO_ROOMS = drawn(".......", "...#...", "...#...", "...#...", "...#...")
+
+
+@cache
+def flat() -> tuple[MapBank, Planner]:
+    """Two rooms of 4 x 4 m with a door of 0.9 m between them, which is not in their middle."""
+    walls = room((0, 0), (8.2, 4), 0.1) + wall((4.1, 0), (4.1, 4), 0.2, doors=[(3.0, 0.9)])
+    bank = MapBank([rectangles(walls, resolution=0.05, name="flat")], unknown="wall")
+    return bank, Planner(bank)
+
+
+def apartment(shared: Path) -> tuple[MapBank, Planner]:
+    grid = OccupancyGrid.load(shared / "maps" / "igibson_rs.yaml")
+    bank = MapBank([grid], unknown="wall")
+    return bank, Planner(bank)
+
+
+def arguments(bank: MapBank, people: int) -> tuple[Tensor, Tensor]:
+    return torch.full((people,), bank.grids[0].map_id), identity_pose(people)
+
+
+def look(planner: Planner, points: Tensor, goal: Tensor) -> Look:
+    return planner.look(points, goal, *arguments(planner.bank, len(points)))
+
+
+def guide(planner: Planner, points: Tensor, goal: Tensor, speed: float = 1.0, ahead: float = 3.2) -> Guidance:
+    speeds = torch.full((len(points),), speed)
+    return planner.guide(points, goal, *arguments(planner.bank, len(points)), speeds, ahead)
+
+
+def length(start: np.ndarray, way: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(np.vstack((start, way)), axis=0), axis=1).sum())
+
+
+def rooms_of(planner: Planner) -> np.ndarray:
+    """Numbers of the open cells of the largest component."""
+    component = planner.graph(0).component
+    return np.flatnonzero(component == np.bincount(component).argmax())
+
+
+def random_plan(seed: int, size: int = 14, walls: float = 0.3) -> OccupancyGrid:
+    free = np.random.default_rng(seed).random((size, size)) > walls
+    return OccupancyGrid(np.where(free, 0, OCCUPIED).astype(np.uint8), 1.0)
+
+
+def test_ways_by_hand() -> None:
+    planner = cells_planner(TWO_ROOMS)
+    way = planner.path((0.5, 0.5), (6.5, 0.5), 0)
+    assert way.tolist() == [[2.5, 4.5], [4.5, 4.5], [6.5, 0.5]]
+    assert planner.path((0.5, 0.5), (0.6, 4.3), 0).tolist() == [[0.6, 4.3]]  # in sight
+
+    goal = planner.add_goals(0, [(6.5, 0.5)])
+    points = torch.tensor([[0.5, 0.5], [2.5, 4.5], [3.4, 4.6], [5.0, 3.0], [6.5, 0.5]])
+    found = look(planner, points, goal.expand(5))
+    root = math.sqrt(20)
+    assert found.waypoint.tolist() == [[2.5, 4.5], [4.5, 4.5], [4.5, 4.5], [6.5, 0.5], [6.5, 0.5]]
+    assert found.next_waypoint.tolist() == [[4.5, 4.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5]]
+    assert found.goal_point.tolist() == [[6.5, 0.5]] * 5
+    expected = [2 * root + 2, 2 + root, math.hypot(1.1, 0.1) + root, math.hypot(1.5, 2.5), 0]
+    assert found.distance.tolist() == pytest.approx(expected, abs=1e-5)
+
+
+def test_diagonal_steps_do_not_cut_corners() -> None:
+    grid = drawn("..#", ".#.", "...")
+    planner = cells_planner(grid)
+    neighbours = planner.graph(0).matrix
+    assert neighbours.nnz == 2 * 6  # a U of straight steps, no diagonal ones
+    assert planner.path((0.5, 0.5), (2.5, 1.5), 0).tolist() == [[2.5, 0.5], [2.5, 1.5]]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lines_of_sight_are_those_of_a_dense_sampling(seed: int) -> None:
+    graph = OpenGraph(random_plan(seed, 20, 0.1), "wall", 0.5)
+    numbers = np.random.default_rng(seed).integers(0, len(graph), (600, 2))
+    origin, target = graph.place[numbers[:, 0]], graph.place[numbers[:, 1]]
+    # never a point where two cells meet: a sample is inside a square, or on an edge between two cells
+    part = (np.arange(997) + 0.5) / 997
+    points = origin[:, None] + (target - origin)[:, None] * part[:, None]
+    low, high = np.floor(points + 1e-9).astype(int), np.ceil(points - 1e-9).astype(int)
+    corners = [graph.open[y, x] for x in (low[..., 0], high[..., 0]) for y in (low[..., 1], high[..., 1])]
+    expected = np.logical_and.reduce(corners).all(axis=1)
+    assert 20 < expected.sum() < 580
+    assert np.array_equal(graph.sight.clear(origin, target), expected)
+    assert np.array_equal(graph.sight.clear(target, origin), expected)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ways_are_the_shortest_there_are(seed: int) -> None:
+    planner = cells_planner(random_plan(seed))
+    graph, rooms = planner.graph(0), rooms_of(planner)
+    one, other = (part.ravel() for part in np.meshgrid(rooms, rooms))
+    seen = graph.sight.clear(graph.place[one], graph.place[other]).reshape(len(rooms), -1)
+    steps = np.linalg.norm(graph.xy[one] - graph.xy[other], axis=1).reshape(seen.shape)
+    shortest = dijkstra(np.where(seen, steps, 0))  # by way of whatever cells
+
+    goals = planner.add_goals(0, graph.xy[rooms[::5]])
+    field = np.stack(
+        [
+            look(planner, torch.from_numpy(graph.xy[rooms]).float(), goal.expand(len(rooms))).distance.numpy()
+            for goal in goals
+        ]
+    )
+    # cells only hear of their neighbours' waypoints: in such a clutter that is not always the best one
+    ratio = (field + 1e-9) / (shortest[::5] + 1e-9)
+    assert ratio.min() > 1 - 1e-5
+    assert ratio.max() < 1.05
+    assert np.quantile(ratio, 0.998) < 1.01
+    for k, start in enumerate(rooms[::7]):
+        way = planner.path(graph.xy[start], graph.xy[rooms[-1]], 0)
+        assert length(graph.xy[start], way) == pytest.approx(shortest[7 * k, -1], abs=1e-9)
+
+
+def check_lengths(planner: Planner, pairs: int) -> None:
+    graph, rooms = planner.graph(0), rooms_of(planner)
+    draws = np.random.default_rng(0)
+    jitter = (draws.random((pairs, 2)) - 0.5) * 0.9 * graph.grid.resolution
+    starts = graph.xy[draws.choice(rooms, pairs)] + jitter
+    cells = draws.choice(rooms, 8, replace=False)
+    goals = planner.add_goals(0, graph.xy[cells] + jitter[:8])
+    which = np.arange(pairs) % 8
+    found = look(planner, torch.from_numpy(starts).float(), goals[which]).distance.numpy()
+    ends = graph.xy[cells] + jitter[:8]
+    ways = [length(start, planner.path(start, ends[k], 0)) for start, k in zip(starts, which, strict=True)]
+    np.testing.assert_allclose(found, ways, rtol=0.01)
+    eight = dijkstra(graph.matrix, indices=cells)[which, graph.index[graph.locate(starts)[0]]]
+    assert (np.array(ways) <= eight + 2 * graph.grid.resolution).all()  # between centres, not quite the same
+
+
+def test_paths_and_fields_are_equally_long() -> None:
+    check_lengths(flat()[1], 100)
+
+
+def test_paths_and_fields_are_equally_long_in_the_apartment(shared: Path) -> None:
+    check_lengths(apartment(shared)[1], 200)
+
+
+def check_clearance(bank: MapBank, planner: Planner) -> None:
+    """Every point of every way keeps the clearance, but for what the field's reading is off by."""
+    graph, rooms = planner.graph(0), rooms_of(planner)
+    goals = planner.add_goals(0, graph.xy[rooms[:: len(rooms) // 5]])
+    points = torch.from_numpy(graph.xy[rooms]).float()
+    for goal in goals:
+        found = look(planner, points, goal.expand(len(points)))
+        part = torch.linspace(0, 1, 60)[:, None]
+        line = points[:, None] + (found.waypoint - points)[:, None] * part
+        assert bank.signed_distance(line, *arguments(bank, len(line))).min() > planner.clearance - 1e-4
+
+
+def test_ways_keep_the_clearance(shared: Path) -> None:
+    check_clearance(*flat())
+    check_clearance(*apartment(shared))
+
+
+def walk(bank: MapBank, planner: Planner, goal: Tensor, starts: Tensor, speed: float = 1.3) -> None:
+    """Follow the desired velocity in steps of 0.1 s: everybody arrives in time, and nobody touches a wall."""
+    points, goals = starts.clone(), goal.expand(len(starts))
+    here = arguments(bank, len(points))
+    first = look(planner, points, goals).distance
+    walked, arrived = torch.zeros(len(points)), torch.zeros(len(points), dtype=torch.bool)
+    for _ in range(int(first.max() * 1.1 / (speed * 0.1)) + 5):
+        told = guide(planner, points, goals, speed)
+        arrived |= (points - told.goal_point).norm(dim=1) < 0.3
+        step = torch.where(arrived[:, None], 0.0, told.desired_velocity * 0.1)
+        walked += step.norm(dim=1)
+        points = points + step
+        distance, _ = bank.closest_wall(points, *here)
+        assert distance.min() > 0.15
+    assert arrived.all()
+    assert (walked < 1.05 * first + 0.2).all()
+
+
+def test_everybody_gets_there(shared: Path) -> None:
+    for bank, planner in (flat(), apartment(shared)):
+        graph, rooms = planner.graph(0), rooms_of(planner)
+        for goal in planner.add_goals(0, graph.xy[rooms[len(rooms) // 5 :: len(rooms) // 2]]):
+            walk(bank, planner, goal, torch.from_numpy(graph.xy[rooms]).float())
+
+
+def test_people_pushed_aside_find_back() -> None:
+    bank, planner = flat()
+    goal = planner.add_goals(0, [(7.0, 1.0)])
+    # along the walls of the first room, a body's radius away from them
+    edge = torch.arange(0.2, 3.8, 0.05)
+    side = torch.full_like(edge, 0.17)
+    starts = torch.cat(
+        [torch.stack(pair, 1) for pair in ((edge, side), (side, edge), (edge, 4 - side), (4 - side, edge))]
+    )
+    inside = bank.closest_wall(starts, *arguments(bank, len(starts)))[0] > 0.16
+    walk(bank, planner, goal, starts[inside])
+
+
+def test_from_outside_and_inside_of_walls_the_way_begins_at_the_nearest_open_cell() -> None:
+    planner = cells_planner(TWO_ROOMS)
+    goal = planner.add_goals(0, [(6.5, 0.5)])
+    found = look(planner, torch.tensor([[-4.5, 0.5], [3.6, 0.5]]), goal.expand(2))
+    assert found.waypoint[0].tolist() == [0.5, 0.5]
+    assert found.next_waypoint[0].tolist() == [2.5, 4.5]
+    assert float(found.distance[0]) == pytest.approx(5 + 2 * math.sqrt(20) + 2, abs=1e-5)
+    assert float(found.waypoint[1, 0]) in (2.5, 4.5) or found.waypoint[1].tolist() == [6.5, 0.5]
+    assert found.distance.isfinite().all()
+
+
+def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
+    bank, planner = flat()
+    graph, rooms = planner.graph(0), rooms_of(planner)
+    draws = torch.Generator().manual_seed(0)
+    points = torch.from_numpy(graph.xy[rooms[::9]]).float()
+    count = len(points)
+    goals = planner.add_goals(0, graph.xy[rooms[:: len(rooms) // 9]])[torch.arange(count) % 9]
+    mirror = torch.randint(0, 2, (count,), generator=draws) * 2.0 - 1
+    numbers = torch.rand(count, 3, generator=draws) * 6
+    pose = torch.stack((numbers[:, 0], mirror, numbers[:, 1], numbers[:, 2]), dim=1)
+    ids, speed = torch.full((count,), bank.grids[0].map_id), torch.full((count,), 1.2)
+    # rounding must not decide which cell it is, or whether a line passes a wall at just a body's radius
+    points = points + torch.rand(count, 2, generator=draws) * 0.02
+    plain = planner.guide(points, goals, ids, identity_pose(count), speed, 3.2)
+    moved = planner.guide(move_to_scene(points, pose), goals, ids, pose, speed, 3.2)
+    for name in ("goal", "waypoint", "goal_point"):
+        back = move_to_map(getattr(moved, name), pose)
+        torch.testing.assert_close(back, getattr(plain, name), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(
+        turn_to_map(moved.desired_velocity, pose), plain.desired_velocity, atol=1e-4, rtol=1e-4
+    )
+    torch.testing.assert_close(moved.distance, plain.distance, atol=1e-4, rtol=1e-4)
+    first = planner.look(points, goals, ids, identity_pose(count))
+    again = planner.look(move_to_scene(points, pose), goals, ids, pose)
+    for mine, other in zip(first[:3], again[:3], strict=True):
+        torch.testing.assert_close(move_to_map(other, pose), mine, atol=1e-4, rtol=1e-4)
+
+
+def test_the_carrot_by_hand() -> None:
+    planner = cells_planner(drawn(*["." * 12] * 12))
+    goal = planner.add_goals(0, [(8.5, 2.5)])
+    told = guide(planner, torch.tensor([[2.5, 2.5], [7.5, 2.5], [8.5, 5.5]]), goal.expand(3), speed=1.25)
+    # 4 m ahead: on the way; prolonged beyond the goal; the same from above
+    assert told.goal.flatten().tolist() == pytest.approx([6.5, 2.5, 11.5, 2.5, 8.5, 1.5], abs=1e-5)
+    assert told.desired_velocity.flatten().tolist() == pytest.approx([1.25, 0, 1.25, 0, 0, -1.25], abs=1e-5)
+
+    around = cells_planner(TWO_ROOMS)
+    goal = around.add_goals(0, [(6.5, 0.5)])
+    told = guide(around, torch.tensor([[2.5, 3.5], [2.5, 3.5]]), goal.expand(2), speed=1.0, ahead=2.0)
+    # a metre up to the waypoint, then a metre to the right: in sight over the wall's corner
+    assert told.waypoint.tolist() == [[2.5, 4.5]] * 2
+    x, y = told.goal[0].tolist()
+    assert y == pytest.approx(4.5)
+    assert 2.5 <= x <= 3.5
+
+
+def test_the_carrot_is_seen_and_as_far_as_the_way() -> None:
+    bank, planner = flat()
+    graph, rooms = planner.graph(0), rooms_of(planner)
+    points = torch.from_numpy(graph.xy[rooms]).float()
+    here = arguments(bank, len(points))
+    cut = 0
+    for goal in planner.add_goals(0, [(7.0, 1.0), (0.5, 0.5), (4.1, 3.0)]):
+        told = guide(planner, points, goal.expand(len(points)), speed=1.3)
+        ahead = 1.3 * 3.2
+        chord = told.goal - points
+        free = (told.waypoint - points).norm(dim=1) >= ahead
+        assert chord[free].norm(dim=1).numpy() == pytest.approx(ahead, abs=1e-4)
+        assert (chord.norm(dim=1) < ahead + 1e-4).all()
+        part = torch.linspace(0, 1, 200)[:, None]
+        line = points[:, None] + chord[:, None] * part
+        least = bank.signed_distance(line, *here).min(dim=1).values
+        assert least.min() > 0  # never through a wall
+        assert (least > 0.1).float().mean() > 0.99
+        to_waypoint = (told.waypoint - points).norm(dim=1)
+        assert (chord.norm(dim=1) > to_waypoint.clamp_max(ahead) - 0.35).all()
+        cut += int((chord.norm(dim=1) < to_waypoint + 1e-4).sum())
+    assert cut > 0  # somebody stands where only the waypoint is in sight
+
+
+def test_standing_on_waypoint_and_goal() -> None:
+    planner = cells_planner(TWO_ROOMS)
+    goal = planner.add_goals(0, [(6.5, 0.5)])
+    points = torch.tensor([[2.5, 4.5], [6.5, 0.5]], requires_grad=True)
+    told = guide(planner, points, goal.expand(2))
+    assert told.desired_velocity[0].tolist() == pytest.approx([1, 0])
+    assert told.desired_velocity[1].tolist() == [0, 0]
+    assert told.goal[1].tolist() == [6.5, 0.5]
+    (gradient,) = torch.autograd.grad(sum(part.sum() for part in told), points)  # type: ignore[arg-type]
+    assert gradient.isfinite().all()
+
+
+def test_gradients_pass_through_positions() -> None:
+    _, planner = flat()
+    goal = planner.add_goals(0, [(7.0, 1.0)])
+    points = torch.tensor([[1.0, 1.0], [6.0, 2.0]], requires_grad=True)
+    told = guide(planner, points, goal.expand(2))
+    assert not told.waypoint.requires_grad
+    (gradient,) = torch.autograd.grad(told.distance.sum(), points, retain_graph=True)
+    torch.testing.assert_close(gradient, -told.desired_velocity)
+    (gradient,) = torch.autograd.grad(told.desired_velocity[0, 0], points)
+    assert gradient.isfinite().all()
+    assert gradient[0].abs().sum() > 0
+
+
+def test_goals_keep_their_numbers() -> None:
+    _, planner = flat()
+    planner = Planner(planner.bank)
+    first = planner.add_goals(0, [(1.0, 1.0), (7.0, 1.0), (1.0, 1.0)])
+    assert first.tolist() == [0, 1, 0]
+    before = look(planner, torch.tensor([[2.0, 2.0]]), first[1:2])
+    # two goals in one cell are two goals; no map: as the crow flies
+    second = planner.add_goals(0, torch.tensor([[7.0, 1.0], [7.001, 1.0]], dtype=torch.float64))
+    third = planner.add_goals(-1, [(7.0, 1.0)])
+    assert second.tolist() == [1, 2]
+    assert third.tolist() == [3]
+    assert planner.add_goals(0, torch.zeros(0, 2)).tolist() == []
+    after = look(planner, torch.tensor([[2.0, 2.0]]), second[:1])
+    for one, other in zip(before, after, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_people_without_map_or_goal() -> None:
+    bank, planner = flat()
+    everywhere = planner.add_goals(-1, [(3.0, 4.0)])
+    somewhere = planner.add_goals(0, [(7.0, 1.0)])
+    ids = torch.tensor([-1, bank.grids[0].map_id, -1, bank.grids[0].map_id])
+    goals = torch.tensor([int(everywhere), -1, -1, int(somewhere)])
+    points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0], [6.0, 1.0]])
+    found = planner.look(points, goals, ids, identity_pose(4))
+    assert found.waypoint.tolist() == [[3, 4], [1, 1], [90, 0], [7, 1]]
+    assert found.distance.tolist() == pytest.approx([5, 0, 0, 1])
+    told = planner.guide(points, goals, ids, identity_pose(4), torch.ones(4), 2.0)
+    assert told.desired_velocity.flatten().tolist() == pytest.approx([0.6, 0.8, 0, 0, 0, 0, 1, 0])
+    assert told.goal[:3].flatten().tolist() == pytest.approx([1.2, 1.6, 1, 1, 90, 0])
+    nobody = planner.look(points[:0], goals[:0], ids[:0], identity_pose(0))
+    assert nobody.distance.shape == (0,)
+    assert Planner(MapBank()).add_goals(-1, [(0, 0)]).tolist() == [0]
+
+
+def test_several_maps_of_one_bank() -> None:
+    other = drawn("....", ".##.", "....", name="other", origin=(3.0, -2.0, math.pi / 2))
+    planner = cells_planner(TWO_ROOMS)
+    alone = Planner(MapBank([other]), clearance=0.5)
+    both = Planner(MapBank([TWO_ROOMS, other]), clearance=0.5)
+    graph = alone.graph(0)
+    starts = torch.from_numpy(graph.xy).float()
+    mine, theirs = planner.add_goals(0, [(6.5, 0.5)]), alone.add_goals(0, graph.xy[:1])
+    first = both.add_goals(0, [(6.5, 0.5)])
+    one = look(planner, torch.tensor([[0.5, 0.5]]), mine)
+    again = look(both, torch.tensor([[0.5, 0.5]]), first)  # tables are built before the second map is used
+    second = both.add_goals(1, graph.xy[:1])
+    ids = torch.full((len(starts),), other.map_id)
+    two = alone.look(starts, theirs.expand(len(starts)), ids, identity_pose(len(starts)))
+    mixed = both.look(starts, second.expand(len(starts)), ids, identity_pose(len(starts)))
+    for a, b in zip((*one, *two), (*again, *mixed), strict=True):
+        torch.testing.assert_close(a, b)
+    with pytest.raises(UserError, match="goal 1 was added for row 1 of the bank, but person 0 is on row 0"):
+        look(both, torch.tensor([[0.5, 0.5]]), second)
+
+
+def test_no_way() -> None:
+    grid = drawn("..#..", "..#..", name="halves")
+    planner = cells_planner(grid)
+    with pytest.raises(UserError, match=r"no way from \(0.50, 0.50\) to \(4.50, 0.50\) on map 'halves'"):
+        planner.path((0.5, 0.5), (4.5, 0.5), 0)
+    goal = planner.add_goals(0, [(4.5, 0.5)])
+    points = torch.tensor([[0.5, 0.5], [3.5, 0.5]])
+    found = look(planner, points, goal.expand(2))
+    assert found.distance.tolist() == [math.inf, 1]
+    assert found.waypoint.tolist() == [[0.5, 0.5], [4.5, 0.5]]
+    told = guide(planner, points, goal.expand(2))
+    assert told.desired_velocity.tolist() == [[0, 0], [1, 0]]
+    assert told.goal[0].tolist() == [0.5, 0.5]
+
+
+def test_bad_goals_are_moved_a_little_or_refused() -> None:
+    bank, planner = flat()
+    near = planner.add_goals(0, [(0.1, 1.025)])  # 0.1 m from a wall: moved to the next open cell's centre
+    found = look(planner, torch.tensor([[1.0, 1.0]]), near)
+    assert found.goal_point[0].tolist() == pytest.approx([0.275, 1.025], abs=1e-4)
+    assert planner.add_goals(0, [(0.1, 1.025)]).tolist() == near.tolist()
+    with pytest.raises(UserError, match=r"goal \(-3.00, 1.00\) is outside the map on map 'flat'.*\(0.2"):
+        planner.add_goals(0, [(1.0, 1.0), (-3.0, 1.0)])
+    thick = MapBank([drawn("###..", "###..", "###..", name="thick")])
+    with pytest.raises(UserError, match=r"goal \(0.50, 1.50\) is in a wall.*\(3.50, 1.50\), more than 0.5 m"):
+        Planner(thick).add_goals(0, [(0.5, 1.5)])
+    with pytest.raises(UserError, match=r"start or goal .* outside the map"):
+        planner.path((-3.0, 1.0), (1.0, 1.0), 0)
+    with pytest.raises(UserError, match="finite"):
+        planner.add_goals(0, [(math.nan, 1.0)])
+    with pytest.raises(UserError, match="nobody can walk"):
+        Planner(MapBank([drawn("###", name="solid")])).add_goals(0, [(0.5, 0.5)])
+    with pytest.raises(UserError, match="at least 0"):
+        Planner(bank, clearance=-1)
+
+
+def test_fields_of_many_goals_are_those_of_each() -> None:
+    _, planner = flat()
+    graph, rooms = planner.graph(0), rooms_of(planner)
+    cells = rooms[:: len(rooms) // 3]
+    points = graph.place[cells].astype(np.float64)
+    together = build_fields(graph, cells, points)
+    for k, cell in enumerate(cells):
+        alone = build_fields(graph, np.array([cell]), points[k : k + 1])
+        assert torch.equal(together.waypoint[k], alone.waypoint[0])
+        assert torch.equal(together.length[k], alone.length[0])
