@@ -1,0 +1,205 @@
+"""Outlines of walls and the look-up of the nearest segments, against drawings and brute force."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose, move_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.outlines import outlines, signed_area
+from pedzoo.maps.segments import Segments, WallSegments
+
+
+def draw(*rows: str) -> NDArray[np.bool_]:
+    """Return the walls of a drawing; its first line is the largest y."""
+    return np.array([[cell == "#" for cell in row] for row in rows[::-1]])
+
+
+def random_grid(seed: int = 0, name: str = "random") -> OccupancyGrid:
+    cells = (np.random.default_rng(seed).random((14, 20)) < 0.25).astype(np.uint8)
+    return OccupancyGrid(cells, 0.5, (3.0, -2.0, 0.7), name=name)
+
+
+def canonical(polygon: NDArray[np.float64]) -> list[tuple[float, ...]]:
+    corners = [tuple(corner) for corner in polygon.tolist()]
+    first = corners.index(min(corners))
+    return corners[first:] + corners[:first]
+
+
+def test_a_block_runs_counter_clockwise_along_its_cells_edges() -> None:
+    (block,) = outlines(draw(".....", ".###.", ".###.", "....."))
+    assert canonical(block) == [(1, 1), (4, 1), (4, 3), (1, 3)]
+
+
+def test_a_hole_runs_clockwise_and_walls_at_the_border_are_closed_there() -> None:
+    outer, inner = sorted(outlines(draw("####", "#..#", "####")), key=signed_area)[::-1]
+    assert canonical(outer) == [(0, 0), (4, 0), (4, 3), (0, 3)]
+    assert canonical(inner) == [(1, 1), (1, 2), (3, 2), (3, 1)]
+
+
+def test_solids_that_touch_at_a_corner_stay_apart() -> None:
+    found = sorted(canonical(polygon) for polygon in outlines(draw("#.", ".#")))
+    assert found == [[(0, 1), (1, 1), (1, 2), (0, 2)], [(1, 0), (2, 0), (2, 1), (1, 1)]]
+
+
+def test_no_walls_no_outlines() -> None:
+    assert outlines(np.zeros((3, 4), dtype=bool)) == []
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_exact_outlines_enclose_the_walls_area_without_straight_corners(share: float) -> None:
+    occupied = np.random.default_rng(1).random((30, 40)) < share
+    polygons = outlines(occupied, tolerance=0)
+    assert sum(map(signed_area, polygons)) == occupied.sum()
+    for polygon in polygons:
+        steps = np.diff(np.vstack((polygon, polygon[:1])), axis=0)
+        assert (np.count_nonzero(steps, axis=1) == 1).all()
+        turned = steps * np.roll(steps, 1, axis=0)
+        assert (turned == 0).all()
+
+
+def test_a_staircase_becomes_straight_within_the_tolerance() -> None:
+    occupied = np.tri(40, 40, dtype=bool)
+    (exact,), (short,) = outlines(occupied, 0), outlines(occupied, 1.0)
+    assert len(exact) > 70
+    assert len(short) <= 6
+    for corner in exact:
+        gaps = []
+        for a, b in pairwise(np.vstack((short, short[:1]))):
+            t = np.clip((corner - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+            gaps.append(np.linalg.norm(corner - a - t * (b - a)))
+        assert min(gaps) <= 1 + 1e-6
+
+
+def test_thin_walls_keep_their_area() -> None:
+    occupied = draw("........", ".######.", "........", "..#.....", "........")
+    assert sorted(map(signed_area, outlines(occupied, 1.5))) == [1, 6]
+
+
+def brute_force(walls: WallSegments, grid: OccupancyGrid, point: Tensor, pose: Tensor, reach: float) -> list:
+    """Return distance, start and end of all segments in reach that a point is outside of, nearest first."""
+    found = []
+    for polygon in walls.polygons(grid):
+        there = move_to_scene(torch.as_tensor(polygon)[None], pose[None].double())[0]
+        if pose[1] < 0:
+            there = there.flip(0)
+        for a, b in zip(there, there.roll(-1, 0), strict=True):
+            way, off = b - a, point.double() - a
+            distance = (off - (off @ way / (way @ way)).clamp(0, 1) * way).norm()
+            if way[0] * off[1] - way[1] * off[0] < 0 and distance < reach:
+                found.append((float(distance), a, b))
+    return sorted(found, key=lambda one: one[0])
+
+
+def distances(near: Segments, points: Tensor) -> Tensor:
+    way, off = near.end - near.start, points.T[:, None] - near.start
+    t = ((off * way).sum(0) / (way * way).sum(0)).clamp(0, 1)
+    return (off - t * way).norm(dim=0)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1.0])
+def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(tolerance: float) -> None:
+    grids = [random_grid(0), random_grid(1, "other")]
+    bank = MapBank(grids)
+    walls = WallSegments(bank, tolerance, most=6)
+    torch.manual_seed(0)
+    count = 60
+    which = torch.randint(2, (count,))
+    pose = torch.stack(
+        (torch.rand(count) * 6, torch.randint(2, (count,)) * 2.0 - 1, torch.rand(count), torch.rand(count)), 1
+    )
+    places = torch.rand(count, 2) * torch.tensor([14.0, 12.0]) + torch.tensor([-2.0, -4.0])
+    points = move_to_scene(places, pose)
+    reach = 0.5 + 2 * torch.rand(count)
+    ids = torch.tensor([grid.map_id for grid in grids])[which]
+    near = walls.near(points, ids, pose, reach)
+    assert near.valid.any(0).float().mean() > 0.5
+    for i in range(count):
+        expected = brute_force(walls, grids[int(which[i])], points[i], pose[i], float(reach[i]))[:6]
+        valid = near.valid[:, i]
+        assert valid.tolist() == [True] * len(expected) + [False] * (len(valid) - len(expected))
+        found = distances(near, points)[valid, i]
+        assert found.tolist() == pytest.approx([one[0] for one in expected], abs=1e-5)
+        ends = {tuple(torch.cat(one[1:]).mul(100).round().int().tolist()) for one in expected[:-1]}
+        mine = torch.cat((near.start, near.end))[:, valid, i].T.mul(100).round().int()
+        # the last one may be one of several at the same distance
+        assert len(ends - {tuple(one) for one in mine.tolist()}) <= 1
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_walls_are_on_the_left_and_neighbours_fit(mirror: float) -> None:
+    grid = random_grid()
+    bank = MapBank([grid])
+    pose = torch.tensor([[0.4, mirror, 1.0, -2.0]])
+    middle = torch.tensor([[3.0 + 5 * math.cos(0.7) - 3.5 * math.sin(0.7), -2 + 5 * math.sin(0.7) + 2.7]])
+    near = WallSegments(bank, 0.0, most=500).near(
+        move_to_scene(middle, pose), torch.tensor([grid.map_id]), pose, 30.0
+    )
+    start, end, direction, before, after, convex, valid = (part[..., 0] for part in near)
+    assert valid.sum() > 50
+    torch.testing.assert_close(direction, (end - start) / (end - start).norm(dim=0))
+    left = torch.stack((-direction[1], direction[0]))
+    ids, poses = torch.full((len(valid),), grid.map_id), pose.expand(len(valid), 4)
+    for side, sign in ((left, -1), (-left, 1)):
+        beside = start + 0.25 * direction + 0.2 * side
+        assert (sign * bank.signed_distance(beside.T, ids, poses) > 0).all()
+    for corner, turn in ((0, (before, direction)), (1, (direction, after))):
+        a, b = turn
+        assert torch.equal(a[0] * b[1] - a[1] * b[0] > 0, convex[corner])
+
+
+def test_only_so_many_and_only_in_reach() -> None:
+    grid = random_grid()
+    walls = WallSegments(MapBank([grid]), most=3)
+    at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
+    assert walls.near(*at, 5.0).valid.sum() == 3
+    assert walls.near(*at, 1e-3).start.shape[1] == 0
+    everything = WallSegments(MapBank([grid]), most=100).near(*at, 5.0)
+    assert torch.equal(walls.near(*at, 5.0).start, everything.nearest(3).start)
+
+
+def test_a_longer_reach_than_before_finds_what_a_new_look_up_finds() -> None:
+    grid = random_grid()
+    at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
+    used = WallSegments(MapBank([grid]), most=100)
+    used.near(*at, 0.5)
+    fresh = WallSegments(MapBank([grid]), most=100)
+    assert torch.equal(used.near(*at, 6.0).start, fresh.near(*at, 6.0).start)
+
+
+def test_people_without_walls() -> None:
+    grid = random_grid()
+    empty = OccupancyGrid(np.zeros((4, 4), np.uint8), 1.0, name="empty")
+    walls = WallSegments(MapBank([empty, grid]))
+    points = torch.tensor([[6.0, 3.0], [6.0, 3.0], [1e4, -1e4], [math.nan, 0.0], [6.0, 3.0]])
+    ids = torch.tensor([-1, empty.map_id, grid.map_id, grid.map_id, grid.map_id])
+    near = walls.near(points, ids, identity_pose(5), 2.0)
+    assert near.valid.any(0).tolist() == [False, False, False, False, True]
+    for bank in (MapBank(), MapBank([grid])):
+        alone = WallSegments(bank).near(points[:1], torch.tensor([-1]), identity_pose(1), 2.0)
+        assert alone.start.shape == (2, 0, 1)
+        nobody = WallSegments(bank).near(points[:0], ids[:0], identity_pose(0), 2.0)
+        assert nobody.start.shape == (2, 0, 0)
+
+
+def test_a_map_of_another_bank_is_an_error() -> None:
+    with pytest.raises(UserError, match="is not of this bank"):
+        WallSegments(MapBank()).near(torch.zeros(1, 2), torch.tensor([7]), identity_pose(1), 1.0)
+
+
+def test_people_selected_keep_their_segments() -> None:
+    grid = random_grid()
+    points = torch.tensor([[6.0, 3.0], [5.0, 2.0], [7.0, 1.0]])
+    near = WallSegments(MapBank([grid])).near(points, torch.full((3,), grid.map_id), identity_pose(3), 2.0)
+    some = near.select(torch.tensor([2, 0]))
+    assert torch.equal(some.start, near.start[..., [2, 0]])
+    assert torch.equal(some.valid, near.valid[:, [2, 0]])
