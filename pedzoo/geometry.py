@@ -20,6 +20,12 @@ def unrotate(vectors: Tensor, direction: Tensor) -> Tensor:
     return torch.stack((c * x + s * y, c * y - s * x), dim=-1)
 
 
+def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
+    """Return velocities (..., 2) shortened to at most ``top_speed`` (...)."""
+    speed = velocity.square().sum(-1).clamp_min(1e-12).sqrt()
+    return velocity * (top_speed / speed).clamp_max(1.0).unsqueeze(-1)
+
+
 def identity_pose(scenes: int, device: torch.device | None = None) -> Tensor:
     """Return the scene poses (B, 4) that leave every scene where its floor plan is."""
     return torch.tensor([0.0, 1.0, 0.0, 0.0], device=device).repeat(scenes, 1)

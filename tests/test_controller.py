@@ -13,11 +13,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
 from pedzoo.errors import UserError
+from pedzoo.geometry import limit_speed
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.models.base import agents_of
 from pedzoo.models.controller import Controller
 from pedzoo.models.roster import number_of
-from pedzoo.sim.dynamics import limit_speed
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.types import TOP_SPEED_RATIO
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose, move_to_map, move_to_scene
+from pedzoo.geometry import identity_pose, limit_speed, move_to_map, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.sim.dynamics import SKIN, limit_speed, substeps, walk
+from pedzoo.sim.dynamics import SKIN, substeps, walk
 from pedzoo.types import BODY_RADIUS
 
 BANK = MapBank([rectangles(room((0, 0), (4, 3), 0.1) + wall((2.05, 0), (2.05, 3), 0.1), 0.05)], "wall")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from pedzoo.errors import UserError
@@ -93,6 +93,14 @@ class Forecaster(nn.Module):
 def agents_of(batch: TensorDict) -> TensorDict:
     """Return what a batch says about its people."""
     return cast("TensorDict", batch["agents"])
+
+
+def ids_of(batch: TensorDictBase) -> Tensor:
+    """Return who everybody is (B, A) long, for draws of their own: the slot where nothing else is said."""
+    agents = cast("TensorDict", batch["agents"])
+    mask = agents["mask"]
+    slots = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
+    return cast("Tensor", agents.get("id", slots))
 
 
 def true_displacements(batch: TensorDict) -> Tensor:

@@ -15,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose
+from pedzoo.geometry import identity_pose, limit_speed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planner import Guidance, Planner
@@ -176,8 +176,7 @@ class Controller:
             raise UserError(
                 f"the policy's velocity is not finite for {people.names(broken)}: are its weights damaged?"
             )
-        top_speed = TOP_SPEED_RATIO * people.pref_speed
-        return action * (top_speed / action.norm(dim=1)).clamp_max(1.0).unsqueeze(1)
+        return limit_speed(action, TOP_SPEED_RATIO * people.pref_speed)
 
     def _batch(self, people: Roster, guidance: Guidance) -> TensorDict:
         """Return the scene as the environment would observe it, one scene of N people."""

@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from pedzoo import draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster
+from pedzoo.models.base import Forecaster, ids_of
 from pedzoo.types import PRED_LEN, STEP_SECONDS
 
 Noise = Literal["episode", "step", "scene"]
@@ -80,7 +80,9 @@ class Walker(TensorDictModuleBase):
         over = (place == 0).view(-1, 1, 1, 1)
         if self._plan is None or bool(over.any()):
             plan = self._predicted(tensordict, self.execute_steps)
-            self._plan = plan if self._plan is None else torch.where(over, plan, self._plan)
+            if self._plan is not None and not bool(over.all()):
+                plan = torch.where(over, plan, self._plan)
+            self._plan = plan
         return self._plan[torch.arange(len(place), device=place.device), :, place]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
@@ -90,13 +92,10 @@ class Walker(TensorDictModuleBase):
         """Return the noise (B, A, noise_dim), None for none."""
         if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
             return None
-        mask = tensordict["agents", "mask"]
-        agent = tensordict.get(("agents", "id"), None)
-        if agent is None:
-            agent = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
+        agent = ids_of(tensordict)
         who = torch.zeros_like(agent) if self.noise == "scene" else agent
         key = draws.join(tensordict["scene_key"], "noise", who)
         if self.noise == "step":
             key = draws.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
-        dims = torch.arange(self.model.noise_dim, device=mask.device)
+        dims = torch.arange(self.model.noise_dim, device=agent.device)
         return draws.normal(draws.join(key.unsqueeze(-1), dims))

@@ -33,12 +33,6 @@ def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
     return max(1, math.ceil(fastest * TRACE_SECONDS / (body_radius / 2)))
 
 
-def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
-    """Return velocities (..., 2) shortened to at most ``top_speed`` (...)."""
-    speed = velocity.square().sum(-1).clamp_min(1e-12).sqrt()
-    return velocity * (top_speed / speed).clamp_max(1.0).unsqueeze(-1)
-
-
 def walk(
     position: Tensor,
     velocity: Tensor,

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.geometry import limit_speed
 from pedzoo.maps.planner import Guidance
 from pedzoo.sim.arrival import arrived, deadline, renewed
-from pedzoo.sim.dynamics import limit_speed, walk
+from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.base import People, World

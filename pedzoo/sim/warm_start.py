@@ -10,9 +10,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pedzoo.errors import UserError
+from pedzoo.geometry import limit_speed
 from pedzoo.maps.planner import Planner
 from pedzoo.maps.segments import WallSegments
-from pedzoo.sim.dynamics import limit_speed, walk
+from pedzoo.sim.dynamics import walk
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.scenario import Layout

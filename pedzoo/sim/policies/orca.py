@@ -11,6 +11,7 @@ from pedzoo import draws
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.segments import WallSegments
+from pedzoo.models.base import ids_of
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.policy import Policy
@@ -87,9 +88,9 @@ class Orca(Policy):
         wanted = agents["desired_velocity"]
         if self.jitter:
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
-            index = torch.arange(slots * 2, device=mask.device)
-            key = draws.join(tensordict["scene_key"], "orca", step, index)
-            wanted = wanted + self.jitter * draws.normal(key).view(scenes, slots, 2)
+            key = draws.join(tensordict["scene_key"], "orca", step, ids_of(tensordict))
+            key = draws.join(key.unsqueeze(-1), torch.arange(2, device=key.device))
+            wanted = wanted + self.jitter * draws.normal(key)
         walls = None
         if self._walls is not None:
             map_id = tensordict["map_id"].expand(scenes, slots).flatten()

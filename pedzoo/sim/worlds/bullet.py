@@ -128,14 +128,15 @@ class BulletWorld(World):
 
     def _nearest_wall(self, asked: _Asked, person: int, reach: float) -> tuple[float, NDArray[np.float64]]:
         best, away = reach, np.zeros(2)
-        place, bounds = asked.places[person], asked.bullet.wall_bounds
-        beyond = np.maximum(np.maximum(bounds[:, :2] - place, place - bounds[:, 2:]), 0)
+        place, boxes = asked.places[person], asked.bullet.boxes
+        beyond = np.maximum(np.maximum(boxes[:, :2] - place, place - boxes[:, 2:]), 0)
         least = np.linalg.norm(beyond, axis=1)
-        # nearest bounds first: most others are farther than what was found by then
-        for wall in np.argsort(least).tolist():
-            if least[wall] > max(best, 0):
+        near = np.flatnonzero(least < reach)
+        # nearest first: all others are farther than what was found by then
+        for box in near[np.argsort(least[near])].tolist():
+            if least[box] > max(best, 0) + _SLACK:
                 break
-            found = asked.bullet.wall_gap(person, wall, max(best - self.body_radius, 0.0))
+            found = asked.bullet.wall_gap(person, box, max(best - self.body_radius, 0.0))
             if found and found[0] + self.body_radius < best:
                 best, away = found[0] + self.body_radius, found[1]
         return best, away
@@ -178,19 +179,19 @@ class BulletWorld(World):
     def _hit(
         self, asked: _Asked, way: NDArray[np.float64], far: NDArray[Any], touching: NDArray[np.bool_]
     ) -> None:
-        low, high = np.split(asked.bullet.wall_bounds, 2, axis=1)
+        low, high = np.split(asked.bullet.boxes, 2, axis=1)
         low, high = low - self.body_radius - _SLACK, high + self.body_radius + _SLACK
         start, room = asked.places[asked.present, None], far[asked.present, None, None]
-        near, wall = np.nonzero(((start > low - room) & (start < high + room)).all(-1))
+        near, box = np.nonzero(((start > low - room) & (start < high + room)).all(-1))
         person = np.array(asked.present, dtype=np.int64)[near]
         points = way[person]
-        at = (points > low[wall, None, None]) & (points < high[wall, None, None])
+        at = (points > low[box, None, None]) & (points < high[box, None, None])
         which, trace, step = np.nonzero(at.all(-1))
-        questions = np.stack((person[which], wall[which], trace, step), axis=1).tolist()
-        for person, wall, trace, step in questions:
+        questions = np.stack((person[which], box[which], trace, step), axis=1).tolist()
+        for (person, box, trace, step), place in zip(questions, points[at.all(-1)].tolist(), strict=True):
             if not touching[person, trace]:
-                asked.bullet.place(person, *way[person, trace, step])
-                found = asked.bullet.wall_gap(person, wall, 0.0)
+                asked.bullet.place(person, *place)
+                found = asked.bullet.wall_gap(person, box, 0.0)
                 touching[person, trace] = found is not None and found[0] < 0
 
     @torch.no_grad()

@@ -38,10 +38,10 @@ class BulletScene:
     asked with closest-point queries.
 
     Attributes:
-        wall_bounds: Bounding rectangle of each wall body (W, 4): x0, y0, x1, y1 in metres.
+        boxes: The rectangles below the walls (M, 4): x0, y0, x1, y1 in metres.
     """
 
-    wall_bounds: NDArray[np.float64]
+    boxes: NDArray[np.float64]
 
     def __init__(self, grid: OccupancyGrid | None, unknown: Unknown, body_radius: float) -> None:
         """Connect, and build the walls; None is open floor.
@@ -63,11 +63,9 @@ class BulletScene:
         self._p.createMultiBody(0, ground, physicsClientId=self.client)
         walls = boxes(grid, unknown) if grid else np.zeros((0, 4))
         # Boxes of one body lie near one another (Z-order), so that few bodies come into question anywhere.
-        self._boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
-        parts = [self._boxes[i : i + SHAPES] for i in range(0, len(self._boxes), SHAPES)]
+        self.boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
+        parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
         self._walls = [self._wall(part) for part in parts]
-        bounds = [np.concatenate((part[:, :2].min(axis=0), part[:, 2:].max(axis=0))) for part in parts]
-        self.wall_bounds = np.array(bounds).reshape(-1, 4)
         self._bodies: list[int] = []
         self._looks: BulletLooks | None = None
 
@@ -126,9 +124,9 @@ class BulletScene:
         """
         return self._gap(person, self._bodies[other], within)
 
-    def wall_gap(self, person: int, wall: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
-        """Return the gap between a body and a wall body and the direction from it, as in `person_gap`."""
-        return self._gap(person, self._walls[wall], within)
+    def wall_gap(self, person: int, box: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
+        """Return the gap between a body and the walls around a box, and the direction from them, likewise."""
+        return self._gap(person, self._walls[box // SHAPES], within)
 
     def _gap(self, person: int, body: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
         points = self._p.getClosestPoints(self._bodies[person], body, within, physicsClientId=self.client)
@@ -169,7 +167,7 @@ class BulletScene:
     ) -> NDArray[np.uint8]:
         """Return a picture; see `BulletLooks.render`."""
         if self._looks is None:
-            self._looks = BulletLooks(self._boxes, self._radius)
+            self._looks = BulletLooks(self.boxes, self._radius)
         return self._looks.render(positions, size, eye, view_angle)
 
 
