@@ -1,0 +1,343 @@
+"""ORCA: lines by hand, invariances, degenerate people, walls, and real RVO2 as the oracle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.segments import Segments, WallSegments
+from pedzoo.sim.orca.agent_lines import agent_lines
+from pedzoo.sim.orca.programs import solve, violation
+from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.sim.orca.wall_lines import wall_lines
+
+SETTINGS = OrcaSettings(time_step=0.4)
+TOOLS = Path(__file__).parents[1] / "tools"
+
+
+def present(position: Tensor) -> Tensor:
+    return torch.ones(position.shape[:2], dtype=torch.bool)
+
+
+def walk(
+    position: Tensor,
+    velocity: Tensor,
+    preferred: Tensor,
+    settings: OrcaSettings = SETTINGS,
+    top_speed: float = 1.7,
+    **options: Tensor | Segments | None,
+) -> Tensor:
+    speed = torch.full(position.shape[:2], top_speed, dtype=position.dtype)
+    mask = options.pop("mask", present(position))
+    return orca_velocity(position, velocity, preferred, speed, mask, settings, **options)  # type: ignore[arg-type]
+
+
+def crowd(scenes: int, agents: int, side: float, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Return positions, velocities and preferred velocities of a random crowd (B, A, 2)."""
+    random = torch.Generator().manual_seed(seed)
+    shape = (scenes, agents, 2)
+    position = torch.rand(shape, generator=random) * side
+    velocity, preferred = (torch.randn(shape, generator=random) for _ in range(2))
+    return position, 0.8 * velocity, preferred
+
+
+def test_settings_are_checked_and_igibsons_are_known() -> None:
+    igibson = OrcaSettings.preset("igibson")
+    assert (igibson.radius, igibson.time_step, igibson.max_neighbors) == (0.5, 0.1, None)
+    assert (igibson.neighbor_dist, igibson.time_horizon, igibson.time_horizon_obst) == (5.0, 2.0, 2.0)
+    assert OrcaSettings.preset("igibson", radius=0.3) == replace(igibson, radius=0.3)
+    assert OrcaSettings.preset("pedzoo") == OrcaSettings()
+    with pytest.raises(UserError, match="did you mean 'igibson'"):
+        OrcaSettings.preset("igibsen")
+    for wrong in (
+        {"radius": 0.0},
+        {"time_horizon": math.inf},
+        {"max_neighbors": -1},
+        {"time_step": math.nan},
+    ):
+        (name,) = wrong
+        with pytest.raises(UserError, match=f"orca: {name}"):
+            OrcaSettings(**wrong)  # type: ignore[arg-type]
+    assert igibson.wall_reach(torch.tensor([0.5])).tolist() == [1.5]
+
+
+def test_lines_of_two_people_head_on_by_hand() -> None:
+    position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
+    velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
+    # A leg of the cone that is tangent to the disk of radius 0.4 at distance 2: its angle has sine 0.2. The
+    # relative velocity (2, 0) is 0.4 away from it; each does half.
+    sine, cosine = 0.2, math.sqrt(0.96)
+    lines = agent_lines(position, velocity, present(position), None, SETTINGS)
+    assert lines.shape == (4, 1, 2)
+    away = (0.2 * -sine, 0.2 * -cosine)
+    assert lines[:, 0, 0].tolist() == pytest.approx([1 + away[0], away[1], -cosine, sine], abs=1e-6)
+    assert lines[:, 0, 1].tolist() == pytest.approx([-1 - away[0], -away[1], cosine, -sine], abs=1e-6)
+    chosen = walk(position, velocity, velocity)[0]
+    assert chosen[0].tolist() == pytest.approx([1 + away[0], away[1]], abs=1e-6)
+    assert torch.equal(chosen[0], -chosen[1])
+
+
+def test_lines_of_people_at_rest_and_of_overlapping_people_by_hand() -> None:
+    position = torch.tensor([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.1, 0.0]]])
+    lines = agent_lines(position, torch.zeros(2, 2, 2), present(position), None, SETTINGS)
+    # at rest: the cut-off disk around (4, 0) / 2 s of radius 0.4 / 2 s begins at 1.8 m/s, half of it each
+    assert lines[:, 0, 0].tolist() == pytest.approx([0.9, 0, 0, 1], abs=1e-6)
+    # overlap 0.3 m: apart in one time step of 0.4 s, so 0.375 m/s backwards each
+    assert lines[:, 0, 2].tolist() == pytest.approx([-0.375, 0, 0, 1], abs=1e-6)
+    chosen = walk(position, torch.zeros(2, 2, 2), torch.zeros(2, 2, 2))
+    assert chosen[1].flatten().tolist() == pytest.approx([-0.375, 0, 0.375, 0], abs=1e-6)
+
+
+def test_alone_people_walk_as_they_like_up_to_their_top_speed() -> None:
+    preferred = torch.tensor([[[1.0, 0.5]], [[30.0, 40.0]]])
+    chosen = walk(torch.zeros(2, 1, 2), torch.zeros(2, 1, 2), preferred, top_speed=2.0)
+    assert chosen.flatten().tolist() == pytest.approx([1, 0.5, 1.2, 1.6])
+
+
+def test_everybody_on_a_circle_does_the_same() -> None:
+    angle = torch.arange(6) * math.pi / 3
+    place = 3 * torch.stack((angle.cos(), angle.sin()), dim=-1)[None]
+    position, velocity = place, torch.zeros_like(place)
+    for _ in range(12):
+        velocity = walk(position, velocity, -place / 3)
+        position = position + 0.4 * velocity
+        back = turn_to_scene(
+            velocity[0][:, None], torch.stack((-angle, torch.ones(6), *torch.zeros(2, 6)), 1)
+        )
+        torch.testing.assert_close(back[:, 0], back[:1, 0].expand(6, 2), atol=1e-4, rtol=0)
+
+
+def test_turn_mirror_and_shift_change_nothing() -> None:
+    position, velocity, preferred = crowd(40, 8, 4.0)
+    position, velocity, preferred = position.double(), velocity.double(), preferred.double()
+    pose = torch.tensor([[0.7, -1.0, 5.0, -3.0]], dtype=torch.float64).expand(40, 4)
+    there = walk(move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(preferred, pose))
+    here = walk(position, velocity, preferred)
+    torch.testing.assert_close(there, turn_to_scene(here, pose), atol=1e-8, rtol=0)
+
+
+def test_order_padding_and_other_scenes_change_nothing() -> None:
+    position, velocity, preferred = crowd(30, 6, 3.0)
+    whole = walk(position, velocity, preferred)
+    order = torch.randperm(6)
+    assert torch.equal(walk(position[:, order], velocity[:, order], preferred[:, order]), whole[:, order])
+    assert torch.equal(walk(position[7:8], velocity[7:8], preferred[7:8]), whole[7:8])
+    padded = [
+        torch.cat((part, torch.full((30, 2, 2), math.nan)), 1) for part in (position, velocity, preferred)
+    ]
+    mask = torch.arange(8) < 6
+    found = walk(padded[0], padded[1], padded[2], mask=mask.expand(30, 8))
+    assert torch.equal(found[:, :6], whole)
+    assert (found[:, 6:] == 0).all()
+
+
+def test_double_precision_agrees() -> None:
+    state = crowd(50, 6, 5.0)
+    place, velocity, preferred = (part.double() for part in state)
+    exact = walk(place, velocity, preferred)
+    assert exact.dtype == torch.float64
+    torch.testing.assert_close(walk(*state).double(), exact, atol=1e-4, rtol=0)
+
+
+def test_passive_people_keep_their_velocity_and_are_avoided() -> None:
+    position, velocity, preferred = crowd(30, 6, 3.0)
+    passive = torch.rand(30, 6) < 0.4
+    found = walk(position, velocity, preferred, passive=passive)
+    assert torch.equal(found[passive], velocity[passive])
+    assert torch.equal(found[~passive], walk(position, velocity, preferred)[~passive])
+
+
+def test_nearest_neighbours_only() -> None:
+    position, velocity, preferred = crowd(30, 6, 3.0)
+    nearest = replace(SETTINGS, max_neighbors=1)
+    gaps = torch.cdist(position, position) + 9 * torch.eye(6)
+    for agent in range(6):
+        pair = torch.stack((torch.full((30,), agent), gaps[:, agent].argmin(1)), 1)[..., None].expand(
+            -1, -1, 2
+        )
+        alone = walk(position.gather(1, pair), velocity.gather(1, pair), preferred.gather(1, pair))
+        assert torch.equal(walk(position, velocity, preferred, nearest)[:, agent], alone[:, 0])
+    nobody = walk(position, velocity, preferred, replace(SETTINGS, max_neighbors=0), top_speed=9.0)
+    assert torch.equal(nobody, preferred)
+    far = walk(position, velocity, preferred, replace(SETTINGS, neighbor_dist=1e-4), top_speed=9.0)
+    assert torch.equal(far, preferred)
+
+
+def test_people_at_the_same_place_give_numbers() -> None:
+    position = torch.zeros(3, 4, 2)
+    velocity = torch.tensor([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]).expand(3, 4, 2)
+    for preferred in (torch.zeros(3, 4, 2), velocity):
+        assert walk(position, velocity, preferred).isfinite().all()
+    # with the same velocity there is no side to go to: they go on as they like
+    two = walk(position[:1, :2], velocity[:1, :2], torch.tensor([[[0.3, 0.0], [0.0, 0.4]]]))
+    assert two.flatten().tolist() == pytest.approx([0.3, 0, 0, 0.4])
+
+
+def test_gradients_are_not_needed_and_do_not_disturb() -> None:
+    position, velocity, preferred = crowd(4, 6, 2.0)
+    preferred.requires_grad_()
+    found = walk(position, velocity, preferred)
+    assert not found.requires_grad
+
+
+def best_of_disk(lines: Tensor, walls: int, max_speed: float) -> Tensor:
+    """Return the least possible worst violation (N,) of the people's lines, over a fine net of velocities."""
+    axis = torch.linspace(-max_speed, max_speed, 121)
+    net = torch.cartesian_prod(axis, axis)
+    net = net[net.norm(dim=1) <= max_speed].T
+    wrong = violation(lines[..., None], net[:, None, None])
+    worst = wrong[walls:].amax(0)
+    return worst.masked_fill((wrong[:walls] > 0).any(0), torch.inf).amin(1)
+
+
+def test_crowded_people_violate_as_little_as_possible() -> None:
+    position, velocity, preferred = crowd(20, 10, 1.5)
+    lines = agent_lines(position, velocity, present(position), None, SETTINGS)
+    speed = torch.full((200,), 1.7)
+    chosen = solve(lines, 0, preferred.flatten(0, 1).T.contiguous(), speed)
+    worst = violation(lines, chosen).amax(0)
+    best = best_of_disk(lines, 0, 1.7)
+    assert (best > 0.01).sum() > 50
+    assert (chosen.norm(dim=0) <= 1.7 + 1e-4).all()
+    assert (worst <= best.clamp_min(0) + 1e-4).all()
+
+
+def test_feasible_people_get_the_permitted_velocity_nearest_to_the_preferred() -> None:
+    position, velocity, preferred = crowd(30, 5, 6.0)
+    lines = agent_lines(position, velocity, present(position), None, SETTINGS)
+    wished = preferred.flatten(0, 1).T.contiguous()
+    chosen = solve(lines, 0, wished, torch.full((150,), 1.7))
+    axis = torch.linspace(-1.7, 1.7, 121)
+    net = torch.cartesian_prod(axis, axis)
+    net = net[net.norm(dim=1) <= 1.7].T
+    permitted = (violation(lines[..., None], net[:, None, None]) <= 0).all(0)
+    distance = (net[:, None] - wished[..., None]).norm(dim=0).masked_fill(~permitted, torch.inf).amin(1)
+    feasible = permitted.any(1)
+    assert feasible.sum() > 100
+    assert (violation(lines, chosen)[:, feasible] <= 1e-5).all()
+    assert ((chosen - wished).norm(dim=0) <= distance + 1e-5)[feasible].all()
+
+
+def room(side: float = 6.0, cell: float = 0.05) -> OccupancyGrid:
+    """Two rooms with a wall of 0.15 m between them at x = side / 2 and a door of 0.85 m in its middle."""
+    count = round(side / cell)
+    cells = np.zeros((count, count), np.uint8)
+    cells[[0, -1]] = cells[:, [0, -1]] = OCCUPIED
+    wall = count // 2
+    cells[:, wall - 1 : wall + 2] = OCCUPIED
+    cells[wall - 8 : wall + 9, wall - 1 : wall + 2] = 0
+    return OccupancyGrid(cells, cell, name="two rooms")
+
+
+@pytest.mark.parametrize(("radius", "passes"), [(0.5, False), (0.3, True), (0.2, True), (0.1, True)])
+def test_a_lone_person_passes_a_door_that_is_wide_enough(radius: float, passes: bool) -> None:
+    grid = room()
+    walls = WallSegments(MapBank([grid]))
+    settings = OrcaSettings(radius=radius, time_step=0.1)
+    ids, pose = torch.tensor([grid.map_id] * 3), identity_pose(3)
+    position = torch.tensor([[[1.5, 3.025]], [[1.5, 3.1]], [[4.5, 2.9]]])
+    velocity, goal = (
+        torch.zeros_like(position),
+        torch.tensor([[[4.2, 3.025]], [[4.2, 3.025]], [[1.8, 3.025]]]),
+    )
+    start = position
+    for _ in range(60):
+        way = goal - position
+        preferred = 0.5 * way / way.norm(dim=-1, keepdim=True)
+        near = walls.near(position[:, 0], ids, pose, settings.wall_reach(torch.tensor(0.5)))
+        velocity = walk(position, velocity, preferred, settings, top_speed=0.5, walls=near)
+        position = position + 0.1 * velocity
+        assert (walls.bank.signed_distance(position, ids, pose) > radius - 0.03).all()
+    crossed = (position[..., 0] > 3.025) != (start[..., 0] > 3.025)
+    assert crossed.all() if passes else not crossed.any()
+
+
+def one_wall() -> tuple[WallSegments, Tensor]:
+    """Return a wall that fills y < 1 of a wide map, and its id."""
+    cells = np.zeros((40, 200), np.uint8)
+    cells[:10] = OCCUPIED
+    grid = OccupancyGrid(cells, 0.1)
+    return WallSegments(MapBank([grid])), torch.tensor([grid.map_id])
+
+
+def test_a_wall_by_hand() -> None:
+    walls, ids = one_wall()
+    position = torch.tensor([[[10.0, 2.0]], [[10.0, 1.1]], [[10.0, 3.5]]])
+    preferred = torch.tensor([1.0, -1.0]).expand(3, 1, 2)
+    near = walls.near(position[:, 0], ids.expand(3), identity_pose(3), 3.6)
+    lines = wall_lines(near, position[:, 0].T, torch.zeros(2, 3), SETTINGS)
+    # 0.8 m to the disk's edge in 2 s: at most 0.4 m/s towards the wall; in touch: none
+    assert lines[1:, 0, 0].tolist() == pytest.approx([-0.4, 1, 0], abs=1e-5)
+    assert lines[:, 0, 1].tolist() == pytest.approx([0, 0, 1, 0], abs=1e-5)
+    chosen = walk(position, torch.zeros(3, 1, 2), preferred, walls=near)
+    assert chosen.flatten().tolist() == pytest.approx([1, -0.4, 1, 0, 1, -1], abs=1e-5)
+
+
+def test_walls_turn_and_mirror_with_the_scene_and_go_with_their_person() -> None:
+    grid = room()
+    walls = WallSegments(MapBank([grid]))
+    position, velocity, preferred = crowd(30, 5, 5.6)
+    position = position + 0.2
+    ids = torch.full((150,), grid.map_id)
+    pose = torch.stack(
+        (torch.rand(30) * 6, torch.randint(2, (30,)) * 2.0 - 1, torch.rand(30), torch.rand(30)), 1
+    )
+    near = walls.near(position.flatten(0, 1), ids, identity_pose(150), 3.6)
+    here = walk(position, velocity, preferred, walls=near)
+    places = move_to_scene(position, pose)
+    turned = walls.near(places.flatten(0, 1), ids, pose.repeat_interleave(5, 0), 3.6)
+    there = walk(places, turn_to_scene(velocity, pose), turn_to_scene(preferred, pose), walls=turned)
+    gap = (there - turn_to_scene(here, pose)).norm(dim=-1)
+    # walls that are equally far may come in another order
+    assert (gap < 1e-3).float().mean() > 0.97
+    assert (here - walk(position, velocity, preferred)).norm(dim=-1).max() > 0.3
+
+    passive = torch.rand(30, 5) < 0.5
+    some = walk(position, velocity, preferred, walls=near, passive=passive)
+    assert torch.equal(some[~passive], here[~passive])
+
+
+def test_people_pressed_against_a_wall_do_not_enter_it() -> None:
+    walls, ids = one_wall()
+    position = torch.rand(20, 12, 2) * torch.tensor([3.0, 1.5]) + torch.tensor([8.0, 1.2])
+    velocity = torch.zeros_like(position)
+    settings = OrcaSettings(time_step=0.1)
+    for _ in range(40):
+        near = walls.near(position.flatten(0, 1), ids.expand(240), identity_pose(240), 3.6)
+        velocity = walk(
+            position, velocity, torch.tensor([0.0, -1.3]).expand_as(position), settings, walls=near
+        )
+        position = position + 0.1 * velocity
+    assert velocity.isfinite().all()
+    assert position[..., 1].min() > 1.19
+
+
+@pytest.mark.parametrize(
+    ("side", "boxes", "agents"), [(120, None, 5), (50, None, 20), (120, 14, 5), (80, 8, 20)]
+)
+def test_rvo2_chooses_the_same_velocities(
+    side: int, boxes: int | None, agents: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyrvo")
+    monkeypatch.syspath_prepend(TOOLS)
+    from compare_orca import Walk, plan  # pyright: ignore[reportMissingImports]
+
+    scenes = Walk(plan(side, boxes or 0, 0), boxes is not None, 200 // agents, agents, 0)
+    apart = []
+    for _ in range(15):
+        state, theirs = scenes.step()
+        apart.append((state.ours(scenes.walls) - theirs).norm(dim=-1))
+    gap = torch.stack(apart).flatten()
+    assert gap.median() < 1e-6
+    assert (gap < 1e-3).double().mean() > 0.998
