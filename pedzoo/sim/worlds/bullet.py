@@ -187,8 +187,9 @@ class BulletWorld(World):
         points = way[person]
         at = (points > low[box, None, None]) & (points < high[box, None, None])
         which, trace, step = np.nonzero(at.all(-1))
-        questions = np.stack((person[which], box[which], trace, step), axis=1).tolist()
-        for (person, box, trace, step), place in zip(questions, points[at.all(-1)].tolist(), strict=True):
+        questions = np.stack((person[which], box[which], trace), axis=1).tolist()
+        places = points[which, trace, step].tolist()
+        for (person, box, trace), place in zip(questions, places, strict=True):
             if not touching[person, trace]:
                 asked.bullet.place(person, *place)
                 found = asked.bullet.wall_gap(person, box, 0.0)

@@ -62,7 +62,7 @@ class BulletScene:
         ground = self._p.createCollisionShape(self._p.GEOM_PLANE, physicsClientId=self.client)
         self._p.createMultiBody(0, ground, physicsClientId=self.client)
         walls = boxes(grid, unknown) if grid else np.zeros((0, 4))
-        # Boxes of one body lie near one another (Z-order), so that few bodies come into question anywhere.
+        # Boxes of one body lie near one another (Z-order): bodies are small, and rays miss most.
         self.boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
         parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
         self._walls = [self._wall(part) for part in parts]
