@@ -1,0 +1,107 @@
+"""Table II with ORCA: people walk from goal to goal. Makes checkpoints/TABLE2_ORCA.md.
+
+    python tools/table2_orca.py --map ../shared/maps/igibson_rs.yaml
+
+n people reach k goals each on one floor plan, with three radii, walls seen and unseen, 20 seeds per cell.
+Steps are iGibson's, of 0.1 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from markdown import table
+
+from pedzoo.eval.closed_loop import row
+from pedzoo.eval.rollout import rollout
+from pedzoo.paths import shipped, write_whole
+from pedzoo.versions import versions
+
+CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
+RADII = (0.2, 0.3, 0.5)
+
+
+class Case(NamedTuple):
+    """One cell of the table."""
+
+    policy: str
+    scenario: str
+    world: str
+    episodes: int
+
+
+def main() -> None:
+    """Walk everything and write the page."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    parser.add_argument("--map", default="flat", help="floor plan file, or flat")
+    parser.add_argument("--episodes", type=int, default=20, help="seeds per cell")
+    parser.add_argument("--world", default="grid", choices=["grid", "bullet"])
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--out", default=str(shipped("checkpoints") / "TABLE2_ORCA.md"))
+    options = parser.parse_args()
+    cases = {}
+    for radius in RADII:
+        for walls in ("true", "false"):
+            for people, goals in CELLS:
+                scenario = f"goals:map={options.map},people={people},goals={goals}"
+                policy = f"orca:radius={radius},walls={walls}"
+                cases[radius, walls, people, goals] = Case(policy, scenario, options.world, options.episodes)
+    with ProcessPoolExecutor(options.workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        metrics = dict(zip(cases, pool.map(measured, cases.values()), strict=True))
+    text = page(Path(options.map).stem, options, metrics)
+    print(text)
+    write_whole(Path(options.out), text.encode())
+
+
+def measured(case: Case) -> dict[str, float]:
+    """Return the metrics of one cell."""
+    result, env = rollout(case.policy, case.scenario, case.world, case.episodes)
+    env.world.close()
+    return row(case.policy, result, 0.1)["metrics"]
+
+
+def page(name: str, options: argparse.Namespace, metrics: dict[tuple, dict[str, float]]) -> str:
+    """Return the page."""
+    lines = [
+        "# Table II with ORCA\n",
+        f"Made by `python tools/table2_orca.py --map .../{Path(options.map).name}` with torch"
+        f" {versions()['torch']}: map {name}, {options.episodes} seeds per cell, speeds N(1.3, 0.2) m/s,"
+        " decisions every 0.1 s, goals on ways of more than 2 m. Who is finished walks on until all are.\n",
+    ]
+    names = ["people / goals", "episodes in time", "time until all are done, s", "steps of 0.1 s"]
+    names += ["goals per person", "least", "people touch: events per min", "walls: events per min"]
+    for radius in RADII:
+        for walls in ("true", "false"):
+            lines.append(f"## radius {radius} m, walls {'seen' if walls == 'true' else 'unseen'}\n")
+            rows = []
+            for people, goals in CELLS:
+                found = metrics[radius, walls, people, goals]
+                time = found.get("time_s")
+                rows.append(
+                    [
+                        f"{people} / {goals}",
+                        f"{round(100 * found['episode_success'])} %",
+                        "-" if time is None else f"{time:.1f}",
+                        "-" if time is None else f"{10 * time:.0f}",
+                        f"{found['goals_per_person']:.1f}",
+                        f"{found['goals_per_person_min']:.1f}",
+                        f"{found['agent_contacts_per_min']:.2f}",
+                        f"{found['wall_contacts_per_min']:.2f}",
+                    ]
+                )
+            lines.append(table(names, rows))
+    lines.append(
+        "Times are means over the episodes in which everybody reaches all goals in time. Step counts depend"
+        " on walking speed, building and step: they compare within a table, not with the paper's.\n"
+    )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
