@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.orca.vectors import cross, dot, left, pick
 
 
 def agent_lines(
@@ -17,56 +18,43 @@ def agent_lines(
     """Return the constraints (4, K, N) of N people from their nearest neighbours, nearest first.
 
     Args:
-        position: Positions (B, A, 2), metres.
-        velocity: Velocities (B, A, 2), m/s.
+        position: Positions (B, A, 2), metres; numbers for absent people, too.
+        velocity: Velocities (B, A, 2), m/s; likewise.
         mask: Who is there (B, A).
         rows: Which of the B * A people are asked for (N,) long; None: all.
         settings: Radius, time step, neighbours and horizon.
     """
     neighbor, near = _neighbors(position, mask, rows, settings)
-    x, y = position.flatten(0, 1).T
-    vx, vy = velocity.flatten(0, 1).T
-    own_vx, own_vy = (vx, vy) if rows is None else (vx[rows], vy[rows])
-    own_x, own_y = (x, y) if rows is None else (x[rows], y[rows])
-    rel_x, rel_y = x[neighbor] - own_x, y[neighbor] - own_y
-    rel_vx, rel_vy = own_vx - vx[neighbor], own_vy - vy[neighbor]
+    everybody = torch.cat((position.flatten(0, 1).T, velocity.flatten(0, 1).T))
+    own = everybody if rows is None else everybody.index_select(1, rows)
+    relative = everybody.index_select(1, neighbor.flatten()).view(4, *neighbor.shape) - own[:, None]
+    place, current = relative[:2], -relative[2:]
 
     combined = 2 * settings.radius
-    distance2 = rel_x * rel_x + rel_y * rel_y
+    distance2 = dot(place, place)
     overlap = distance2 <= combined * combined
     # Those who overlap are to be apart after one step, the others for the whole horizon.
-    rate = torch.where(overlap, 1 / settings.time_step, 1 / settings.time_horizon)
-    wx, wy = rel_vx - rate * rel_x, rel_vy - rate * rel_y
-    w2 = wx * wx + wy * wy
-    ahead = wx * rel_x + wy * rel_y
+    apart = (~overlap).to(distance2.dtype)
+    rate = apart * (1 / settings.time_horizon) + (1 - apart) * (1 / settings.time_step)
+    w = current - rate * place
+    w2, ahead = dot(w, w), dot(w, place)
     on_circle = overlap | ((ahead < 0) & (ahead * ahead > combined * combined * w2))
 
     # The nearest point of the velocity obstacle's border is on its round end, ...
-    w = w2.sqrt()
-    inverse = 1 / w.clamp_min(torch.finfo(w.dtype).tiny)  # w = 0: no direction is better than another
-    unit_x, unit_y = wx * inverse, wy * inverse
-    outward = rate * combined - w
+    length = w2.sqrt()
+    tiny = torch.finfo(length.dtype).tiny
+    outward = w * (1 / length.clamp_min(tiny))  # w = 0: no direction is better than another
+    to_circle = (rate * combined - length) * outward
     # ... or on its left or right leg.
-    side = rel_x * wy - rel_y * wx
     leg = (distance2 - combined * combined).clamp_min(0).sqrt()
-    leg = torch.where(side > 0, leg, -leg)
-    inverse = 1 / distance2
-    leg_x = (rel_x * leg - rel_y * combined) * inverse
-    leg_y = (rel_x * combined + rel_y * leg) * inverse
-    along = rel_vx * leg_x + rel_vy * leg_y
+    leg = leg * ((cross(place, w) > 0) * 2.0 - 1)
+    side = (place * leg + combined * left(place)) * (1 / distance2.clamp_min(tiny))
+    to_leg = dot(current, side) * side - current
 
     # Everybody does half of what is needed.
-    change_x = torch.where(on_circle, outward * unit_x, along * leg_x - rel_vx)
-    change_y = torch.where(on_circle, outward * unit_y, along * leg_y - rel_vy)
-    lines = torch.stack(
-        (
-            own_vx + 0.5 * change_x,
-            own_vy + 0.5 * change_y,
-            torch.where(on_circle, unit_y, leg_x),
-            torch.where(on_circle, -unit_x, leg_y),
-        )
-    )
-    return lines if near is None else torch.where(near, lines, 0)
+    point = own[2:, None] + 0.5 * pick(on_circle, to_circle, to_leg)
+    lines = torch.cat((point, pick(on_circle, -left(outward), side)))
+    return lines if near is None else lines * near
 
 
 def _neighbors(
@@ -86,5 +74,6 @@ def _neighbors(
     most = agents - 1 if settings.max_neighbors is None else min(agents - 1, settings.max_neighbors)
     distance2, order = distance2.sort(dim=1, stable=True)
     near = distance2[:, :most].T.isfinite()
-    used = near.any(1).sum()
-    return order[:, :most].T[:used] + first, near[:used]
+    used = int(near.any(1).sum())
+    near = near[:used]
+    return order[:, :most].T[:used] + first, None if near.all() else near

@@ -42,19 +42,19 @@ def orca_velocity(
     """
     asked = mask if passive is None else mask & ~passive
     rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
-    planes = [tensor.flatten(0, 1).T for tensor in (position, velocity, pref_velocity, max_speed[..., None])]
+    if rows is not None:  # whatever stands in for absent people
+        position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
     lines = agent_lines(position, velocity, mask, rows, settings)
-    if rows is not None:
-        planes = [plane.index_select(1, rows) for plane in planes]
-        walls = walls.select(rows) if walls else None
-    place, current, preferred, speed = (plane.contiguous() for plane in planes)
+    people = torch.cat((position, velocity, pref_velocity, max_speed[..., None]), -1).flatten(0, 1).T
+    people = people.contiguous() if rows is None else people.index_select(1, rows)
     obstacles = 0
-    if walls:
-        beside_walls = wall_lines(walls, place, current, settings)
+    if walls is not None:
+        walls = walls if rows is None else walls.select(rows)
+        beside_walls = wall_lines(walls, people[:2], people[2:4], settings)
         obstacles, lines = beside_walls.shape[1], torch.cat((beside_walls, lines), dim=1)
-    chosen = solve(lines, obstacles, preferred, speed[0]).T
+    chosen = solve(lines, obstacles, people[4:6], people[6]).T
     if rows is None:
         return chosen.reshape(position.shape)
-    result = torch.where(mask[..., None], velocity, 0).flatten(0, 1)
+    result = velocity.flatten(0, 1).clone()
     result[rows] = chosen
     return result.view(position.shape)
