@@ -15,11 +15,6 @@ from pedzoo.sim.worlds.top_view import draw_top_view
 from pedzoo.sim.worlds.wall_rays import WallRays
 from pedzoo.types import BODY_RADIUS
 
-_FIELD_ERROR = 1.25
-"""Cells by which the bilinear distance field can exceed the exact distance: a fifth at centres of cells, at
-most 0.71 by reading between them, and outside the map 0.5 for the half cells beyond the outermost centres
-(where reading goes along one axis only and errs by at most 0.5)."""
-
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""
 
@@ -34,7 +29,6 @@ class GridWorld(World):
             UserError: The radius is not above zero.
         """
         super().__init__(bank, body_radius)
-        self._field_error = _FIELD_ERROR * max((grid.resolution for grid in bank.grids), default=0.0)
         self._wall_rays: WallRays | None = None
 
     def distances(self, people: People, reach: float = REACH) -> Distances:
@@ -78,20 +72,12 @@ class GridWorld(World):
         touching = path.new_zeros(path.shape[:3], dtype=torch.bool)
         if not self.bank.grids:
             return touching
-        map_id, pose, within = people.map_id[:, 0], people.pose, self.body_radius + self._field_error
+        map_id, pose, within = people.map_id[:, 0], people.pose, self.body_radius + self.bank.field_error
         field = self.bank.signed_distance(people.position, map_id, pose)
         scene, person = (present & (field < within + far)).nonzero(as_tuple=True)
-        # again per sub-step, with the distance field: a lookup is a tenth of the price of the exact distance
-        points = path[scene, person]
-        which, trace, step = (self.bank.signed_distance(points, map_id[scene], pose[scene]) < within).nonzero(
-            as_tuple=True
-        )
-        exact, _ = self.bank.closest_wall(
-            points[which, trace, step], map_id[scene[which]], pose[scene[which]]
-        )
-        hit = exact < self.body_radius
-        which, trace = which[hit], trace[hit]
-        touching[scene[which], person[which], trace] = True
+        points = path[scene, person].flatten(1, 2)
+        hit = self.bank.walls_within(points, map_id[scene], pose[scene], self.body_radius)
+        touching[scene, person] = hit.unflatten(1, path.shape[2:4]).any(-1)
         return touching
 
     @torch.no_grad()
