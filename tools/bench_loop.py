@@ -2,8 +2,8 @@
 
     python tools/bench_loop.py --map ../shared/maps/igibson_rs.yaml
 
-One run, one thread. An agent-step is one decision of 0.4 s of one person: 4 trace points, their sub-steps, walls,
-contacts, goals, the planner's guidance and the observation. BulletWorld: tools/bench_worlds.py.
+One run, one thread. An agent-step is one decision of 0.4 s of one person: 4 trace points, their sub-steps,
+walls, contacts, goals, the planner's guidance and the observation. BulletWorld: tools/bench_worlds.py.
 """
 
 from __future__ import annotations
@@ -22,12 +22,8 @@ from pedzoo.sim.policy import load_policy
 from pedzoo.types import STEP_SECONDS
 from pedzoo.versions import versions
 
-POLICIES = (
-    "go_to_goal",
-    f"orca:dt={STEP_SECONDS},walls=false",
-    f"orca:dt={STEP_SECONDS}",
-    "sgan_goal_map.zara1",
-)
+ORCA = f"orca:dt={STEP_SECONDS}"
+POLICIES = ("go_to_goal", f"{ORCA},walls=false", ORCA, "sgan_goal_map.zara1")
 
 
 def main() -> None:

@@ -180,5 +180,7 @@ class MapBank:
         """
         close = self.signed_distance(points, map_id, pose) < distance + self.field_error
         entry, place = close.nonzero(as_tuple=True)
+        if not len(entry):
+            return close
         exact, _ = self.closest_wall(points[entry, place], map_id[entry], pose[entry])
         return close.index_put((entry, place), exact < distance)

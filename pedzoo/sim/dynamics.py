@@ -66,6 +66,8 @@ def walk(
         field = bank.signed_distance(position, map_id, pose)
         near = field < reach + bank.field_error + velocity.norm(dim=-1) * seconds
         scene, slot = near.nonzero(as_tuple=True)
+        if not len(scene):
+            return path
         touching = bank.walls_within(path[scene, slot], map_id[scene], pose[scene], reach).any(1)
         scene, slot = scene[touching], slot[touching]
     if not len(scene):
