@@ -132,17 +132,16 @@ def _ranked(person: Tensor, distance2: Tensor) -> tuple[Tensor, Tensor]:
 
 def _in_scene(parts: Tensor, pose: Tensor, valid: Tensor) -> Segments:
     """Return segments (12, K, N) of the maps' frames in those of the scenes of ``pose`` (N, 4)."""
-    (cos, sin), mirror, shift = (pose[:, 0].cos(), pose[:, 0].sin()), pose[:, 1], pose[:, 2:].T
-    x, y = parts[:10:2], parts[1:10:2] * mirror
-    turned = torch.stack((cos * x - sin * y, sin * x + cos * y))
-    points, directions = turned[:, :2] + shift[:, None, None], turned[:, 2:]
-    convex = parts[10:] > 0
-    if (mirror < 0).any():
-        # in a mirror everything runs the other way round, so that walls stay on the left
-        same = mirror > 0
-        points = torch.where(same, points, points.flip(1))
-        directions = torch.where(same, directions, -directions[:, [0, 2, 1]])
-        convex = torch.where(same, convex, convex.flip(0))
-    start, end = points.unbind(1)
-    direction, before, after = directions.unbind(1)
-    return Segments(start, end, direction, before, after, convex, valid)
+    (cos, sin), mirror, shift = (pose[:, 0].cos(), pose[:, 0].sin()), pose[:, 1], pose[:, 2:].T[:, None]
+
+    def turned(vector: Tensor) -> Tensor:
+        x, y = vector[0], vector[1] * mirror
+        return torch.stack((cos * x - sin * y, sin * x + cos * y))
+
+    start, end, direction, before, after = (turned(vector) for vector in parts[:10].split(2))
+    there = Segments(start + shift, end + shift, direction, before, after, parts[10:] > 0, valid)
+    if (mirror > 0).all():
+        return there
+    # in a mirror everything runs the other way round, so that walls stay on the left
+    back = Segments(there.end, there.start, -direction, -after, -before, there.convex.flip(0), valid)
+    return Segments(*(torch.where(mirror > 0, one, other) for one, other in zip(there, back, strict=True)))

@@ -179,6 +179,6 @@ def _of(lines: Tensor, rows: Tensor) -> Tensor:
 def _first(wrong: Tensor) -> Tensor:
     """Return the number (N,) of the first true row of (L, N), L where there is none."""
     count = len(wrong)
-    # as floats: their minimum is much faster than that of whole numbers
-    number = torch.arange(count, device=wrong.device, dtype=torch.float32)[:, None]
-    return torch.where(wrong, number, count).amin(0).long()
+    # floats, because their minimum is much faster than that of whole numbers
+    before_end = torch.arange(-count, 0, device=wrong.device, dtype=torch.float32)[:, None]
+    return (before_end * wrong).amin(0).long() + count
