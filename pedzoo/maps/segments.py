@@ -63,7 +63,7 @@ class WallSegments:
         self.bank = bank
         self.tolerance = tolerance
         self.most = most
-        self._tables: dict[tuple[torch.device, torch.dtype], SegmentTable] = {}
+        self._known: dict[tuple[torch.device, torch.dtype], tuple[MapBank, SegmentTable]] = {}
 
     def near(self, points: Tensor, map_id: Tensor, pose: Tensor, reach: Tensor | float) -> Segments:
         """Return the nearest segments of each person that they are outside of, nearest first.
@@ -79,10 +79,9 @@ class WallSegments:
         Raises:
             UserError: A ``map_id`` is of another bank.
         """
-        row = self.bank.index(map_id)
         reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
-        table = self._table(float(reach.max()) if len(points) else 0.0, points)
-        person, segment, distance2 = table.look(move_to_map(points, pose), row, reach)
+        bank, table = self._look_up(float(reach.max()) if len(points) else 0.0, points)
+        person, segment, distance2 = table.look(move_to_map(points, pose), bank.index(map_id), reach)
         order, rank = _ranked(person, distance2)
         kept = rank < self.most
         order, rank = order[kept], rank[kept]
@@ -105,16 +104,16 @@ class WallSegments:
         """Return the segments (S, 12) of a floor plan's walls in the form of `SegmentTable`."""
         return np.concatenate([NOWHERE[:0], *(edges(polygon) for polygon in self.polygons(grid))])
 
-    def _table(self, reach: float, points: Tensor) -> SegmentTable:
-        """Return the look-up for people like these, computed anew where it does not reach far enough."""
+    def _look_up(self, reach: float, points: Tensor) -> tuple[MapBank, SegmentTable]:
+        """Return bank and table for people like these, computed anew where they do not reach far enough."""
         key = points.device, points.dtype
-        table = self._tables.get(key)
+        bank, table = self._known.get(key) or (self.bank.to(points.device), None)
         if table is None or table.reach < reach:
             whole = math.ceil(reach) or 1  # slightly faster people do not compute it again
             segments = [self.edges(grid) for grid in self.bank.grids]
             table = SegmentTable.build(segments, whole, self.most).to(*key)
-            self._tables[key] = table
-        return table
+            self._known[key] = bank, table
+        return bank, table
 
 
 def _ranked(person: Tensor, distance2: Tensor) -> tuple[Tensor, Tensor]:
