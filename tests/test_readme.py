@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pedzoo.cli.main import main
+from pedzoo.eval.video import read_video
 from pedzoo.paths import config_names, shipped
 
 ROOT = Path(__file__).parents[1]
@@ -92,7 +95,9 @@ def test_every_config_is_in_the_table_and_every_name_in_the_table_is_a_config() 
     assert named == {name for name in config_names() if name.startswith("sgan")}
 
 
-def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pedzoo.cli.commands.demo.FILM_SECONDS", 1.0)
+    monkeypatch.setattr("pedzoo.cli.commands.demo.EPISODES", 2)
     assert main(["demo", "--out", str(tmp_path / "demo"), "--epochs", "1"]) == 0
     printed = capsys.readouterr().out
     for name in (
@@ -102,6 +107,18 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "sgan_goal",
         "forecasts.png",
         "forecast.json",
+        "orca:radius=0.5",
+        "orca:radius=0.1",
+        "sgan_goal_map.zara1",
+        "door.png",
+        "door.webm",
+        "door.json",
     ):
         assert name in printed
-    assert (tmp_path / "demo" / "forecasts.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("forecasts.png", "door.png"):
+        assert (tmp_path / "demo" / name).read_bytes().startswith(b"\x89PNG")
+    assert read_video(tmp_path / "demo" / "door.webm")[0] == 11
+    report = json.loads((tmp_path / "demo" / "door.json").read_text())
+    blocked, passing, learned = (row["metrics"] for row in report["rows"])
+    assert blocked["success"] == 0 and passing["success"] == 1 and learned["failed"] == 0
+    assert report["protocol"]["world"] == ("bullet" if find_spec("pybullet") else "grid")

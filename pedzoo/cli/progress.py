@@ -13,7 +13,8 @@ from rich.progress import Progress, TaskID
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Yield a function ``(name, done, total)`` that draws one bar per name while the block runs."""
     tasks: dict[str, TaskID] = {}
-    with Progress(console=Console(stderr=True), transient=True) as bars:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
 
         def update(name: str, done: int, total: int) -> None:
             if name not in tasks:

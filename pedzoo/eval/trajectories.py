@@ -60,7 +60,7 @@ def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) 
         episode: Number of the episode.
 
     Raises:
-        UserError: No such episode, or another suffix.
+        UserError: No such episode, another suffix, or the file cannot be written.
     """
     check_plot_path(path)
     for one in walked:
@@ -90,7 +90,10 @@ def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) 
     figure.legend(handles=_legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
     data = BytesIO()
     figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=130)
-    write_whole(Path(path), data.getvalue())
+    try:
+        write_whole(Path(path), data.getvalue())
+    except OSError as error:
+        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 
 def check_plot_path(path: str | Path) -> None:

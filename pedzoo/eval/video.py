@@ -116,7 +116,10 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
     check_video_path(path)
     path = Path(path)
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     writer, size, count = None, (0, 0), 0
     try:
@@ -129,8 +132,9 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
                     raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
             writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
             count += 1
-        if writer is not None:
-            writer.release()
+        if writer is None:
+            raise UserError(f"{str(path)!r}: a video needs at least one frame")
+        writer.release()
         if (found := read_video(part)) != (count, size):
             raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {found} can be read")
         os.replace(part, path)

@@ -8,10 +8,10 @@ EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --
 
 def run(argv: list[str]) -> int:
     """Print the table; returns the exit code."""
+    from pathlib import Path
     from typing import Literal
 
     from jsonargparse import ArgumentParser
-    from jsonargparse.typing import NonNegativeInt, PositiveInt
 
     from pedzoo.cli.output import print_report, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
@@ -34,8 +34,8 @@ def run(argv: list[str]) -> int:
     parser.add_argument(
         "--world", type=Literal["bullet", "grid"], default="bullet", help="pybullet, or torch alone (faster)."
     )
-    parser.add_argument("--episodes", type=PositiveInt, default=20, help="Scenes per policy.")
-    parser.add_argument("--seed", type=NonNegativeInt, default=0, help="Of the scenes, the same for all.")
+    parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
+    parser.add_argument("--seed", type=int, default=0, help="Of the scenes, the same for all.")
     parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
     parser.add_argument(
         "--warm_start", "--warm-start", type=WarmStart, default="orca", help="The first 2.8 s, not counted."
@@ -56,15 +56,15 @@ def run(argv: list[str]) -> int:
         default="perspective",
         help="Where the camera is; the grid world is always seen from the top.",
     )
-    parser.add_argument(
-        "--show", type=NonNegativeInt, default=0, help="Number of the episode in plot and video."
-    )
+    parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
         check_plot_path(options.plot)
     if options.video:
         check_video_path(options.video)
-    if options.show >= options.episodes:
+    if options.json and not Path(options.json).parent.is_dir():
+        raise UserError(f"--json {options.json}: there is no folder {str(Path(options.json).parent)!r}")
+    if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
     settings = {"warm_start": options.warm_start, "decision_dt": options.decision_dt}

@@ -1,0 +1,260 @@
+"""Rollouts: only live episodes count, whatever runs beside them, and the command that prints them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import torch
+
+from pedzoo.cli.main import main
+from pedzoo.errors import UserError
+from pedzoo.eval import rollout as module
+from pedzoo.eval.closed_loop import Comparison, row
+from pedzoo.eval.rollout import Rollout, rollout
+from pedzoo.sim.make import make_env
+
+BROKEN = '''
+from pedzoo.sim.policy import Policy
+
+
+class Broken(Policy):
+    """Walks to the goal until, after 0.8 s, it has no number for somebody in the first scene."""
+
+    def __init__(self):
+        super().__init__(0.4)
+        self.in_keys = [*self.in_keys, "time"]
+
+    def forward(self, tensordict):
+        action = tensordict["agents", "desired_velocity"].clone()
+        if tensordict["time"][0] > 0.6:
+            action[0, 1] = float("nan")
+        tensordict["agents", "action"] = action
+        return tensordict
+'''
+
+
+def cut(walked: Rollout, episode: int) -> dict[str, torch.Tensor]:
+    """Return all about one episode until it ends."""
+    one = walked.episodes(slice(episode, episode + 1))
+    length = int(one.length[0])
+    values = {field.name: getattr(one, field.name) for field in fields(one) if field.name != "goals"}
+    return {key: v[:, :, :length] if key in module._OVER_TIME else v for key, v in values.items()}
+
+
+def assert_same(first: Rollout, second: Rollout, tolerance: float = 1e-6) -> None:
+    assert first.failed.shape == second.failed.shape
+    for episode in range(len(first.failed)):
+        mine, other = cut(first, episode), cut(second, episode)
+        for key, value in mine.items():
+            torch.testing.assert_close(value, other[key], atol=tolerance, rtol=0)
+
+
+@pytest.mark.parametrize("scenario", ["door", "goals:people=3,goals=1,pool=8"])
+def test_episodes_are_the_same_however_many_walk_together(
+    scenario: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    together, _ = rollout("orca:dt=0.4", scenario, "grid", 3, seed=3)
+    monkeypatch.setattr(module, "AT_ONCE", {"grid": 2})
+    in_parts, env = rollout("orca:dt=0.4", scenario, "grid", 3, seed=3)
+    assert env.batch_size[0] == 2 and len(set(together.length.tolist())) > 1
+    assert_same(together, in_parts, 1e-5)
+
+
+@pytest.mark.parametrize("scenario", ["door", "goals:people=3,goals=1,pool=8"])
+def test_nothing_changes_after_the_end(scenario: str) -> None:
+    walked, _ = rollout("go_to_goal", scenario, "grid", 4, seed=3)
+    for episode, length in enumerate(walked.length.tolist()):
+        assert not walked.present[episode, :, length:].any()
+        assert not walked.agent_contact[episode, :, length:].any()
+        for value in (walked.trace, walked.goal, walked.reached):
+            after = value[episode, :, length - 1 :]
+            assert torch.equal(after, after[:, :1].expand_as(after))
+
+
+def test_trace_goes_on_from_the_warm_start_at_possible_speeds() -> None:
+    walked, env = rollout("go_to_goal", "door", "grid", 3)
+    path = torch.cat((walked.past, walked.trace), dim=2)
+    speed = path.diff(dim=2).norm(dim=-1) / 0.1
+    assert (speed <= 1.3 * walked.pref_speed.unsqueeze(-1) + 1e-3).all()
+    assert (walked.past[:, :, -1, 0].abs() >= 2.4).all()  # before the door when counting begins
+    assert (walked.reached[:, :, 0] == 0).all() and walked.goals == env.scenario.goals == 1
+
+
+def test_both_worlds_see_the_same_walk() -> None:
+    pytest.importorskip("pybullet")
+    grid, _ = rollout("go_to_goal", "door", "grid", 3, seed=1)
+    bullet, env = rollout("go_to_goal", "door", "bullet", 3, seed=1)
+    env.world.close()
+    torch.testing.assert_close(grid.trace, bullet.trace)
+    assert torch.equal(grid.reached, bullet.reached)
+
+
+def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(BROKEN)
+    with pytest.warns(UserWarning, match=r"broken\.py:Broken gave the action .* agent 1 of scene 0"):
+        broken, _ = rollout(f"{tmp_path}/broken.py:Broken", "door", "grid", 3)
+    whole, _ = rollout("go_to_goal", "door", "grid", 3)
+    assert broken.failed.tolist() == [True, False, False]
+    assert broken.length[0] == 8  # two decisions; in the third nobody walked
+    for episode in (1, 2):
+        assert_same(*(walked.episodes(slice(episode, episode + 1)) for walked in (broken, whole)))
+    metrics = row("broken", broken, 0.4)["metrics"]
+    assert metrics["failed"] == metrics["success"] / 2 == pytest.approx(1 / 3)
+
+
+def test_noise_is_drawn_or_not() -> None:
+    def traces(policy: str, deterministic: bool, seed: int = 0) -> torch.Tensor:
+        return rollout(policy, "door:speed=2", "grid", 1, seed, deterministic)[0].trace[:, :, :10]
+
+    sampled, again = (traces("sgan_goal_map.zara1", False) for _ in range(2))
+    assert torch.equal(sampled, again)
+    assert not torch.equal(sampled, traces("sgan_goal_map.zara1", True))
+    assert not torch.equal(sampled, traces("sgan_goal_map.zara1", False, seed=1))
+
+
+@pytest.mark.parametrize(
+    ("policy", "scenario", "settings", "expected"),
+    [
+        ("orka", "door", {}, "unknown policy 'orka': did you mean 'orca'?"),
+        ("orca:radios=1", "door", {}, "did you mean 'radius'?"),
+        ("go_to_goal", "dor", {}, "did you mean 'door'?"),
+        ("go_to_goal", "door:widht=1", {}, "did you mean 'width'?"),
+        ("go_to_goal", "door", {"world": "bulet"}, "did you mean 'bullet'?"),
+        ("go_to_goal", "door", {"episodes": 0}, "episodes 0"),
+        (
+            "sgan_goal.zara1",
+            "door",
+            {"decision_dt": 0.1},
+            "decides every 0.4 s, not every 0.1 s: it was trained",
+        ),
+        ("orca", "door", {"decision_dt": 0.4}, "orca:dt="),
+    ],
+)
+def test_mistakes(policy: str, scenario: str, settings: dict, expected: str) -> None:
+    with pytest.raises(UserError) as caught:
+        rollout(policy, scenario, **{"world": "grid", **settings})
+    assert expected in str(caught.value)
+
+
+def test_progress_reaches_all_episodes() -> None:
+    seen = []
+    rollout("go_to_goal", "door", "grid", 3, progress=lambda *step: seen.append(step))
+    assert seen[-1] == ("go_to_goal", 3, 3)
+    assert [step[1] for step in seen] == sorted(step[1] for step in seen)
+
+
+def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "out.json"
+    policies = ["orca:radius=0.1,dt=0.4", "go_to_goal"]
+    words = ["rollout", *policies, "--world", "grid", "--episodes", "3", "--seed", "2", "--json", str(file)]
+    assert main([*words, "--warm-start", "static", "--deterministic"]) == 0
+    printed = capsys.readouterr().out
+    report = json.loads(file.read_text())
+    assert report["command"] == "rollout" and report["seeds"] == [2] and "torch" in report["versions"]
+    assert report["protocol"] == {
+        "scenario": "door",
+        "world": "grid",
+        "episodes": 3,
+        "noise": "none",
+        "warm_start": "static",
+    }
+    assert [found["name"] for found in report["rows"]] == policies
+    for found in report["rows"]:
+        assert found["n"] == 3 and len(found["per_agent"]) == 6
+        (line,) = [line for line in printed.splitlines() if found["name"] in line]
+        for value in found["metrics"].values():
+            assert f"{value:.3f}" in line
+        for key, (low, high) in found["ci95"].items():
+            assert low <= found["metrics"][key] <= high
+    walked, env = rollout(policies[1], "door", "grid", 3, 2, True, warm_start="static")
+    again = json.loads(json.dumps(row(policies[1], walked, env.decision_dt)))
+    assert again == report["rows"][1]
+
+
+def test_interrupted_command_prints_what_is_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(name: str, done: int, total: int) -> None:
+        if name == "go_to_goal:dt=0.2" and done == 2:
+            raise KeyboardInterrupt
+
+    class Quiet:
+        def __enter__(self):
+            return interrupt
+
+        def __exit__(self, *error: object) -> None: ...
+
+    monkeypatch.setattr("pedzoo.cli.progress.progress_bar", Quiet)
+    monkeypatch.setattr(module, "AT_ONCE", {"grid": 1})
+    file = tmp_path / "out.json"
+    words = ["rollout", "go_to_goal", "go_to_goal:dt=0.2", "orca", "--world", "grid", "--episodes", "2"]
+    assert main([*words, "--json", str(file)]) == 130
+    report = json.loads(file.read_text())
+    assert report["interrupted"] is True
+    assert [(found["name"], found["n"]) for found in report["rows"]] == [
+        ("go_to_goal", 2),
+        ("go_to_goal:dt=0.2", 1),
+    ]
+    printed = capsys.readouterr()
+    assert "interrupted: only what was over by then" in printed.out and "go_to_goal" in printed.out
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["orka"], "did you mean 'orca'?"),
+        (["go_to_goal", "orka"], "did you mean 'orca'?"),
+        (["orca", "--scenario", "dor"], "did you mean 'door'?"),
+        (["orca", "--world", "gird"], "did you mean 'grid'?"),
+        (["orca", "--warm_start", "orcas"], "did you mean 'orca'?"),
+        (["orca", "--video", "a.avi"], ".webm or .mp4"),
+        (["orca", "--plot", "a.bmp"], ".png or .pdf or .svg"),
+        (["orca", "--show", "3", "--episodes", "3"], "--show 3: expected 0 to 2"),
+        (["orca", "--episodes", "0"], "episodes 0: expected at least 1"),
+        (["orca", "--json", "nowhere/out.json"], "nowhere"),
+        (["sgan_goal.zara1", "--decision-dt", "0.1"], "not every 0.1 s"),
+        ([], "policies"),
+    ],
+)
+def test_mistakes_on_the_command_line_are_one_line(
+    words: list[str],
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "--world" not in words:
+        words = [*words, "--world", "grid"]
+    assert main(["rollout", *words]) == 2
+    err = capsys.readouterr().err
+    assert expected in err and err.count("\n") == 1 and err.startswith("pedzoo: ")
+
+
+def test_a_misspelt_policy_is_found_before_any_has_walked() -> None:
+    with pytest.raises(UserError, match="orka"):
+        Comparison(["go_to_goal", "orka"], "door", "grid", 1)
+
+
+def test_comparison_closes_its_worlds() -> None:
+    with Comparison(["go_to_goal"], "door", "grid", 1) as comparison:
+        comparison.run()
+        (walked,) = comparison.walked
+        closed = []
+        walked.env.world.close = lambda: closed.append(True)
+    assert closed == [True]
+
+
+def test_same_policy_twice_is_one_row() -> None:
+    with Comparison(["go_to_goal", "go_to_goal"], "door", "grid", 1) as comparison:
+        comparison.run()
+    assert len(comparison.report()["rows"]) == 1
+
+
+def test_make_env_takes_what_a_rollout_passes_on() -> None:
+    walked, env = rollout("go_to_goal", "door", "grid", 1, body_radius=0.2, warm_start="static")
+    assert env.world.body_radius == 0.2 and make_env("door").world.body_radius == 0.15
+    assert torch.equal(walked.past, walked.past[:, :, :1].expand_as(walked.past))

@@ -1,0 +1,125 @@
+"""Pictures of rollouts: the moment they are about, what they show, and where they are written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+import torch
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from pedzoo.errors import UserError
+from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.rollout import Rollout, rollout
+from pedzoo.eval.trajectories import _Episode, meeting, plot_rollouts
+from pedzoo.geometry import move_to_scene
+
+
+@pytest.fixture(scope="module")
+def walked() -> Walked:
+    return Walked("go_to_goal", *rollout("go_to_goal", "door", "grid", 2))
+
+
+def passing(walked: Rollout, at: int) -> Rollout:
+    """Return a copy in which the two people of episode 0 meet at a trace point and everybody stays."""
+    trace = walked.trace.clone()
+    steps = torch.arange(trace.shape[2]) - at
+    trace[0, 0] = torch.stack((0.3 * steps, torch.zeros_like(steps)), dim=-1)
+    trace[0, 1] = torch.stack((-0.3 * steps, torch.ones_like(steps)), dim=-1)
+    return replace(walked, trace=trace, present=torch.ones_like(walked.present))
+
+
+def drawn(walked: Walked, point: int) -> Axes:
+    axes = Figure().subplots()
+    _Episode(walked, 0).draw(axes, point, Normalize(0, 5))
+    return axes
+
+
+@pytest.mark.parametrize("at", [5, 12])
+def test_meeting_is_when_two_are_nearest(walked: Walked, at: int) -> None:
+    assert meeting(passing(walked.rollout, at), 0) == at
+
+
+def test_people_who_stop_before_each_other_meet_when_they_stop(walked: Walked) -> None:
+    both = passing(walked.rollout, 12)
+    trace = both.trace.clone()
+    trace[0, :, 6:] = trace[0, :, 6:7] + 0.001 * torch.arange(trace.shape[2] - 6).unsqueeze(-1)
+    assert meeting(replace(both, trace=trace), 0) == 6
+
+
+def test_who_is_alone_meets_nobody(walked: Walked) -> None:
+    present = torch.zeros_like(walked.rollout.present)
+    present[0, 0, :20] = True
+    assert meeting(replace(walked.rollout, present=present), 0) == 10
+
+
+def test_star_dots_and_coloured_way(walked: Walked) -> None:
+    path = torch.cat((walked.rollout.past[:, :, -1:], walked.rollout.trace), dim=2)[0].numpy()
+    axes = drawn(walked, 20)
+    stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
+    dots = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "o"]
+    ways = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
+    assert len(stars) == len(dots) == len(ways) == 2
+    for person in (0, 1):
+        np.testing.assert_allclose(stars[person], path[person, 20:21])
+        np.testing.assert_allclose(dots[person], path[person, [8, 12, 16]])  # 0.4 s apart
+        segments = np.array(ways[person].get_segments())
+        np.testing.assert_allclose(segments[:, 0], path[person, :20])
+        np.testing.assert_allclose(segments[:, 1], path[person, 1:21])
+        np.testing.assert_allclose(np.asarray(ways[person].get_array()), np.arange(20) * 0.1)
+    grey = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_color() == "0.6"]
+    np.testing.assert_allclose(grey[0], walked.rollout.past[0, 0])
+    goals = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "x"]
+    np.testing.assert_allclose(np.concatenate(goals), walked.rollout.goal[0, :, 20])
+
+
+def test_who_has_left_stays_where_they_left_and_has_no_goal(walked: Walked) -> None:
+    present = walked.rollout.present.clone()
+    present[0, 1, 15:] = False
+    axes = drawn(walked._replace(rollout=replace(walked.rollout, present=present)), 30)
+    stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
+    np.testing.assert_allclose(stars[1], walked.rollout.trace[0, 1, 14:15])
+    assert len([line for line in axes.lines if line.get_marker() == "x"]) == 1
+
+
+def test_scenes_are_drawn_as_their_map_lies(walked: Walked) -> None:
+    """A turned and mirrored scene gives the same picture."""
+    pose = torch.tensor([[0.7, -1.0, 2.0, -1.0]]).expand(2, 4)
+    moved = {key: move_to_scene(getattr(walked.rollout, key), pose) for key in ("trace", "goal", "past")}
+    turned = walked._replace(rollout=replace(walked.rollout, pose=pose, **moved))
+    for mine, other in zip(drawn(walked, 20).lines, drawn(turned, 20).lines, strict=True):
+        np.testing.assert_allclose(np.asarray(mine.get_xydata()), np.asarray(other.get_xydata()), atol=1e-5)
+
+
+def test_moments_are_around_the_meeting_and_at_the_end(walked: Walked) -> None:
+    both = walked._replace(rollout=passing(walked.rollout, 20))
+    end = both.rollout.trace.shape[2]
+    assert _Episode(both, 0).moments == [13, 21, 29, end]
+    early = walked._replace(rollout=passing(walked.rollout, 2))
+    assert _Episode(early, 0).moments == [0, 3, 11, end]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
+def test_picture_is_written_whole(walked: Walked, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / "new" / f"door{suffix}"
+    plot_rollouts([walked, walked._replace(name="again")], path, 1)
+    assert list(path.parent.iterdir()) == [path] and path.stat().st_size > 5000
+    if suffix == ".png":
+        picture = matplotlib.image.imread(path)
+        assert picture.shape[1] > picture.shape[0] > 300 and picture[..., :3].std() > 0.05
+
+
+def test_mistakes(walked: Walked, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"\.png or \.pdf or \.svg"):
+        plot_rollouts([walked], tmp_path / "a.bmp")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot write"):
+        plot_rollouts([walked], tmp_path / "file" / "a.png")
+    with pytest.raises(UserError, match="episode 7: go_to_goal has walked 2, 0 to 1"):
+        plot_rollouts([walked], tmp_path / "a.png", 7)

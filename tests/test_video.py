@@ -1,0 +1,129 @@
+"""Videos: what is written can be read, frame by frame, and nothing is left behind where it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pedzoo.cli.main import main
+from pedzoo.errors import UserError
+from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.rollout import rollout
+from pedzoo.eval.video import GAP, HEADER, Image, film, read_video, write_video
+from pedzoo.sim.worlds.camera import person_color
+
+SIZE = (160, 120)
+
+
+@pytest.fixture(scope="module")
+def walked() -> Walked:
+    return Walked("go_to_goal", *rollout("go_to_goal", "door", "grid", 2))
+
+
+def colors(count: int, size: tuple[int, int] = SIZE) -> Iterator[Image]:
+    """Yield frames that become redder."""
+    for i in range(count):
+        yield np.full((size[1], size[0], 3), (20 * i, 40, 60), dtype=np.uint8)
+
+
+def frames_of(path: Path) -> list[Image]:
+    video, found = cv2.VideoCapture(str(path)), []
+    while True:
+        there, frame = video.read()
+        if not there:
+            return found
+        found.append(frame[..., ::-1])
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".WEBM"])
+def test_round_trip(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "new" / f"colors{suffix}"
+    write_video(path, colors(9), 10)
+    assert read_video(path) == (9, SIZE)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FPS) == pytest.approx(10)
+    for read, written in zip(frames_of(path), colors(9), strict=True):
+        assert np.abs(read.astype(int) - written).mean() < 4  # RGB in, RGB out
+    assert list(path.parent.iterdir()) == [path]
+    assert capfd.readouterr().err == ""
+
+
+def test_other_suffixes_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"\.webm or \.mp4"):
+        write_video(tmp_path / "a.avi", colors(2), 10)
+
+
+def test_interrupted_or_failed_writing_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.webm"
+    write_video(path, colors(3), 10)
+    before = path.read_bytes()
+
+    def interrupted() -> Iterator[Image]:
+        yield from colors(2)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_video(path, interrupted(), 10)
+    # OpenCV drops a frame of another size without a word
+    with pytest.raises(UserError, match="4 frames of"):
+        write_video(path, [*colors(3), *colors(1, (80, 60))], 10)
+    with pytest.raises(UserError, match="at least one frame"):
+        write_video(path, [], 10)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_unwritable_place(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot write"):
+        write_video(tmp_path / "file" / "a.webm", colors(1), 10)
+
+
+def test_film_shows_every_tenth_of_a_second_and_stands_still_after_the_end(
+    walked: Walked, tmp_path: Path
+) -> None:
+    shorter = Walked("half", walked.rollout, walked.env)
+    present = walked.rollout.present.clone()
+    present[:, :, 10:] = False
+    shorter = shorter._replace(rollout=replace(walked.rollout, present=present))
+    seen = []
+    film([walked, shorter], tmp_path / "a.webm", 1, "top", SIZE, progress=lambda *step: seen.append(step))
+    frames = frames_of(tmp_path / "a.webm")
+    count = int(walked.rollout.length[1]) + 1
+    assert len(frames) == count and seen[-1] == ("video", count, count)
+    assert frames[0].shape == (SIZE[1] + HEADER, 2 * (SIZE[0] + GAP), 3)
+    right = [frame[:, SIZE[0] + GAP :].astype(int) for frame in frames]
+    assert np.abs(right[-1] - right[12]).mean() < 2 < np.abs(right[12] - right[0]).mean() + 2
+    left = [frame[:, : SIZE[0]].astype(int) for frame in frames]
+    assert np.abs(left[-1] - left[12]).mean() > 1
+
+
+def test_film_puts_people_where_they_are(walked: Walked, tmp_path: Path) -> None:
+    film([walked], tmp_path / "a.webm", 0, "top", (320, 240), seconds=1.0)
+    frames = frames_of(tmp_path / "a.webm")
+    assert len(frames) == 11
+    for person, to_the_left in ((0, True), (1, False)):
+        near = np.abs(frames[0][HEADER:, :320].astype(int) - person_color(person)).sum(-1) < 90
+        assert near.any() and (np.nonzero(near)[1].mean() < 160) == to_the_left
+
+
+def test_no_such_episode(walked: Walked, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="episode 2: go_to_goal has walked 2, 0 to 1"):
+        film([walked], tmp_path / "a.webm", 2)
+
+
+def test_command_films_the_bullet_world(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pybullet")
+    video, plot = tmp_path / "door.mp4", tmp_path / "door.png"
+    words = ["rollout", "go_to_goal", "--scenario", "door:speed=3,speed_std=0", "--episodes", "1"]
+    assert main([*words, "--video", str(video), "--plot", str(plot)]) == 0
+    printed = capfd.readouterr()
+    assert str(video) in printed.out and str(plot) in printed.out
+    # pybullet greets when it is first imported
+    assert [line for line in printed.err.splitlines() if "pybullet build" not in line] == []
+    count, size = read_video(video)
+    assert 15 < count < 30 and size == (640 + GAP, 480 + HEADER)
+    assert plot.read_bytes().startswith(b"\x89PNG")
