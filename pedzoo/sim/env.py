@@ -185,7 +185,7 @@ class PedestrianEnv(EnvBase):
             "goal": guidance.goal,
             "desired_velocity": guidance.desired_velocity,
             "mask": state.mask,
-            "controlled": state.mask,
+            "controlled": state.mask & ~state.failed.unsqueeze(1),
             "info": TensorDict(info, (scenes, agents)),
         }
         scene = {
