@@ -15,6 +15,10 @@ _AT_ONCE = 250_000
 """Lines of sight that are followed together: bounds the memory that building takes."""
 
 
+_ALL_PAIRS = 500
+"""Corners up to which the ways between all of them are kept: 3 MB, and queries need no search."""
+
+
 class CornerGraph:
     """The K corners of the open cells, joined where they see one another: a visibility graph.
 
@@ -94,8 +98,8 @@ class CornerGraph:
             goal_place: Of the goal itself (2,).
         """
         here, there = self.graph.place[start], self.graph.place[goal]
-        leaving = np.flatnonzero(self._bends(self._place - here))
-        arriving = np.flatnonzero(self._bends(self._place - there))
+        leaving = np.flatnonzero(self._bends(self._place - here) & (self.cells != start))
+        arriving = np.flatnonzero(self._bends(self._place - there) & (self.cells != goal))
         targets = np.concatenate((there[None], self._place[leaving], self._place[arriving]))
         origins = np.repeat(np.stack((here, there)), (1 + len(leaving), len(arriving)), axis=0)
         seen = self.graph.sight.clear(origins, targets)
@@ -103,21 +107,41 @@ class CornerGraph:
             return np.empty(0, dtype=np.int32)
         first = leaving[seen[1 : 1 + len(leaving)]]
         last = arriving[seen[1 + len(leaving) :]]
-        side = self.graph.grid.resolution
-        steps = np.linalg.norm(self._place[first] - start_place, axis=1) * side
-        # the start is one more node, with edges to the corners that it sees
-        edges = self.matrix
+        begin = self._metres(first, start_place)
+        end = self._metres(last, goal_place)
+        if len(self.cells) <= _ALL_PAIRS:
+            length, before = self._all_pairs
+            total = length[first[:, None], last] + begin[:, None] + end
+            one, other = divmod(int(total.argmin()), len(last))
+            before, chain = before[first[one]], [int(last[other])]
+        else:
+            length, before = self._search(first, begin)
+            chain = [int(last[(length[last] + end).argmin()])]
+        while 0 <= (earlier := int(before[chain[-1]])) < len(self.cells):
+            chain.append(earlier)
+        return self.cells[chain[::-1]]
+
+    @cached_property
+    def _all_pairs(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        length, before = dijkstra(self.matrix, return_predecessors=True)
+        return length, before
+
+    def _search(
+        self, first: NDArray[np.int64], begin: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return lengths and predecessors from a start, the node K, that sees the corners ``first``."""
+        edges, count = self.matrix, len(self.cells) + 1
         joined = csr_array(
             (
-                np.concatenate((edges.data, steps)),
+                np.concatenate((edges.data, begin)),
                 np.concatenate((edges.indices, first.astype(edges.indices.dtype))),
                 np.append(edges.indptr, edges.indptr[-1] + len(first)).astype(edges.indptr.dtype),
             ),
-            shape=(len(self.cells) + 1, len(self.cells) + 1),
+            shape=(count, count),
         )
-        length, before = dijkstra(joined, indices=len(self.cells), return_predecessors=True)
-        total = length[last] + np.linalg.norm(self._place[last] - goal_place, axis=1) * side
-        chain = [int(last[total.argmin()])]
-        while before[chain[-1]] != len(self.cells):
-            chain.append(int(before[chain[-1]]))
-        return self.cells[chain[::-1]]
+        length, before = dijkstra(joined, indices=count - 1, return_predecessors=True)
+        return length, before
+
+    def _metres(self, some: NDArray[np.int64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y = (self._place[some] - place).T
+        return np.hypot(x, y) * self.graph.grid.resolution

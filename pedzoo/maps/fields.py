@@ -62,6 +62,7 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: Tensor) -> Fields
     # One column more than cells: of the goal itself, and never better than anything for missing neighbours.
     stride = count + 1
     waypoint = torch.arange(stride, dtype=torch.int32).repeat(goals, 1)
+    waypoint[:, count] = -1
     waypoint[torch.arange(goals), torch.from_numpy(cells)] = count
     place = torch.from_numpy(np.concatenate((graph.place, np.zeros((1, 2)))).astype(np.float32))
     length = torch.full((goals, stride), torch.inf)
@@ -70,6 +71,7 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: Tensor) -> Fields
     neighbours = torch.from_numpy(graph.neighbours)
     waypoint, length = waypoint.view(-1), length.view(-1)
 
+    thick = graph.clearance >= 2 * graph.grid.resolution
     for first, last in pairwise(ends.tolist()):
         pair = torch.from_numpy(order[first:last])
         goal, cell = pair // count, pair % count
@@ -96,9 +98,10 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: Tensor) -> Fields
             candidate = offered.gather(1, best.indices[worth, None])[:, 0]
             # a goal is looked for at its cell's centre: only there is the clearance certain
             spot = torch.where(candidate == count, own[goal[who]], candidate)
-            seen = torch.from_numpy(
-                graph.sight.clear(graph.place[cell[who].numpy()], graph.place[spot.numpy()])
-            )
+            seen = _surely(offered, candidate, place[spot] - here[who])
+            asked = torch.nonzero(~seen)[:, 0] if thick else torch.arange(len(who))
+            ends = graph.place[cell[who[asked]].numpy()], graph.place[spot[asked].numpy()]
+            seen[asked] = torch.from_numpy(graph.sight.clear(*ends))
             chosen[who[seen]] = candidate[seen]
             found[who[seen]] = best.values[worth][seen]
             missed = torch.nonzero(~seen)[:, 0]
@@ -112,6 +115,26 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: Tensor) -> Fields
         waypoint.view(goals, stride)[:, :count].contiguous(),
         length.view(goals, stride)[:, :count] * graph.grid.resolution,
     )
+
+
+def _surely(offered: Tensor, candidate: Tensor, way: Tensor) -> Tensor:
+    """Return which cells certainly see their candidates (M,), without following the line.
+
+    The line leaves a cell between two neighbours, one straight and one diagonal. If both see the candidate,
+    the cell sees it between them: nothing that keeps two cells' clearance around it fits into the wedge.
+
+    Args:
+        offered: Waypoints of all neighbours (M, 8), which they see; -1 for missing ones.
+        candidate: The waypoints in question (M,).
+        way: Columns and rows from the cells to them (M, 2).
+    """
+    right, up = way.sign().long().unbind(1)
+    level = way[:, 0].abs() >= way[:, 1].abs()
+    # the order of STEPS, which leaves out the cell itself in the middle
+    diagonal = (up + 1) * 3 + right + 1
+    straight = torch.where(level, right + 4, up * 3 + 4)
+    columns = torch.stack((diagonal, straight), dim=1)
+    return (offered.gather(1, columns - (columns > 4).long()) == candidate[:, None]).all(dim=1)
 
 
 def _bands(reach: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

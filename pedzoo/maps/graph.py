@@ -26,6 +26,7 @@ class OpenGraph:
     Attributes:
         grid: The floor plan.
         distance: From cell centres to the nearest wall (H, W) float32, metres, negative inside it.
+        clearance: Metres that their centres keep from walls.
         shape: Rows and columns of the floor plan.
         open: Which cells are open (H, W).
         cells: Flat index (row * W + column) of every open cell (N,), growing.
@@ -38,6 +39,7 @@ class OpenGraph:
     def __init__(self, grid: OccupancyGrid, unknown: Unknown, clearance: float) -> None:
         """Find the open cells; a floor plan may have none."""
         self.grid = grid
+        self.clearance = clearance
         self.distance = grid.signed_distance(unknown)
         self.shape = self.distance.shape
         self.open = self.distance >= clearance - 1e-6
@@ -46,8 +48,8 @@ class OpenGraph:
         self.index[self.cells] = np.arange(len(self.cells), dtype=np.int32)
         row, column = np.divmod(self.cells, self.shape[1])
         self.place = np.stack((column, row), axis=1).astype(np.int32)
-        to_cell = grid.map_to_cell()
-        self.xy = (self.place - to_cell[:, 2]) @ np.linalg.inv(to_cell[:, :2]).T
+        self._to_cell = grid.map_to_cell()
+        self.xy = (self.place - self._to_cell[:, 2]) @ np.linalg.inv(self._to_cell[:, :2]).T
         self.sight = Sight(self.open)
 
     def __len__(self) -> int:
@@ -96,14 +98,13 @@ class OpenGraph:
 
     def to_place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return column and row (M, 2) of map-frame points (M, 2), whole at cell centres."""
-        to_cell = self.grid.map_to_cell()
-        return points @ to_cell[:, :2].T + to_cell[:, 2]
+        return points @ self._to_cell[:, :2].T + self._to_cell[:, 2]
 
     def locate(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return the flat cells of map-frame points (M,), nearest inside the map, and who is inside (M,)."""
         # half cells belong to the smaller one, so that rounding is the same for all of them
         place = np.ceil(self.to_place(points) - 0.5 - 1e-9).astype(np.int64)
-        limit = np.array([self.shape[1], self.shape[0]]) - 1
-        inside = np.all((place >= 0) & (place <= limit), axis=1)
-        column, row = np.clip(place, 0, limit).T
-        return row * self.shape[1] + column, np.asarray(inside)
+        limit = np.array([self.shape[1] - 1, self.shape[0] - 1])
+        nearest = np.maximum(np.minimum(place, limit), 0)
+        column, row = nearest.T
+        return row * self.shape[1] + column, np.asarray((place == nearest).all(axis=1))

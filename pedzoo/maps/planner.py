@@ -263,7 +263,7 @@ class Planner:
         Raises:
             UserError: No way leads there, or an end of it is in a wall or outside the map.
         """
-        ends = _as_points(np.stack((np.asarray(start), np.asarray(goal))))
+        ends = np.concatenate((_as_points(start), _as_points(goal)))
         if row < 0:
             return ends[1:]
         graph = self.graph(row)

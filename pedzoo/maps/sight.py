@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-_FEW = 2000
+_FEW = 1500
 """Columns left of all lines at which looking at every one of them is cheaper than leaping on."""
 
 _ROUNDING = 1e-6
@@ -69,7 +69,7 @@ class Sight:
             rest = (room > 0) & (at < steps[who])
             who, at = who[rest], at[rest]
             count = steps[who] - at
-            if count.sum() <= _FEW * 5:
+            if count.sum() <= _FEW:
                 break
         line = np.repeat(who, count)
         column = np.arange(len(line)) + np.repeat(at - (count.cumsum() - count), count)
