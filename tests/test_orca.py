@@ -341,3 +341,18 @@ def test_rvo2_chooses_the_same_velocities(
     gap = torch.stack(apart).flatten()
     assert gap.median() < 1e-6
     assert (gap < 1e-3).double().mean() > 0.998
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (3, 0), (2, 1), (3, 4)])
+@pytest.mark.parametrize("obstacles", [0, 1, 16])
+def test_few_people_and_few_walls(shape: tuple[int, int], obstacles: int) -> None:
+    walls, ids = one_wall()
+    position = 1.5 + torch.rand(*shape, 2)
+    people = shape[0] * shape[1]
+    near = walls.near(position.flatten(0, 1), ids.expand(people), identity_pose(people), 3.6)
+    settings = replace(SETTINGS, max_obstacles=obstacles)
+    for mask in (present(position), ~present(position)):
+        found = walk(position, torch.zeros_like(position), position, settings, walls=near, mask=mask)
+        assert found.shape == position.shape
+        assert found.isfinite().all()
+        assert mask.any() or not found.any()
