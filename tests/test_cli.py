@@ -149,6 +149,7 @@ def test_fit_resume_test_and_forecast(capsys, elsewhere):
     best = run / "checkpoints" / "best.ckpt"
     printed = capsys.readouterr().out
     assert f"next: pedzoo forecast {best} --data.fold embedded --data.goal window_end" in printed
+    assert f"pedzoo rollout {best} --scenario door" in printed
     assert [path.name for path in elsewhere.iterdir()] == ["runs"]
     assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt"}
     assert "lr: 0.004" in (run / "config.yaml").read_text()

@@ -100,7 +100,8 @@ def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> 
     assert broken.failed.tolist() == [True, False, False]
     assert broken.length[0] == 8  # two decisions; in the third nobody walked
     for episode in (1, 2):
-        assert_same(*(walked.episodes(slice(episode, episode + 1)) for walked in (broken, whole)))
+        some = slice(episode, episode + 1)
+        assert_same(broken.episodes(some), whole.episodes(some))
     metrics = row("broken", broken, 0.4)["metrics"]
     assert metrics["failed"] == metrics["success"] / 2 == pytest.approx(1 / 3)
 
@@ -232,6 +233,13 @@ def test_mistakes_on_the_command_line_are_one_line(
     assert main(["rollout", *words]) == 2
     err = capsys.readouterr().err
     assert expected in err and err.count("\n") == 1 and err.startswith("pedzoo: ")
+
+
+def test_overview_names_scenarios_and_policies(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    for name in ("door", "goals", "orca", "go_to_goal"):
+        assert f"  {name}" in text.partition("policies (and every model):")[2]
 
 
 def test_a_misspelt_policy_is_found_before_any_has_walked() -> None:

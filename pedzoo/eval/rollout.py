@@ -89,6 +89,8 @@ def rollout(
 ) -> tuple[Rollout, PedestrianEnv]:
     """Return what ``policy`` did in the first ``episodes`` scenes of a seed, and the environment.
 
+    Its world, ``env.world``, is still open: pictures are taken there.
+
     Args:
         policy: Its name with settings.
         scenario: Its name with settings.

@@ -41,6 +41,9 @@ STEPS_BEFORE = 3
 AROUND = (-0.8, 0.0, 0.8)
 """Seconds about the moment of meeting that have a panel each; the end has another one."""
 
+RECENT = 60
+"""Trace points before a star that are drawn broad, 6 s; what is older is thin."""
+
 MARGIN = 0.5
 """Metres around everybody's way that panels show."""
 
@@ -148,8 +151,9 @@ class _Episode:
             axes.plot(*self.before[person].T.numpy(), color="0.6", linewidth=0.8, zorder=2)
             way = self.path[person, : last + 1].numpy()
             lines = LineCollection(
-                list(np.stack((way[:-1], way[1:]), axis=1)), cmap=SHADE, norm=clock, linewidths=2.4, zorder=4
+                list(np.stack((way[:-1], way[1:]), axis=1)), cmap=SHADE, norm=clock, zorder=4
             )
+            lines.set_linewidth([2.4 if last - i <= RECENT else 0.8 for i in range(last)])
             lines.set_array(np.arange(last) * TRACE_SECONDS)
             axes.add_collection(lines)
             steps = [last - i * TRACE_PER_STEP for i in range(STEPS_BEFORE, 0, -1)]
