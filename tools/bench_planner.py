@@ -3,10 +3,11 @@
     python tools/bench_planner.py [--maps ../shared/maps] [--pairs 40] [--json FILE]
 
 iGibson's way is networkx's A* on the 8-connected graph of the open cells, edges weighted by length, one
-search per query (its social navigation of 2022), with the L2 distance by numpy as its heuristic; the same with
-math.dist is timed too. Both sides build their graphs beforehand. One thread, turns, medians.
+search per query (its social navigation of 2022), with the L2 distance by numpy as its heuristic; the same
+with math.dist is timed too. Both sides build their graphs beforehand. One thread, turns, medians.
 
-The maps are a real apartment of 200 x 200 cells and a real office cut to 950 x 950; a plain plan without them.
+The maps are a real apartment of 200 x 200 cells and a real office cut to 950 x 950; without them it is a
+plain plan.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def built(planner: Planner) -> tuple[OpenGraph, NDArray[np.int64], dict[str, flo
     graph = planner.graph(0)
     component, _, _ = graph.component, graph.nearest, graph.matrix
     middle = time.perf_counter()
-    _ = planner.corners(0).matrix
+    planner.corners(0).prepare()
     times = {"graph": middle - start, "corners": time.perf_counter() - middle}
     return graph, np.flatnonzero(component == np.bincount(component).argmax()), times
 

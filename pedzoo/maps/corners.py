@@ -15,8 +15,8 @@ _AT_ONCE = 250_000
 """Lines of sight that are followed together: bounds the memory that building takes."""
 
 
-_ALL_PAIRS = 500
-"""Corners up to which the ways between all of them are kept: 3 MB, and queries need no search."""
+_SMALL = 1_000_000
+"""Open cells times corners up to which everything that a query asks for is computed once: some megabytes."""
 
 
 class CornerGraph:
@@ -59,32 +59,35 @@ class CornerGraph:
     @cached_property
     def matrix(self) -> csr_array:
         """The graph (K, K): entry (i, j) is the metres from corner i to j."""
-        found = [np.empty((2, 0), dtype=np.int64)]
-        count = len(self.cells)
-        rows = max(1, _AT_ONCE // max(count, 1))
-        for first in range(0, count, rows):
-            some = np.arange(first, min(first + rows, count))
-            pairs = self._bends(self._place[some, None] - self._place) & (
-                np.arange(count) > some[:, None]
-            )  # every pair once
-            one, other = np.nonzero(pairs & self._bends_at(some, self._place[some, None] - self._place))
-            one = some[one]
-            seen = self.graph.sight.clear(self._place[one], self._place[other])
-            found.append(np.stack((one[seen], other[seen])))
-        one, other = np.concatenate(found, axis=1)
+        one, other = self._seen_from(self.cells, only_edges=True)
         length = np.linalg.norm(self._place[one] - self._place[other], axis=1) * self.graph.grid.resolution
         both = np.concatenate((one, other)), np.concatenate((other, one))
+        count = len(self.cells)
         return coo_array((np.concatenate((length, length)), both), shape=(count, count)).tocsr()
 
-    def _bends(self, way: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return whether shortest ways leave all K corners in the directions ``way`` (..., K, 2)."""
-        slope = way[..., 0] * way[..., 1]
-        return (self._falls & (slope <= 0)) | (self._rises & (slope >= 0))
+    def _seen_from(self, cells: NDArray[np.int32], only_edges: bool = False) -> NDArray[np.int64]:
+        """Return which of the open cells ``cells`` (S,) sees which corner that a way may bend around (2, E).
 
-    def _bends_at(self, some: NDArray[np.int64], way: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return the same of the corners ``some`` (S,) in the directions ``way`` (S, K, 2)."""
-        slope = way[..., 0] * way[..., 1]
-        return (self._falls[some, None] & (slope <= 0)) | (self._rises[some, None] & (slope >= 0))
+        With ``only_edges`` the cells are the corners; pairs are those that ways bend around at both ends,
+        each in one order.
+        """
+        found = [np.empty((2, 0), dtype=np.int64)]
+        place, count = self.graph.place[cells], len(self.cells)
+        rows = max(1, _AT_ONCE // max(count, 1))
+        for first in range(0, len(cells), rows):
+            some = np.arange(first, min(first + rows, len(cells)))
+            slope = np.prod(place[some, None] - self._place, axis=2)
+            pairs = (self._falls & (slope <= 0)) | (self._rises & (slope >= 0))
+            if only_edges:
+                pairs &= (self._falls[some, None] & (slope <= 0)) | (self._rises[some, None] & (slope >= 0))
+                pairs &= np.arange(count) > some[:, None]
+            else:
+                pairs &= cells[some, None] != self.cells
+            one, other = np.nonzero(pairs)
+            one = some[one]
+            seen = self.graph.sight.clear(place[one], self._place[other])
+            found.append(np.stack((one[seen], other[seen])))
+        return np.concatenate(found, axis=1)
 
     def way(
         self, start: int, goal: int, start_place: NDArray[np.float64], goal_place: NDArray[np.float64]
@@ -97,19 +100,13 @@ class CornerGraph:
             start_place: Column and row of the start itself (2,), whole at cell centres.
             goal_place: Of the goal itself (2,).
         """
-        here, there = self.graph.place[start], self.graph.place[goal]
-        leaving = np.flatnonzero(self._bends(self._place - here) & (self.cells != start))
-        arriving = np.flatnonzero(self._bends(self._place - there) & (self.cells != goal))
-        targets = np.concatenate((there[None], self._place[leaving], self._place[arriving]))
-        origins = np.repeat(np.stack((here, there)), (1 + len(leaving), len(arriving)), axis=0)
-        seen = self.graph.sight.clear(origins, targets)
-        if seen[0]:
+        ends = self.graph.place[[start, goal]]
+        if self.graph.sight.clear(ends[:1], ends[1:])[0]:
             return np.empty(0, dtype=np.int32)
-        first = leaving[seen[1 : 1 + len(leaving)]]
-        last = arriving[seen[1 + len(leaving) :]]
+        first, last = self._views(start, goal)
         begin = self._metres(first, start_place)
         end = self._metres(last, goal_place)
-        if len(self.cells) <= _ALL_PAIRS:
+        if self._small:
             length, before = self._all_pairs
             total = length[first[:, None], last] + begin[:, None] + end
             one, other = divmod(int(total.argmin()), len(last))
@@ -120,6 +117,30 @@ class CornerGraph:
         while 0 <= (earlier := int(before[chain[-1]])) < len(self.cells):
             chain.append(earlier)
         return self.cells[chain[::-1]]
+
+    def prepare(self) -> None:
+        """Compute what is kept for all queries; the first query does so, too."""
+        if self._small:
+            _ = self._all_views, self._all_pairs
+        _ = self.matrix
+
+    @property
+    def _small(self) -> bool:
+        return len(self.graph) * len(self.cells) <= _SMALL
+
+    def _views(self, start: int, goal: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the corners that the two ends of a way see."""
+        if self._small:
+            begin, corners = self._all_views
+            return corners[begin[start] : begin[start + 1]], corners[begin[goal] : begin[goal + 1]]
+        one, other = self._seen_from(np.array([start, goal], dtype=np.int32))
+        return other[one == 0], other[one == 1]
+
+    @cached_property
+    def _all_views(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where each open cell's corners begin (N + 1,), and the corners in sight of all cells."""
+        one, other = self._seen_from(np.arange(len(self.graph), dtype=np.int32))
+        return np.searchsorted(one, np.arange(len(self.graph) + 1)), other
 
     @cached_property
     def _all_pairs(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
