@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs import check_env_specs
 from torchrl.envs.utils import step_mdp
@@ -29,7 +28,7 @@ from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TOP_SPEED_RATIO
 SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")
 
 
-def walked(env: PedestrianEnv, steps: int, policy: Any = None) -> list[TensorDict]:
+def walked(env: PedestrianEnv, steps: int, policy: Any = None) -> list[Any]:
     """Return the results of some steps, without resets in between."""
     policy = policy or GoToGoal()
     policy.bind(env.bank)
@@ -40,7 +39,7 @@ def walked(env: PedestrianEnv, steps: int, policy: Any = None) -> list[TensorDic
     return results
 
 
-def positions(results: list[TensorDict]) -> Tensor:
+def positions(results: list[Any]) -> Tensor:
     """Return everybody's trace (B, A, T, 2)."""
     return torch.cat([result["next", "agents", "info", "trace"] for result in results], dim=2)
 

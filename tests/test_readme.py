@@ -66,20 +66,26 @@ def test_pedzoo_commands(
 ) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
     found = commands()
-    assert {words[0] for words in found} == {"fit", "forecast"}
+    less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": ["--episodes", "2", "--film", "1"]}
+    assert {words[0] for words in found} == set(less)
     for words in found:
-        assert main([*words, *(SHORT if words[0] == "fit" else ["--samples", "2"])]) == 0, words
-    assert (somebodys_folder / "out.json").is_file()
+        assert main([*words, *less[words[0]]]) == 0, words
+    for file in ("out.json", "walk.json", "door.png", "door.webm"):
+        assert (somebodys_folder / file).is_file()
     assert "min_ade_2" in capsys.readouterr().out
 
 
-def test_python_snippet(somebodys_folder: Path) -> None:
-    (snippet,) = blocks("python")
-    scope: dict = {}
-    exec(compile(snippet, "README.md", "exec"), scope)
-    scenes, samples, people, steps, _ = scope["futures"].shape
+def test_python_snippets(somebodys_folder: Path) -> None:
+    scopes: list[dict] = [{} for _ in blocks("python")]
+    for snippet, scope in zip(blocks("python"), scopes, strict=True):
+        exec(compile(snippet, "README.md", "exec"), scope)
+    forecast, walk, own = scopes
+    scenes, samples, people, steps, _ = forecast["futures"].shape
     assert (samples, steps) == (20, 8)
-    assert scope["batch"]["agents", "mask"].shape == (scenes, people)
+    assert forecast["batch"]["agents", "mask"].shape == (scenes, people)
+    assert walk["trace"].shape == (8, 50, 5, 4, 2)
+    assert set(own["velocity"]) == {"anna", 7}
+    assert own["people"]["anna"][0] > -3  # she set out from -9
 
 
 def test_the_two_scripts_and_every_linked_file_exist() -> None:

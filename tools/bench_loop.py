@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 import torch
-from markdown import table
+from page import table
 from tensordict import TensorDictBase
 
 from pedzoo.sim.env import PedestrianEnv

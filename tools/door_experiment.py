@@ -14,7 +14,7 @@ import math
 from pathlib import Path
 
 import torch
-from markdown import median, percent, share, table
+from page import median, percent, share, table
 from torch import Tensor
 
 from pedzoo.eval.rollout import Rollout, rollout
@@ -169,7 +169,7 @@ def learned(episodes: int) -> str:
     text = head + table(names, rows)
     text += "\n### How they fail\n"
     names = ["policy", "people first touch: m from the door", "walls touched at the jambs", "elsewhere"]
-    names += ["least speed within 2 m", "yield delay, s", "stand still at the end"]
+    names += ["least speed within 2 m", "yield delay, s", "miss the goal first", "stand still at the end"]
     return text + table(names, failures) + NOTE
 
 
@@ -181,6 +181,7 @@ NOTE = """
 * *least speed within 2 m*: median over people of their least speed within 2 m of the door's centre, divided
   by the speed they like: 1 means that nobody slows down for anybody.
 * *yield delay*: median time between the two crossing the wall's line, where both do.
+* *miss the goal first*: share of people who come within 1 m of the goal and need more than 3 s from there.
 * *stand still at the end*: share of people who moved less than 0.1 m in the last 5 s of their episode and
   are not at their goal.
 """
@@ -203,6 +204,8 @@ def analysis(result: Rollout, agent: Tensor, wall: Tensor) -> list[str]:
     beyond = result.present & (result.trace[..., 0] * side < 0)
     crossed = beyond.any(2).all(1)
     delay = beyond.int().argmax(2).diff(dim=1).abs()[crossed, 0] * 0.1
+    close = result.present & ((result.trace - result.goal).norm(dim=-1) < 1.0)
+    missed = close.any(2) & (result.present.sum(2) - close.int().argmax(2) > 30)
     late = ~arrived(result)
     last = result.present.sum(2).clamp_min(51) - 1
     end, before = (_at(result.trace, last - back) for back in (0, 50))
@@ -213,6 +216,7 @@ def analysis(result: Rollout, agent: Tensor, wall: Tensor) -> list[str]:
         percent(1 - jamb),
         median(slowest),
         median(delay),
+        share(missed),
         share(stands),
     ]
 

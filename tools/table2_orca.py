@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from markdown import table
+from page import table
 
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout

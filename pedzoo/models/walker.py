@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -33,6 +33,8 @@ class Walker(TensorDictModuleBase):
     """
 
     decision_dt = STEP_SECONDS
+    in_keys: ClassVar[list[Any]] = ["agents", "map_id", "scene_pose", "scene_key", "time"]
+    out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def __init__(
         self,
@@ -57,8 +59,6 @@ class Walker(TensorDictModuleBase):
         if not 1 <= execute_steps <= PRED_LEN:
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
-        self.in_keys = ["agents", "map_id", "scene_pose", "scene_key", "time"]
-        self.out_keys = [("agents", "action")]
         self._plan: Tensor | None = None
 
     def bind(self, bank: MapBank) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 from tensordict.nn import TensorDictModuleBase
 
 from pedzoo.errors import unknown
@@ -20,13 +22,13 @@ class Policy(TensorDictModuleBase):
     """
 
     decision_dt: float
+    in_keys: ClassVar[list[Any]] = ["agents", "map_id", "scene_pose", "scene_key", "time"]
+    out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def __init__(self, decision_dt: float) -> None:
         """Say how often it decides."""
         super().__init__()
         self.decision_dt = decision_dt
-        self.in_keys = ["agents", "map_id", "scene_pose"]
-        self.out_keys = [("agents", "action")]
 
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans that ``map_id`` speaks of."""

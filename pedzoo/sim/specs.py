@@ -64,14 +64,14 @@ def done(scenes: int) -> Composite:
 
 def real(*shape: int) -> TensorSpec:
     """Return the spec of real numbers."""
-    return Unbounded(shape=shape, dtype=torch.float32)
+    return Unbounded(shape=torch.Size(shape), dtype=torch.float32)
 
 
 def whole(*shape: int) -> TensorSpec:
     """Return the spec of whole numbers."""
-    return Unbounded(shape=shape, dtype=torch.int64)
+    return Unbounded(shape=torch.Size(shape), dtype=torch.int64)
 
 
 def flag(*shape: int) -> TensorSpec:
     """Return the spec of truth values."""
-    return Categorical(2, shape=shape, dtype=torch.bool)
+    return Categorical(2, shape=torch.Size(shape), dtype=torch.bool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from tensordict import TensorDictBase
@@ -73,7 +73,6 @@ class Orca(Policy):
         self.jitter, self.top_speed_ratio = jitter, top_speed_ratio
         self._sees_walls = walls
         self._walls: WallSegments | None = None
-        self.in_keys = [*self.in_keys, "scene_key", "time"]
 
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans whose walls are avoided."""
@@ -81,7 +80,7 @@ class Orca(Policy):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
-        agents = tensordict["agents"]
+        agents: Any = tensordict["agents"]
         position, mask = agents["history"][:, :, -1], agents["mask"]
         scenes, slots = mask.shape
         top_speed = agents["pref_speed"][..., 0] * self.top_speed_ratio
