@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.sight import Sight
 
@@ -108,3 +109,39 @@ class OpenGraph:
         nearest = np.maximum(np.minimum(place, limit), 0)
         column, row = nearest.T
         return row * self.shape[1] + column, np.asarray((place == nearest).all(axis=1))
+
+    def settle(
+        self, points: NDArray[np.float64], snap: float, what: str
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Return the open cells (M,) of map-frame points (M, 2), and the points.
+
+        Those that are not in an open cell are moved to the centre of the nearest one, by ``snap`` at most.
+
+        Raises:
+            UserError: A point would have to be moved farther; ``what`` says what it is.
+        """
+        if not len(self):
+            raise UserError(
+                f"map {self.grid.name!r} has no cell with clearance {self.clearance} m: nobody can walk there"
+            )
+        flat, inside = self.locate(points)
+        cell = self.index[flat]
+        astray = ~inside | (cell < 0)
+        if not astray.any():
+            return cell, points
+        cell = self.nearest[flat]
+        moved = np.where(astray[:, None], self.xy[cell], points)
+        far = np.linalg.norm(moved - points, axis=1) > snap
+        if far.any():
+            i = int(far.argmax())
+            where = "is in a wall or too near to one" if inside[i] else "is outside the map"
+            raise UserError(
+                f"{what} {show(points[i])} {where} on map {self.grid.name!r}: the nearest point with "
+                f"clearance {self.clearance} m is {show(moved[i])}, more than {snap} m away"
+            )
+        return cell, moved
+
+
+def show(point: NDArray[np.float64]) -> str:
+    """Return a position as messages show it."""
+    return f"({point[0]:.2f}, {point[1]:.2f})"

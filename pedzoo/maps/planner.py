@@ -15,7 +15,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.carrot import seen_beyond
 from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
-from pedzoo.maps.graph import OpenGraph
+from pedzoo.maps.graph import OpenGraph, show
 from pedzoo.maps.planar import Frame
 from pedzoo.maps.tables import Found, Goal, Tables
 
@@ -116,7 +116,7 @@ class Planner:
         ids = []
         cells = [-1] * len(places)
         if row >= 0 and len(places):
-            cells, places = self._settle(row, places, "goal")
+            cells, places = self.graph(row).settle(places, self.snap, "goal")
         for (x, y), cell in zip(places.tolist(), cells, strict=True):
             key = (row, x, y)
             if key not in self._ids:
@@ -175,12 +175,17 @@ class Planner:
         Raises:
             UserError: A goal is of another map than the person.
         """
-        frame, _, found = self._find(points, goal_id, self.bank.index(map_id), pose)
+        frame, _, found = self._find(points, goal_id, self._index(map_id), pose)
         with torch.no_grad():
             places = torch.stack((found.waypoint, found.after, found.goal), dim=1)
             waypoint, after, goal = frame.to_scene(places)
         distance = (waypoint - points).norm(dim=1) + found.onward
         return Look(waypoint, after, goal, distance)
+
+    def _index(self, map_id: Tensor) -> Tensor:
+        # the tables follow the people to their device, and so does the bank
+        self.bank = self.bank.to(map_id.device)
+        return self.bank.index(map_id)
 
     @torch.no_grad()
     def _find(self, points: Tensor, goal: Tensor, row: Tensor, pose: Tensor) -> tuple[Frame, Tensor, Found]:
@@ -224,7 +229,7 @@ class Planner:
             pref_speed: Metres per second (P,).
             look_ahead_seconds: How far ahead the carrot is.
         """
-        row = self.bank.index(map_id)
+        row = self._index(map_id)
         frame, home, found = self._find(points, goal_id, row, pose)
         with torch.no_grad():
             ahead = pref_speed * look_ahead_seconds
@@ -267,41 +272,14 @@ class Planner:
         if row < 0:
             return ends[1:]
         graph = self.graph(row)
-        (first, last), moved = self._settle(row, ends, "start or goal")
+        (first, last), moved = graph.settle(ends, self.snap, "start or goal")
         if graph.component[first] != graph.component[last]:
             raise UserError(
-                f"no way from {_show(ends[0])} to {_show(ends[1])} on map {graph.grid.name!r}: they are in "
+                f"no way from {show(ends[0])} to {show(ends[1])} on map {graph.grid.name!r}: they are in "
                 f"rooms without a door between that leaves clearance {self.clearance} m"
             )
         bends = self.corners(row).way(first, last, *graph.to_place(moved))
         return np.concatenate((graph.xy[bends], moved[1:]))
-
-    def _settle(
-        self, row: int, points: NDArray[np.float64], what: str
-    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Return the open cells of points, and the points, moved where they had to be."""
-        graph = self.graph(row)
-        if not len(graph):
-            raise UserError(
-                f"map {graph.grid.name!r} has no cell with clearance {self.clearance} m: nobody can walk"
-                " there"
-            )
-        flat, inside = graph.locate(points)
-        cell = graph.index[flat]
-        snapped = ~inside | (cell < 0)
-        if not snapped.any():
-            return cell, points
-        cell = graph.nearest[flat]
-        moved = np.where(snapped[:, None], graph.xy[cell], points)
-        far = np.linalg.norm(moved - points, axis=1) > self.snap
-        if far.any():
-            i = int(far.argmax())
-            where = "is in a wall or too near to one" if inside[i] else "is outside the map"
-            raise UserError(
-                f"{what} {_show(points[i])} {where} on map {graph.grid.name!r}: the nearest point with "
-                f"clearance {self.clearance} m is {_show(moved[i])}, more than {self.snap} m away"
-            )
-        return cell, moved
 
 
 def _as_points(points: ArrayLike | Tensor) -> NDArray[np.float64]:
@@ -312,7 +290,3 @@ def _as_points(points: ArrayLike | Tensor) -> NDArray[np.float64]:
             f"goals must be finite positions in metres, got {found[~np.isfinite(found).all(1)][0]}"
         )
     return found
-
-
-def _show(point: NDArray[np.float64]) -> str:
-    return f"({point[0]:.2f}, {point[1]:.2f})"
