@@ -66,7 +66,8 @@ def test_pedzoo_commands(
 ) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
     found = commands()
-    less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": ["--episodes", "2", "--film", "1"]}
+    walk = ["--episodes", "2", "--video_seconds", "1"]
+    less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk}
     assert {words[0] for words in found} == set(less)
     for words in found:
         assert main([*words, *less[words[0]]]) == 0, words

@@ -12,6 +12,7 @@ def run(argv: list[str]) -> int:
     from typing import Literal
 
     from jsonargparse import ArgumentParser
+    from jsonargparse.typing import PositiveFloat
 
     from pedzoo.cli.output import print_report, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
@@ -56,6 +57,12 @@ def run(argv: list[str]) -> int:
         default="perspective",
         help="Where the camera is; the grid world is always seen from the top.",
     )
+    parser.add_argument(
+        "--video_seconds",
+        "--video-seconds",
+        type=PositiveFloat | None,
+        help="Film no more than this, seconds of the scene.",
+    )
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
@@ -93,6 +100,7 @@ def run(argv: list[str]) -> int:
         if options.video:
             with progress_bar() as progress:
                 size = (640, 480) if len(names) == 1 else (480, 360)
-                film(comparison.walked, options.video, options.show, options.video_view, size, None, progress)
+                shot = options.show, options.video_view, size, options.video_seconds
+                film(comparison.walked, options.video, *shot, progress)
             print(f"video: {options.video}")
     return 0
