@@ -1,0 +1,123 @@
+"""Every scenario and every policy of the registries, a newcomer's too."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torchrl.envs import check_env_specs
+
+from pedzoo.errors import UserError
+from pedzoo.eval.closed_loop import row
+from pedzoo.eval.rollout import rollout
+from pedzoo.geometry import move_to_scene, turn_to_scene
+from pedzoo.models.zoo import baselines, list_models
+from pedzoo.registry import POLICIES, SCENARIOS
+from pedzoo.sim.make import make_env
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.scenarios.goals import Goals, flat
+from pedzoo.types import BODY_RADIUS
+
+EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
+EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models()])
+
+
+@EVERY_SCENARIO
+def test_scenes_are_sound(name: str) -> None:
+    env = make_env(name, num_envs=24)
+    check_env_specs(env)
+    env.set_seed(0)
+    env.reset()
+    state = env.state
+    wall, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
+    assert float(wall[state.mask].min()) > BODY_RADIUS - 0.011
+    apart = torch.cdist(state.position, state.position) + 9 * torch.eye(env.scenario.people)
+    apart = torch.where(state.mask.unsqueeze(1) & state.mask.unsqueeze(2), apart, torch.inf)
+    assert float(apart.min()) > 2 * BODY_RADIUS
+    assert state.way[state.mask].isfinite().all()
+    assert (state.goal_id[state.mask] >= 0).all()
+    assert float(state.pref_speed.max()) <= env.scenario.fastest + 1e-6
+    assert state.mask.any(1).all()
+
+
+@EVERY_SCENARIO
+def test_goals_can_be_reached_in_time(name: str) -> None:
+    result, _ = rollout("go_to_goal", name, "grid", 16)
+    assert row("go_to_goal", result, 0.4)["metrics"]["success"] > 0.95
+
+
+@EVERY_POLICY
+def test_policies_walk(name: str) -> None:
+    policy = load_policy(name)
+    env = make_env("goals:people=[2,4],pool=6", num_envs=3, decision_dt=policy.decision_dt)
+    policy.bind(env.bank)
+    now: Any = env.reset()
+    with torch.no_grad():
+        action = policy(now)["agents", "action"]
+        assert action.shape == (3, 4, 2)
+        assert action[now["agents", "mask"]].isfinite().all()
+        # who is not there has no say
+        absent = ~now["agents", "mask"]
+        assert absent.any()
+        changed = now.clone()
+        for key in ("history", "goal", "velocity", "desired_velocity"):
+            changed["agents", key][absent] = 3.0
+        again = policy(changed)["agents", "action"]
+    assert torch.allclose(again[~absent], action[~absent], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", POLICIES.names())
+def test_a_turned_and_mirrored_scene_is_walked_alike(name: str) -> None:
+    policy = load_policy(f"{name}:jitter=0" if name == "orca" else name)
+    env = make_env("door:people=4", num_envs=3, decision_dt=policy.decision_dt)
+    policy.bind(env.bank)
+    now: Any = env.reset()
+    pose = torch.tensor([[1.1, -1.0, 4.0, -2.0]]).repeat(3, 1)
+    turned = now.clone()
+    turned["scene_pose"] = pose
+    for key in ("history", "goal"):
+        turned["agents", key] = move_to_scene(now["agents", key], pose)
+    for key in ("velocity", "desired_velocity"):
+        turned["agents", key] = turn_to_scene(now["agents", key], pose)
+    expected = turn_to_scene(policy(now)["agents", "action"], pose)
+    assert torch.allclose(policy(turned)["agents", "action"], expected, atol=1e-3)
+
+
+def test_door_widths_are_as_they_are_named() -> None:
+    env = make_env("door:width=0.9,thickness=0.1,people=1")
+    grid = env.bank.grids[0]
+    x, y, _ = grid.origin
+    column = round(-x / grid.resolution)
+    opening = (~grid.occupied("wall")[:, column]).sum() * grid.resolution
+    assert opening == pytest.approx(0.9)
+    wall = grid.occupied("wall")[round((-y + 1.5) / grid.resolution)]
+    middle = wall[column - 10 : column + 10].sum() * grid.resolution
+    assert middle == pytest.approx(0.1)
+
+
+def test_speeds_may_differ_at_the_door() -> None:
+    speed = make_env("door:speed_ratio=0.5,speed_std=0,people=4").reset()["agents", "pref_speed"]
+    assert torch.allclose(speed[0, :, 0], torch.tensor([1.3, 0.65, 1.3, 0.65]))
+
+
+def test_goals_are_new_ones_some_way_off() -> None:
+    env = make_env("goals:people=3,pool=10,goals=3", num_envs=8, warm_start="static")
+    scenario = env.scenario
+    assert isinstance(scenario, Goals)
+    result, _ = rollout("go_to_goal", "goals:people=3,pool=10,goals=3", "grid", 8)
+    moved = result.goal.diff(dim=2).norm(dim=-1)
+    assert float(moved[moved > 0].min()) > 0.5
+    # reached one after the other, at the place where the goal was
+    assert int((result.reached.diff(dim=2) > 1).sum()) == 0
+
+
+def test_a_scenario_on_several_floor_plans(tmp_path: Any) -> None:
+    for name in ("a", "b"):
+        flat().save(tmp_path / f"{name}.yaml")
+    grid = flat()
+    assert grid.map_id == type(grid).load(tmp_path / "a.yaml").map_id
+    with pytest.raises(UserError, match="no map"):
+        make_env(f"goals:map={tmp_path}/c.yaml")
+    env = make_env(f"goals:map=[{tmp_path}/a.yaml,{tmp_path}/b.yaml],pool=4,people=2", num_envs=2)
+    assert env.reset()["map_id"].unique().tolist() == [grid.map_id]  # the same content is the same map

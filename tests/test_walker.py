@@ -1,0 +1,133 @@
+"""Any forecaster walks: whose noise it gets, for how long, and how much of a prediction is walked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from pedzoo.errors import UserError
+from pedzoo.models.base import Forecaster
+from pedzoo.models.walker import Walker
+from pedzoo.models.zoo import load
+from pedzoo.sim.make import make_env
+from pedzoo.types import PRED_LEN
+
+
+class Echo(Forecaster):
+    """Walks its own noise, and counts how often it is asked."""
+
+    noise_dim = 2
+
+    def __init__(self) -> None:
+        """Nobody has asked yet."""
+        super().__init__()
+        self.asked = 0
+        self.config = {}
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the noise as the first step, twice that as the second, and so on."""
+        self.asked += 1
+        assert horizon == PRED_LEN
+        shape: Any = batch["agents", "mask"].shape
+        z = torch.zeros(*shape, 2) if noise is None else noise
+        return z.unsqueeze(2) * torch.arange(1, steps + 1).view(1, 1, -1, 1)
+
+
+def scene(scenes: int = 3, people: int = 4, time: float = 0.0, key: int = 7) -> Any:
+    """Return the part of a batch that noise depends on."""
+    agents = TensorDict({"mask": torch.ones(scenes, people, dtype=torch.bool)}, [scenes, people])
+    keys = key + torch.arange(scenes).unsqueeze(1)
+    return TensorDict({"agents": agents, "scene_key": keys, "time": torch.full((scenes, 1), time)}, [scenes])
+
+
+def drawn(walker: Walker, **where: Any) -> Tensor:
+    """Return what the noise was (B, A, 2)."""
+    with set_exploration_type(ExplorationType.RANDOM):
+        return walker(scene(**where))["agents", "action"] * 0.4
+
+
+def test_noise_of_an_episode_is_a_persons_own_and_stays() -> None:
+    walker = Walker(Echo(), noise="episode")
+    first = drawn(walker)
+    assert torch.equal(drawn(walker, time=4.0), first)
+    assert len(first.flatten(0, 1).unique(dim=0)) == 12
+    assert not torch.equal(drawn(walker, key=100), first)
+
+
+def test_noise_of_a_step_changes() -> None:
+    walker = Walker(Echo(), noise="step")
+    assert not torch.equal(drawn(walker, time=0.4), drawn(walker, time=0.8))
+    assert torch.equal(drawn(walker, time=0.4), drawn(walker, time=0.4))
+
+
+def test_noise_of_a_scene_is_the_same_for_all_in_it() -> None:
+    first = drawn(Walker(Echo(), noise="scene"))
+    assert torch.equal(first, first[:, :1].expand_as(first))
+    assert len(first[:, 0].unique(dim=0)) == 3
+
+
+def test_noise_does_not_depend_on_who_else_is_there() -> None:
+    walker = Walker(Echo())
+    assert torch.equal(drawn(walker, people=9)[:, :4], drawn(walker, people=4))
+    assert torch.equal(drawn(walker, scenes=5)[:3], drawn(walker, scenes=3))
+
+
+def test_noise_follows_who_people_are_not_where_they_stand() -> None:
+    walker, first, turned = Walker(Echo()), scene(), scene()
+    first["agents", "id"] = torch.tensor([5, 6, 7, 8]).expand(3, 4)
+    turned["agents", "id"] = torch.tensor([8, 7, 6, 5]).expand(3, 4)
+    with set_exploration_type(ExplorationType.RANDOM):
+        one, other = (walker(batch)["agents", "action"] for batch in (first, turned))
+    assert torch.equal(one, other.flip(1))
+
+
+@pytest.mark.parametrize("kind", [ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN])
+def test_deterministic_exploration_is_noise_zero(kind: ExplorationType) -> None:
+    with set_exploration_type(kind):
+        assert (Walker(Echo())(scene())["agents", "action"] == 0).all()
+
+
+def test_execute_steps_walks_a_prediction_before_the_next() -> None:
+    model = Echo()
+    walker = Walker(model, execute_steps=3)
+    actions = [drawn(walker, time=0.4 * step) for step in range(6)]
+    assert model.asked == 2
+    for step, action in enumerate(actions):
+        assert torch.allclose(action, actions[0] * (step % 3 + 1))
+    # another batch begins: nothing of the old plan is left
+    assert drawn(walker, scenes=2).shape == (2, 4, 2)
+
+
+def test_a_scene_that_begins_anew_gets_a_plan_of_its_own() -> None:
+    walker = Walker(Echo(), execute_steps=4)
+    drawn(walker)
+    later = scene(time=0.8)
+    later["time"][1] = 0.0
+    with set_exploration_type(ExplorationType.RANDOM):
+        action = walker(later)["agents", "action"] * 0.4
+    first = drawn(Walker(Echo()))
+    assert torch.allclose(action, first * torch.tensor([3.0, 1.0, 3.0]).view(3, 1, 1))
+
+
+def test_displacement_over_0_4_s_is_the_velocity() -> None:
+    env = make_env("door:people=2", num_envs=3)
+    now = env.reset()
+    model = load("sgan_goal.zara1")
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        action = model.policy()(now)["agents", "action"]
+        expected = model.mode(now, PRED_LEN)[:, 0, :, 0] / 0.4
+    assert torch.allclose(action, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [({"noise": "epsiode"}, "did you mean 'episode'"), ({"execute_steps": 9}, "expected 1 to 8")],
+)
+def test_wrong_settings(settings: dict[str, Any], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        Walker(Echo(), **settings)
