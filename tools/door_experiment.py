@@ -184,6 +184,17 @@ NOTE = """
 * *miss the goal first*: share of people who come within 1 m of the goal and need more than 3 s from there.
 * *stand still at the end*: share of people who moved less than 0.1 m in the last 5 s of their episode and
   are not at their goal.
+
+What goes wrong: the forecasters have seen people who had settled their encounters seconds before, and never
+their own mistakes.
+
+1. They meet in the doorway, at less than a third of a metre from its centre: they slow down to two thirds or
+   three quarters of their speed where one of the two would have to wait.
+2. They slide along walls. The floor plan does not help at a narrow door, which outdoor recordings do not
+   have: SGAN+goal+map touches walls in more episodes than SGAN+goal, nearly always at the jambs.
+3. One in three (with the map one in five) misses the 0.3 m of the goal and comes back in a loop: that is why
+   the median time is that much longer than ORCA's.
+4. Without a goal, `sgan.zara1` and `constant_velocity` pass the door by chance and then walk into a wall.
 """
 
 

@@ -20,10 +20,17 @@ from page import table
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.paths import shipped, write_whole
+from pedzoo.sim.make import CLEARANCE
 from pedzoo.versions import versions
 
 CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
 RADII = (0.2, 0.3, 0.5)
+MARGIN = 0.05
+BLOCKS = {
+    "seen": "walls seen, ways {:g} m from walls",
+    "unseen": "walls unseen, ways {:g} m from walls",
+    "wide": "walls seen, ways {:g} m from walls: only where the disk fits",
+}
 
 
 class Case(NamedTuple):
@@ -33,6 +40,7 @@ class Case(NamedTuple):
     scenario: str
     world: str
     episodes: int
+    clearance: float
 
 
 def main() -> None:
@@ -47,11 +55,13 @@ def main() -> None:
     options = parser.parse_args()
     cases = {}
     for radius in RADII:
-        for walls in ("true", "false"):
+        for block in BLOCKS:
             for people, goals in CELLS:
                 scenario = f"goals:map={options.map},people={people},goals={goals}"
-                policy = f"orca:radius={radius},walls={walls}"
-                cases[radius, walls, people, goals] = Case(policy, scenario, options.world, options.episodes)
+                policy = f"orca:radius={radius},walls={'false' if block == 'unseen' else 'true'}"
+                clearance = radius + MARGIN if block == "wide" else CLEARANCE
+                case = Case(policy, scenario, options.world, options.episodes, clearance)
+                cases[radius, block, people, goals] = case
     with ProcessPoolExecutor(options.workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         metrics = dict(zip(cases, pool.map(measured, cases.values()), strict=True))
     text = page(Path(options.map).stem, options, metrics)
@@ -61,9 +71,9 @@ def main() -> None:
 
 def measured(case: Case) -> dict[str, float]:
     """Return the metrics of one cell."""
-    result, env = rollout(case.policy, case.scenario, case.world, case.episodes)
+    result, env = rollout(case.policy, case.scenario, case.world, case.episodes, clearance=case.clearance)
     env.world.close()
-    return row(case.policy, result, 0.1)["metrics"]
+    return row(case.policy, result, 0.1)["metrics"] | {"clearance": case.clearance}
 
 
 def page(name: str, options: argparse.Namespace, metrics: dict[tuple, dict[str, float]]) -> str:
@@ -77,11 +87,12 @@ def page(name: str, options: argparse.Namespace, metrics: dict[tuple, dict[str, 
     names = ["people / goals", "episodes in time", "time until all are done, s", "steps of 0.1 s"]
     names += ["goals per person", "least", "people touch: events per min", "walls: events per min"]
     for radius in RADII:
-        for walls in ("true", "false"):
-            lines.append(f"## radius {radius} m, walls {'seen' if walls == 'true' else 'unseen'}\n")
+        for block, what in BLOCKS.items():
+            clearance = metrics[radius, block, *CELLS[0]]["clearance"]
+            lines.append(f"## radius {radius} m, {what.format(clearance)}\n")
             rows = []
             for people, goals in CELLS:
-                found = metrics[radius, walls, people, goals]
+                found = metrics[radius, block, people, goals]
                 time = found.get("time_s")
                 rows.append(
                     [

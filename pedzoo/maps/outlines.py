@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
-def outlines(occupied: NDArray[np.bool_], tolerance: float = 1.0) -> list[NDArray[np.float64]]:
+def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[NDArray[np.float64]]:
     """Return the borders between occupied and free cells as polygons.
 
     Walls lie to the left of every edge: solids run counter-clockwise, free spaces inside them clockwise.
@@ -65,7 +65,7 @@ def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
     return polygons
 
 
-def _simplified(polygon: NDArray[np.int64], tolerance: float) -> NDArray[np.float64]:
+def _simplified(polygon: NDArray[np.int64], tolerance: float = 0.5) -> NDArray[np.float64]:
     import cv2
 
     exact = polygon.astype(np.float64)

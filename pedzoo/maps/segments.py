@@ -54,11 +54,12 @@ class WallSegments:
 
     Attributes:
         bank: The floor plans; their unknown cells count as it says.
-        tolerance: How many cells a simplified outline may depart from the cells' edges.
+        tolerance: How many cells a simplified outline may depart from the cells' edges. Half of one makes
+            staircases straight; with a whole one people of radius 0.2 m touched walls in a scanned apartment.
         most: Segments that are returned for one person at most.
     """
 
-    def __init__(self, bank: MapBank, tolerance: float = 1.0, most: int = 16) -> None:
+    def __init__(self, bank: MapBank, tolerance: float = 0.5, most: int = 16) -> None:
         """Take the floor plans; nothing is computed before the first look-up."""
         self.bank = bank
         self.tolerance = tolerance
