@@ -360,6 +360,12 @@ def test_more_people_than_free_space() -> None:
         make_env("goals:people=500")
 
 
+def test_rooms_without_a_door_between_that_people_fit_through() -> None:
+    with pytest.raises(UserError, match=r"no way from .* to the goal \(3\.0, -0\.6\) keeps 0\.25 m"):
+        make_env("door:width=0.4").reset()
+    make_env("door:width=0.4", clearance=0.15).reset()
+
+
 def test_unknown_names() -> None:
     for name, told in (("dor", "did you mean 'door'"), ("goals:persons=3", "known: .*people")):
         with pytest.raises(UserError, match=told):

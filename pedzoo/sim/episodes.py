@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.draws import Draws
-from pedzoo.errors import unknown
+from pedzoo.errors import UserError, unknown
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.planner import Look
 from pedzoo.maps.segments import WallSegments
@@ -44,7 +44,11 @@ class Episodes:
 
     @torch.no_grad()
     def begin(self, key: Tensor) -> State:
-        """Return the first state of the episodes with draws of ``key`` (B,) long."""
+        """Return the first state of the episodes with draws of ``key`` (B,) long.
+
+        Raises:
+            UserError: Somebody's goal cannot be reached.
+        """
         layout = self._scenario.layout(Draws(key))
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
         goal, drawn = layout.goal, torch.zeros_like(layout.goal)
@@ -57,6 +61,18 @@ class Episodes:
         position = past[:, :, -1]
         look = self._look(position, goal, layout, pose)
         way = look.distance.view_as(layout.pref_speed)
+        cut_off = (layout.mask & way.isinf()).nonzero()
+        if len(cut_off):
+            scene, slot = cut_off[0].tolist()
+            here, there = (
+                tuple(round(float(value), 2) for value in where.view_as(position)[scene, slot])
+                for where in (position, look.goal_point)
+            )
+            clearance = self._scenario.planner.clearance
+            raise UserError(
+                f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
+                f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
+            )
         clock = way.new_zeros(len(key))
         return State(
             key=key,

@@ -12,7 +12,7 @@ def run(argv: list[str]) -> int:
     from typing import Literal
 
     from jsonargparse import ArgumentParser
-    from jsonargparse.typing import PositiveFloat
+    from jsonargparse.typing import NonNegativeFloat, PositiveFloat
 
     from pedzoo.cli.output import print_report, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
@@ -21,6 +21,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.eval.closed_loop import Comparison
     from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
     from pedzoo.eval.video import check_video_path, film
+    from pedzoo.sim.make import CLEARANCE
     from pedzoo.sim.warm_start import WarmStart
     from pedzoo.versions import versions
 
@@ -36,6 +37,9 @@ def run(argv: list[str]) -> int:
         "--world", type=Literal["bullet", "grid"], default="bullet", help="pybullet, or torch alone (faster)."
     )
     parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
+    parser.add_argument(
+        "--clearance", type=NonNegativeFloat, default=CLEARANCE, help="Planned ways from walls, metres."
+    )
     parser.add_argument("--seed", type=int, default=0, help="Of the scenes, the same for all.")
     parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
     parser.add_argument(
@@ -74,7 +78,7 @@ def run(argv: list[str]) -> int:
     if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
-    settings = {"warm_start": options.warm_start, "decision_dt": options.decision_dt}
+    settings = {key: options[key] for key in ("warm_start", "clearance", "decision_dt")}
     names, where = options.policies, (options.scenario, options.world, options.episodes, options.seed)
 
     with Comparison(names, *where, options.deterministic, **settings) as comparison:
