@@ -161,6 +161,7 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
         "episodes": 3,
         "noise": "none",
         "warm_start": "static",
+        "clearance": 0.25,
     }
     assert [found["name"] for found in report["rows"]] == policies
     for found in report["rows"]:

@@ -96,6 +96,21 @@ def test_door_widths_are_as_they_are_named() -> None:
     assert middle == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ("width=0.83", r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85"),
+        ("thickness=0", r"thickness 0\.0"),
+        ("people=0", "people 0: expected at least 1"),
+        ("speed=0.1", r"speed 0\.1"),
+        ("speed_ratio=0", r"speed_ratio 0\.0"),
+    ],
+)
+def test_doors_that_cannot_be(settings: str, told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        make_env(f"door:{settings}")
+
+
 def test_speeds_may_differ_at_the_door() -> None:
     speed = make_env("door:speed_ratio=0.5,speed_std=0,people=4").reset()["agents", "pref_speed"]
     assert torch.allclose(speed[0, :, 0], torch.tensor([1.3, 0.65, 1.3, 0.65]))
