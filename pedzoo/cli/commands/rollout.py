@@ -64,7 +64,7 @@ def run(argv: list[str]) -> int:
     parser.add_argument(
         "--video_seconds",
         "--video-seconds",
-        type=PositiveFloat | None,
+        type=PositiveFloat,
         help="Film no more than this, seconds of the scene.",
     )
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
