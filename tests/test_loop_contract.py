@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import pickle
 import warnings
+from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +249,25 @@ def test_workers_share_a_seed() -> None:
     for _ in range(2):
         together = torch.cat([worker.reset()["scene_key"] for worker in workers])
         assert torch.equal(together, whole.reset()["scene_key"])
+
+
+def first_positions(first_episode: int) -> list[float]:
+    """Return where the people of one episode are; run by another process."""
+    env = make_env("door", num_envs=1, seed=1, first_episode=first_episode)
+    return env.reset()["agents", "history"].flatten().tolist()
+
+
+def test_another_process_sees_the_same_scene() -> None:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        there = pool.submit(first_positions, 2).result()
+    whole = make_env("door", num_envs=4, seed=1).reset()["agents", "history"][2]
+    assert torch.allclose(torch.tensor(there), whole.flatten(), atol=1e-5)
+
+
+def test_environments_go_to_workers() -> None:
+    env = make_env("goals:pool=6", num_envs=2, seed=3, world="bullet")
+    sent = pickle.loads(pickle.dumps(env))
+    assert torch.equal(sent.reset()["agents", "history"], env.reset()["agents", "history"])
 
 
 @pytest.mark.parametrize("scenario", SCENES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,8 @@ from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.geometry import move_to_scene, turn_to_scene
-from pedzoo.models.zoo import baselines, list_models
+from pedzoo.models.walker import Walker
+from pedzoo.models.zoo import baselines, list_models, load, save_weights
 from pedzoo.registry import POLICIES, SCENARIOS
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import load_policy
@@ -65,6 +67,24 @@ def test_policies_walk(name: str) -> None:
             changed["agents", key][absent] = 3.0
         again = policy(changed)["agents", "action"]
     assert torch.allclose(again[~absent], action[~absent], atol=1e-5)
+
+
+def test_policies_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from pedzoo.models.architectures.constant_velocity import ConstantVelocity\n"
+        "from pedzoo.sim.policies.go_to_goal import GoToGoal\n\n\n"
+        "class Model(ConstantVelocity):\n    pass\n\n\n"
+        "class Mine(GoToGoal):\n    def __init__(self, dt: float = 0.2):\n        super().__init__(dt)\n"
+    )
+    model = load_policy(f"{tmp_path}/mine.py:Model:execute_steps=2")
+    assert isinstance(model, Walker) and model.execute_steps == 2
+    assert load_policy(f"{tmp_path}/mine.py:Mine").decision_dt == 0.2
+    for name in ("Model", "Mine:dt=0.4"):
+        assert rollout(f"{tmp_path}/mine.py:{name}", "door", "grid", 1)[0].trace.isfinite().all()
+    weights = tmp_path / "weights.safetensors"
+    save_weights(load("sgan_goal.zara1"), weights)
+    named, _ = rollout("sgan_goal.zara1", "door", "grid", 1)
+    assert torch.equal(rollout(str(weights), "door", "grid", 1)[0].trace, named.trace)
 
 
 @pytest.mark.parametrize("name", POLICIES.names())

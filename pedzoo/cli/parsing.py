@@ -66,6 +66,9 @@ def explain(message: str, known: list[str]) -> str:
     if found := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
         path, _ = _place(message[: found.start()])
         return _mismatch(path, _plain(found[1]), found[2])
+    if found := re.search(r"Not of type \w+: (.*) does not conform to restriction v(.*)", message):
+        path, _ = _place(message[: found.start()])
+        return f"{path}: expected a number {found[2]}, not {found[1]}"
     if found := re.search(r"Expected a dot import path string: (.*)", message):
         path, _ = _place(message[: found.start()])
         return f"{path}: no class {found[1]!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
