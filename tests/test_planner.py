@@ -19,8 +19,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.fields import build_fields
 from pedzoo.maps.graph import OpenGraph
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.guidance import Guidance, Look
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.maps.planner import Guidance, Look, Planner
+from pedzoo.maps.planner import Planner
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid, Unknown
@@ -145,3 +146,18 @@ class OpenGraph:
 def show(point: NDArray[np.float64]) -> str:
     """Return a position as messages show it."""
     return f"({point[0]:.2f}, {point[1]:.2f})"
+
+
+def as_points(points: ArrayLike | Tensor) -> NDArray[np.float64]:
+    """Return positions (N, 2), metres.
+
+    Raises:
+        UserError: One is not finite.
+    """
+    given = points.detach().cpu().numpy() if isinstance(points, Tensor) else points
+    found = np.array(given, dtype=np.float64).reshape(-1, 2)
+    if not np.isfinite(found).all():
+        raise UserError(
+            f"goals must be finite positions in metres, got {found[~np.isfinite(found).all(1)][0]}"
+        )
+    return found

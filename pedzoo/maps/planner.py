@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,39 +14,12 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.carrot import seen_beyond
 from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
-from pedzoo.maps.graph import OpenGraph, show
+from pedzoo.maps.graph import OpenGraph, as_points, show
+from pedzoo.maps.guidance import Guidance, Look
 from pedzoo.maps.planar import Frame
 from pedzoo.maps.tables import Found, Goal, Tables
 
 _EPSILON = 1e-6
-
-
-class Look(NamedTuple):
-    """Where people's ways lead, in the scene's frame, metres."""
-
-    waypoint: Tensor
-    """The farthest point of the way in sight (P, 2); where none leads to the goal, the person's position."""
-    next_waypoint: Tensor
-    """The waypoint after that (P, 2): the same where the way ends."""
-    goal_point: Tensor
-    """The goal (P, 2)."""
-    distance: Tensor
-    """Length of the way to the goal (P,): ``inf`` where none leads to it, 0 for people without a goal."""
-
-
-class Guidance(NamedTuple):
-    """What people are told, in the scene's frame, metres and seconds."""
-
-    goal: Tensor
-    """The carrot (P, 2)."""
-    desired_velocity: Tensor
-    """``pref_speed`` towards the next waypoint (P, 2)."""
-    waypoint: Tensor
-    """As in `Look` (P, 2)."""
-    goal_point: Tensor
-    """As in `Look` (P, 2)."""
-    distance: Tensor
-    """As in `Look` (P,)."""
 
 
 class Planner:
@@ -112,7 +84,7 @@ class Planner:
         Raises:
             UserError: A goal is not finite, in or too near a wall, or outside the map.
         """
-        places = _as_points(points)
+        places = as_points(points)
         ids = []
         cells = [-1] * len(places)
         if row >= 0 and len(places):
@@ -268,7 +240,7 @@ class Planner:
         Raises:
             UserError: No way leads there, or an end of it is in a wall or outside the map.
         """
-        ends = np.concatenate((_as_points(start), _as_points(goal)))
+        ends = np.concatenate((as_points(start), as_points(goal)))
         if row < 0:
             return ends[1:]
         graph = self.graph(row)
@@ -280,13 +252,3 @@ class Planner:
             )
         bends = self.corners(row).way(first, last, *graph.to_place(moved))
         return np.concatenate((graph.xy[bends], moved[1:]))
-
-
-def _as_points(points: ArrayLike | Tensor) -> NDArray[np.float64]:
-    given = points.detach().cpu().numpy() if isinstance(points, Tensor) else points
-    found = np.array(given, dtype=np.float64).reshape(-1, 2)
-    if not np.isfinite(found).all():
-        raise UserError(
-            f"goals must be finite positions in metres, got {found[~np.isfinite(found).all(1)][0]}"
-        )
-    return found

@@ -18,7 +18,8 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, limit_speed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.planner import Guidance, Planner
+from pedzoo.maps.guidance import Guidance
+from pedzoo.maps.planner import Planner
 from pedzoo.models.roster import PREF_SPEED, Roster, as_points
 from pedzoo.models.ways import Ways
 from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO

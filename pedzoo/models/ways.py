@@ -10,7 +10,8 @@ from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
-from pedzoo.maps.planner import Guidance, Planner
+from pedzoo.maps.guidance import Guidance
+from pedzoo.maps.planner import Planner
 from pedzoo.models.roster import Roster, as_points
 from pedzoo.types import PRED_LEN, STEP_SECONDS
 

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planner import Guidance
+from pedzoo.maps.guidance import Guidance
 from pedzoo.sim import specs
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes

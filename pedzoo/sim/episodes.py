@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.geometry import identity_pose
-from pedzoo.maps.planner import Look
+from pedzoo.maps.guidance import Look
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import arrived, deadline, renewed

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.geometry import limit_speed
-from pedzoo.maps.planner import Guidance
+from pedzoo.maps.guidance import Guidance
 from pedzoo.sim.arrival import arrived, deadline, renewed
 from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario
