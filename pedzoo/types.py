@@ -8,6 +8,7 @@ A scene batch is a TensorDict of batch size (B,). Recordings and the environment
 =====================  =====================  ==========================================================
 key                    shape                  meaning
 =====================  =====================  ==========================================================
+agents/id              (B, A) long            who it is, for noise of their own; the slot where absent
 agents/history         (B, A, 8, 2)           world positions, oldest first, every 0.4 s
 agents/valid           (B, A, 8) bool         which of them are known
 agents/velocity        (B, A, 2)              current velocity, m/s
@@ -21,6 +22,11 @@ agents/future_valid    (B, A, T) bool         which of it is known
 map_id                 (B, 1) long            floor plan in the MapBank, -1 for none
 scene_pose             (B, 4)                 rotation, mirror (+1 or -1) and shift of the scene against it
 prediction             (B, K, A, T, 2)        a model's answer: displacements per step, metres
+scene_key              (B, 1) long            environment only: names the scene, noise is drawn by it
+time                   (B, 1)                 environment only: seconds since the warm start
+agents/action          (B, A, 2)              a policy's answer: velocities, m/s
+agents/reward          (B, A, 1)              environment only, with agents/info, failed, done, terminated
+                                              and truncated: see `pedzoo.sim.env`
 =====================  =====================  ==========================================================
 """
 

@@ -37,7 +37,7 @@ class Orca(Policy):
         time_horizon: float | None = None,
         time_horizon_obst: float | None = None,
         max_obstacles: int | None = None,
-        top_speed_ratio: float = TOP_SPEED_RATIO,
+        top_speed_ratio: float | None = None,
     ) -> None:
         """Set the constants; what is not given is the preset's.
 
@@ -52,12 +52,14 @@ class Orca(Policy):
             time_horizon: Seconds for which velocities are safe with respect to others.
             time_horizon_obst: And with respect to walls.
             max_obstacles: So many nearest wall segments are heeded.
-            top_speed_ratio: Top speed, divided by the preferred one.
+            top_speed_ratio: Top speed, divided by the preferred one; iGibson's people have no other.
 
         Raises:
             UserError: A setting is out of range.
         """
         super().__init__(dt)
+        if top_speed_ratio is None:
+            top_speed_ratio = 1.0 if preset == "igibson" else TOP_SPEED_RATIO
         if jitter < 0 or top_speed_ratio <= 0:
             raise UserError(f"orca: jitter {jitter}, top_speed_ratio {top_speed_ratio}: expected >= 0, > 0")
         given = {
