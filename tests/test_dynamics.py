@@ -111,3 +111,24 @@ def test_without_floor_plans_nothing_is_in_the_way() -> None:
         torch.zeros(1, 1, 2), torch.ones(1, 1, 2), 0.4, 4, MapBank(), torch.tensor([-1]), identity_pose(1)
     )
     assert torch.allclose(path[0, 0, -1], torch.tensor([0.4, 0.4]))
+
+
+def test_nobody_s_way_depends_on_who_else_walks() -> None:
+    generator = torch.Generator().manual_seed(1)
+    start = torch.rand(1, 400, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
+    velocity = 2 * torch.randn(1, 400, 2, generator=generator)
+    map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
+    together = walk(start, velocity, 0.4, 16, BANK, map_id, pose)
+    for i in range(0, 400, 9):
+        alone = walk(start[:, i : i + 1], velocity[:, i : i + 1], 0.4, 16, BANK, map_id, pose)
+        assert torch.equal(alone[:, 0], together[:, i])
+
+
+def test_nobody_creeps_into_a_wall() -> None:
+    """Sliding along at a shallow angle, for two minutes."""
+    map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
+    position = torch.tensor([[[2.0 - NEAREST, 0.5]]])
+    for step in range(300):
+        velocity = torch.tensor([[[1e-3, 0.5 if step // 10 % 2 else -0.5]]])
+        position = walk(position, velocity, 0.4, 16, BANK, map_id, pose)[:, :, -1]
+    assert float(position[0, 0, 0]) < 2.0 - NEAREST + 1e-3

@@ -21,7 +21,8 @@ SKIN = 0.01
 _PUSHES = 3
 """Corrections per sub-step: an inner corner has two walls, and the second may push back to the first."""
 
-_ROUNDING = 1e-4
+_ROUNDING = 1e-5
+"""Metres that are not worth a correction; ten times as much is not accepted after the last one."""
 
 
 def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
@@ -86,12 +87,15 @@ def _slide(position: Tensor, move: Tensor, steps: int, walls: LocalWalls, reach:
         allowed = distance.detach().clamp_max(reach)  # whoever is too close already may not come closer
         gap, away = walls.closest(wanted)
         for _ in range(_PUSHES):
-            if not bool((gap < allowed - _ROUNDING).any()):
+            too_close = gap < allowed - _ROUNDING
+            if not bool(too_close.any()):
                 break
-            wanted = wanted + (allowed - gap).clamp_min(0.0).unsqueeze(-1) * away.detach()
+            # only these: what happens to one person does not depend on who else is asked about
+            push = torch.where(too_close, allowed - gap, 0.0)
+            wanted = wanted + push.unsqueeze(-1) * away.detach()
             gap, away = walls.closest(wanted)
-        stuck = gap < allowed - _ROUNDING
+        stuck = gap < allowed - 10 * _ROUNDING
         position = torch.where(stuck.unsqueeze(-1), position, wanted)
-        distance = torch.where(stuck, distance, gap)
+        distance = torch.where(stuck, distance, gap.maximum(allowed))  # rounding must not add up
         path.append(position)
     return torch.stack(path, dim=1)
