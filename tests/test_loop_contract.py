@@ -243,6 +243,16 @@ def test_seeding_again_starts_again() -> None:
     assert torch.equal(env.reset()["agents", "history"], first["agents", "history"])
 
 
+def test_environments_share_a_scenario() -> None:
+    scenario = Door()
+    first, second = (make_env(scenario, num_envs=2, seed=seed) for seed in (0, 0))
+    assert first.scenario.planner is second.scenario.planner
+    assert torch.equal(first.reset()["scene_key"], second.reset()["scene_key"])
+    kept = scenario.planner
+    make_env(scenario, clearance=0.3)
+    assert scenario.planner is not kept and scenario.planner.clearance == 0.3
+
+
 def test_workers_share_a_seed() -> None:
     whole = make_env("door", num_envs=4, seed=1)
     workers = [make_env("door", num_envs=2, seed=1, first_episode=2 * i, stride=4) for i in range(2)]

@@ -13,6 +13,7 @@ from pedzoo.metrics.intervals import Interval, bootstrap, wilson
 from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
 from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
 from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_scenario
 
 
 class Walked(NamedTuple):
@@ -63,8 +64,9 @@ class Comparison:
         """
         self._prepared = {}
         self.walked: list[Walked] = []
+        made = make_scenario(scenario)
         for name in dict.fromkeys(policies):
-            self._prepared[name] = prepare(name, scenario, world, episodes, seed, **settings)
+            self._prepared[name] = prepare(name, made, world, episodes, seed, **settings)
         self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
         self._protocol = {
             "scenario": scenario,

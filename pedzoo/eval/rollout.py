@@ -16,6 +16,7 @@ from pedzoo.models.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import Policy, load_policy
+from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 
 AT_ONCE = {"grid": 64, "bullet": 16}
@@ -110,7 +111,7 @@ def rollout(
 
 
 def prepare(
-    policy: str, scenario: str, world: str, episodes: int, seed: int = 0, **settings: Any
+    policy: str, scenario: str | Scenario, world: str, episodes: int, seed: int = 0, **settings: Any
 ) -> tuple[Policy | Walker, PedestrianEnv]:
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if episodes < 1:

@@ -31,7 +31,7 @@ def make_env(
 
     Args:
         scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``file.py:Class``
-            with settings, or an instance.
+            with settings, or an instance, which several environments may share.
         num_envs: Scenes that are run at once.
         world: ``grid`` (torch, batched) or ``bullet`` (pybullet).
         clearance: Metres that planned ways keep from walls.
@@ -41,10 +41,15 @@ def make_env(
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
-    made: Scenario = build(SCENARIOS, scenario, Scenario) if isinstance(scenario, str) else scenario
-    made.prepare(clearance)
+    made = make_scenario(scenario)
+    made.ready(clearance)
     watching = make_world(world, made, body_radius)
     return PedestrianEnv(made, watching, num_envs, body_radius=body_radius, **settings)
+
+
+def make_scenario(scenario: str | Scenario) -> Scenario:
+    """Return the scenario of a name with settings; errors as of `pedzoo.spec.build`."""
+    return build(SCENARIOS, scenario, Scenario) if isinstance(scenario, str) else scenario
 
 
 def make_world(name: str, scenario: Scenario, body_radius: float) -> World:

@@ -108,6 +108,11 @@ class Scenario(ABC):
         """
         return torch.full_like(last, -1)
 
+    def ready(self, clearance: float) -> None:
+        """Prepare the scenario, unless it is: environments may share one, and fields of ways take time."""
+        if not hasattr(self, "planner") or self.planner.clearance != clearance:
+            self.prepare(clearance)
+
     def prepare(self, clearance: float) -> None:
         """Read the floor plans and find the ways to all goals, keeping ``clearance`` metres from walls."""
         self.bank = MapBank(self.plans(), self.unknown)
