@@ -31,7 +31,7 @@ def make_env(
 
     Args:
         scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``file.py:Class``
-            with settings, or an instance, which several environments may share.
+            with settings, or an instance, which environments of the same clearance may share.
         num_envs: Scenes that are run at once.
         world: ``grid`` (torch, batched) or ``bullet`` (pybullet).
         clearance: Metres that planned ways keep from walls.
