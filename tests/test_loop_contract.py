@@ -21,7 +21,7 @@ from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env
+from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.policies.go_to_goal import GoToGoal
 from pedzoo.sim.policy import load_policy
 from pedzoo.sim.scenario import Layout
@@ -221,18 +221,19 @@ def test_recorded_warm_start() -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENES)
-def test_scene_i_of_a_seed_is_the_same_in_every_batch(scenario: str) -> None:
-    whole = make_env(scenario, num_envs=6, seed=3).reset()
-    single = make_env(scenario, num_envs=1, seed=3)
-    for i in range(6):
-        alone = single.reset()
-        for key in ("history", "goal", "pref_speed", "mask"):
-            assert torch.allclose(
-                alone["agents", key][0].float(), whole["agents", key][i].float(), atol=1e-5
-            ), key
-        assert torch.equal(alone["scene_key"][0], whole["scene_key"][i])
-    other = make_env(scenario, num_envs=6, seed=4).reset()
-    assert not torch.allclose(other["agents", "history"], whole["agents", "history"])
+@pytest.mark.parametrize("policy", ["go_to_goal", "orca:dt=0.4"])
+def test_scene_i_of_a_seed_is_the_same_in_every_batch(scenario: str, policy: str) -> None:
+    """To the last bit, and so is all that comes of it."""
+    made = make_scenario(scenario)
+    whole = walked(make_env(made, num_envs=24, seed=3), 12, load_policy(policy))
+    for i in (0, 1, 5, 17, 23):
+        alone = walked(make_env(made, num_envs=1, seed=3, first_episode=i), 12, load_policy(policy))
+        for one, many in zip(alone, whole, strict=True):
+            assert torch.equal(one["scene_key"][0], many["scene_key"][i])
+            for key in ("history", "goal", "desired_velocity", "pref_speed", "mask", ("info", "reached")):
+                assert torch.equal(one["next", "agents"][key][0], many["next", "agents"][key][i]), key
+    other = make_env(made, num_envs=6, seed=4).reset()
+    assert not torch.allclose(other["agents", "history"], whole[0]["agents", "history"][:6])
 
 
 def test_seeding_again_starts_again() -> None:

@@ -44,14 +44,15 @@ def seen_beyond(
     shift, low, high = (of.index_select(0, number) for of in (distance.shift, distance.low, distance.high))
     begin, corner, way, ahead = (of.index_select(-1, who) for of in (home, waypoint, beyond, rest))
     end = corner + way * ahead
-    longest = (end - begin).square().sum(0)
+    # points are a fixed way apart, however far others look: an answer is the same whoever else asks
+    spacing = _SPACING / (end - begin).square().sum(0).sqrt().clamp_min(_SPACING)
     x, y = torch.stack((begin, corner, end), dim=1)
     begin, corner, end = (pairs(a * x + b * y, c * x + d * y) + shift).unbind(0)
     for part in _PARTS:
         target = torch.lerp(corner, end, part).clamp(low, high)
-        samples = int(longest.max().sqrt() / _SPACING) + 1
-        steps = torch.arange(1, samples + 1, device=who.device)[:, None, None] / samples
-        line = torch.lerp(begin, target, steps)
+        samples = int((1 / spacing.min()).ceil())
+        steps = torch.arange(1, samples + 1, device=who.device)[:, None] * spacing
+        line = torch.lerp(begin, target, steps.clamp_max(1)[:, :, None])
         lowest = F.grid_sample(distance.image, line[None], align_corners=True)[0, 0].amin(dim=0)
         hidden = lowest < BODY_CLEARANCE
         if part < 1:
@@ -60,7 +61,7 @@ def seen_beyond(
         still = torch.nonzero(hidden)[:, 0]
         if not len(still):
             return rest
-        who, longest = who.index_select(0, still), longest.index_select(0, still)
+        who, spacing = who.index_select(0, still), spacing.index_select(0, still)
         begin, corner, end = (of.index_select(0, still) for of in (begin, corner, end))
         low, high = low.index_select(0, still), high.index_select(0, still)
     rest[who] = 0
