@@ -22,6 +22,7 @@ def unrotate(vectors: Tensor, direction: Tensor) -> Tensor:
 
 def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
     """Return velocities (..., 2) shortened to at most ``top_speed`` (...)."""
+    velocity = velocity.clamp(-1e6, 1e6)  # the square of more is infinite
     speed = velocity.square().sum(-1).clamp_min(1e-12).sqrt()
     return velocity * (top_speed / speed).clamp_max(1.0).unsqueeze(-1)
 

@@ -317,3 +317,9 @@ def test_a_model_on_a_gpu_walks_as_on_the_cpu():
     here, there = pedzoo.load("sgan_goal_map.zara1"), pedzoo.load("sgan_goal_map.zara1").cuda()
     expected, found = (arrays(m.controller(ROOMS).step(people, goals)) for m in (here, there))
     np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_positions_too_far_away_to_be_exact() -> None:
+    controller = pedzoo.load("constant_velocity").controller(None)
+    with pytest.raises(UserError, match=r"'a' is more than 10000 m from the origin.*subtract an offset"):
+        controller.step({"a": (500000.3, 4649776.2)}, {"a": (500005.0, 4649776.0)})

@@ -68,7 +68,7 @@ def test_history_is_sampled_every_0_4_s_whatever_a_decision_takes(dt: float) -> 
 
 
 def test_decisions_take_whole_tenths_of_a_second() -> None:
-    for dt in (0.25, 0.0, 0.04):
+    for dt in (0.25, 0.0, 0.04, 3.2, math.nan):
         with pytest.raises(UserError, match=r"expected a multiple of 0\.1 s"):
             make_env("door", decision_dt=dt)
 
@@ -76,6 +76,8 @@ def test_decisions_take_whole_tenths_of_a_second() -> None:
 def test_a_learned_model_is_refused_another_step_than_its_own() -> None:
     with pytest.raises(UserError, match=r"decides every 0\.4 s, not every 0\.1 s"):
         rollout("sgan_goal.zara1", "door", "grid", 1, decision_dt=0.1)
+    with pytest.raises(UserError, match=r"make_env\(\.\.\., decision_dt=0\.4\)"):
+        make_env("door", decision_dt=0.1).rollout(2, load_policy("sgan_goal.zara1"))
 
 
 # 2. Speed
@@ -164,6 +166,33 @@ def test_time_limits_and_how_scenes_end() -> None:
     assert last["agents", "info", "late"].all()
     first = next(i for i, result in enumerate(results) if bool(result["next", "done"][0]))
     assert 0.4 * (first + 1) > float(env.state.deadline[0].max())
+
+
+@pytest.mark.parametrize(("deadline", "late"), [(0.3, False), (0.15, True)])
+def test_deadlines_lie_between_decisions_too(deadline: float, late: bool) -> None:
+    """The goal is reached 0.2 s into a decision of 0.4 s."""
+    env = make_env("door:people=1,jitter=0,offset=0,speed_std=0", warm_start="static")
+    now: Any = env.reset()
+    goal = env.state.goal_point
+    past = (goal - torch.tensor([GOAL_RADIUS + 0.2 * 1.3 - 0.02, 0.0])).unsqueeze(2).expand(1, 1, 29, 2)
+    env._state = env.state._replace(past=past, deadline=torch.tensor([[deadline]]))
+    now["agents", "action"] = torch.tensor([[[1.3, 0.0]]])
+    after = env.step(now)["next"]
+    assert after["agents", "info", "reached"][0, 0].tolist() == [0, 1, 1, 1]
+    assert bool(after["agents", "info", "late"]) is late
+
+
+def test_rewards_are_finite_wherever_people_get_to(shared: Path) -> None:
+    env = make_env(f"goals:map={shared}/maps/aws_small_house.yaml,people=5,pool=6", num_envs=32)
+    now: Any = env.reset()
+    generator = torch.Generator().manual_seed(0)
+    angle = 6.3 * torch.rand(32, 5, generator=generator)
+    for _ in range(60):
+        angle = angle + 0.3 * torch.randn(32, 5, generator=generator)
+        now["agents", "action"] = 1.8 * torch.stack((angle.cos(), angle.sin()), dim=-1)
+        result = env.step(now)
+        assert result["next", "agents", "reward"].isfinite().all()
+        now = step_mdp(result)
 
 
 def test_who_is_finished_draws_goals_until_everybody_is() -> None:
@@ -341,6 +370,9 @@ def test_a_bad_action_fails_its_scene_only(bad: float) -> None:
     with pytest.warns(UserWarning, match="mine gave the action .* for agent 0 of scene 1"):
         hurt = walked(env, 6, policy)
     assert torch.equal(positions(fine)[[0, 2]], positions(hurt)[[0, 2]])
+    later = hurt[5]["next"]
+    assert bool(later["truncated"][1]) and not bool(later["terminated"][1])
+    assert torch.equal(positions(hurt)[1, :, 8], positions(hurt)[1, :, -1])
     ended = hurt[2]["next"]
     assert ended["failed"].flatten().tolist() == [False, True, False]
     assert ended["truncated"].flatten().tolist() == [False, True, False]

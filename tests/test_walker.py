@@ -131,3 +131,12 @@ def test_displacement_over_0_4_s_is_the_velocity() -> None:
 def test_wrong_settings(settings: dict[str, Any], told: str) -> None:
     with pytest.raises(UserError, match=told):
         Walker(Echo(), **settings)
+
+
+def test_plans_belong_to_scenes() -> None:
+    walker = Walker(Echo(), execute_steps=4)
+    first = drawn(walker)
+    drawn(walker, key=50)  # three other scenes
+    drawn(walker, scenes=5)
+    assert torch.allclose(drawn(walker, time=0.4), first)  # a new plan, at its first step
+    assert torch.allclose(drawn(walker, time=0.8), 2 * first)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
@@ -17,6 +18,10 @@ from pedzoo.maps.sight import Sight
 
 STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight neighbours of a cell: rows and columns away."""
+
+
+POCKET = 0.5
+"""Square metres: smaller parts of the open cells are left out."""
 
 
 class OpenGraph:
@@ -44,7 +49,7 @@ class OpenGraph:
         self.clearance = clearance
         self.distance = grid.signed_distance(unknown)
         self.shape = self.distance.shape
-        self.open = self.distance >= clearance - 1e-6
+        self.open = _without_pockets(self.distance >= clearance - 1e-6, grid.resolution)
         self.cells = np.flatnonzero(self.open)
         self.index = np.full(self.distance.size, -1, dtype=np.int32)
         self.index[self.cells] = np.arange(len(self.cells), dtype=np.int32)
@@ -141,6 +146,19 @@ class OpenGraph:
                 f"clearance {self.clearance} m is {show(moved[i])}, more than {snap} m away"
             )
         return cell, moved
+
+
+def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:
+    """Leave out parts of less than `POCKET` square metres, unless nothing is larger.
+
+    Scanned maps have many, between pieces of furniture. No way leads out of them, and whoever is pushed near
+    one must not be sent into it.
+    """
+    # connected through their sides, as the graph is; part 0 is everything else
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=4)
+    area = stats[1:, cv2.CC_STAT_AREA] * resolution**2
+    large = np.concatenate(([False], area >= min(POCKET, area.max(initial=0))))
+    return np.take(large, np.asarray(parts, dtype=np.int32))
 
 
 def show(point: NDArray[np.float64]) -> str:

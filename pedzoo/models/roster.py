@@ -121,6 +121,10 @@ def number_of(one: Hashable) -> int:
     return int.from_bytes(blake2b(repr(one).encode(), digest_size=8).digest()) % 2**63
 
 
+FARTHEST = 1e4
+"""Metres: float32 tells millimetres apart up to here."""
+
+
 def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
     """Return the values of a dictionary, each two numbers, as (n, 2) float64.
 
@@ -141,6 +145,12 @@ def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
     if not np.isfinite(points).all():
         one = list(given)[int((~np.isfinite(points).all(1)).argmax())]
         raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
+    if (np.abs(points) > FARTHEST).any():
+        one = list(given)[int((np.abs(points) > FARTHEST).any(1).argmax())]
+        raise UserError(
+            f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the origin, where "
+            "centimetres are lost to rounding: subtract an offset from all positions and goals"
+        )
     return torch.from_numpy(points)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -14,11 +14,25 @@ from pedzoo import draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, ids_of
-from pedzoo.types import PRED_LEN, STEP_SECONDS
+from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 
 Noise = Literal["episode", "step", "scene"]
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+class Plan(NamedTuple):
+    """Predictions that are being walked.
+
+    Attributes:
+        key: Of the scenes (B,) long.
+        begun: Step at which each was made (B,) long.
+        steps: Displacements (B, A, execute_steps, 2), metres.
+    """
+
+    key: Tensor
+    begun: Tensor
+    steps: Tensor
 
 
 class Walker(TensorDictModuleBase):
@@ -59,7 +73,7 @@ class Walker(TensorDictModuleBase):
         if not 1 <= execute_steps <= PRED_LEN:
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
-        self._plan: Tensor | None = None
+        self._plan: Plan | None = None
 
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans that ``map_id`` speaks of."""
@@ -67,6 +81,7 @@ class Walker(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity (B, A, 2), m/s."""
+        self._check(tensordict)
         if self.execute_steps == 1:
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
@@ -74,16 +89,32 @@ class Walker(TensorDictModuleBase):
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
 
+    def _check(self, tensordict: TensorDictBase) -> None:
+        """Refuse an environment that decides at another step than the model was trained on."""
+        trace = tensordict.get(("agents", "info", "trace"), None)
+        points = round(STEP_SECONDS / TRACE_SECONDS)
+        if trace is not None and trace.shape[2] != points:
+            raise UserError(
+                f"a learned model decides every {STEP_SECONDS} s, not every "
+                f"{trace.shape[2] * TRACE_SECONDS:g} s: make_env(..., decision_dt={STEP_SECONDS})"
+            )
+
     def _planned(self, tensordict: TensorDictBase) -> Tensor:
         """Return the running plan's step (B, A, 2), of a new plan where one is over or an episode begins."""
-        place = (tensordict["time"][:, 0] / STEP_SECONDS).round().long() % self.execute_steps
-        over = (place == 0).view(-1, 1, 1, 1)
-        if self._plan is None or bool(over.any()):
-            plan = self._predicted(tensordict, self.execute_steps)
-            if self._plan is not None and not bool(over.all()):
-                plan = torch.where(over, plan, self._plan)
-            self._plan = plan
-        return self._plan[torch.arange(len(place), device=place.device), :, place]
+        key, now = tensordict["scene_key"][:, 0], (tensordict["time"][:, 0] / STEP_SECONDS).round().long()
+        kept = self._plan if self._plan is not None and self._plan.key.shape == key.shape else None
+        if kept is None:
+            over = torch.ones_like(key, dtype=torch.bool)
+        else:  # the same walker may have been asked about other scenes in between
+            place = now - kept.begun
+            over = (now == 0) | (kept.key != key) | (place < 0) | (place >= self.execute_steps)
+        if kept is None or bool(over.any()):
+            fresh = Plan(key, now, self._predicted(tensordict, self.execute_steps))
+            if kept is not None:
+                steps = torch.where(over.view(-1, 1, 1, 1), fresh.steps, kept.steps)
+                fresh = Plan(key, torch.where(over, now, kept.begun), steps)
+            kept = self._plan = fresh
+        return kept.steps[torch.arange(len(key), device=key.device), :, now - kept.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
         return self.model.next_steps(tensordict, self._drawn(tensordict), steps, PRED_LEN)

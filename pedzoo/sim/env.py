@@ -17,7 +17,7 @@ from pedzoo.maps.guidance import Guidance
 from pedzoo.sim import specs
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
-from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.simulation import Outcome, Simulation
 from pedzoo.sim.state import State
 from pedzoo.sim.warm_start import WarmStart
@@ -70,11 +70,15 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: A setting is out of range.
         """
+        if not TRACE_SECONDS / 2 < decision_dt < WARM_SECONDS + TRACE_SECONDS / 2:
+            raise UserError(
+                f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s up to {WARM_SECONDS} s"
+            )
         trace_points = round(decision_dt / TRACE_SECONDS)
-        if trace_points < 1 or abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
+        if abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
             raise UserError(f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s")
-        if num_envs < 1:
-            raise UserError(f"num_envs {num_envs}: expected at least 1")
+        if num_envs < 1 or (stride is not None and stride < 1):
+            raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         agents = scenario.people
         self.scenario, self.world, self.decision_dt = scenario, world, decision_dt

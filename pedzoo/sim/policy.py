@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from tensordict.nn import TensorDictModuleBase
 
-from pedzoo.errors import unknown
+from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import baselines, list_models, load
@@ -28,6 +28,8 @@ class Policy(TensorDictModuleBase):
     def __init__(self, decision_dt: float) -> None:
         """Say how often it decides."""
         super().__init__()
+        if not decision_dt > 0:
+            raise UserError(f"dt {decision_dt}: expected seconds between decisions, above 0")
         self.decision_dt = decision_dt
 
     def bind(self, bank: MapBank) -> None:

@@ -20,6 +20,10 @@ CONTACT_COST = 1.0
 """Metres of progress that a decision with a contact costs in the reward."""
 
 
+_ROUNDING = 1e-3
+"""Seconds: clocks are sums of decisions."""
+
+
 class Outcome(NamedTuple):
     """What happened in one decision of S trace points.
 
@@ -78,7 +82,7 @@ class Simulation:
 
         A scene in which somebody's action is not finite stays as it is and is truncated.
         """
-        broken = (~action.isfinite().all(-1) & state.mask).any(1)
+        broken = state.failed | (~action.isfinite().all(-1) & state.mask).any(1)
         moving = state.mask & ~broken.unsqueeze(1)
         velocity = torch.where(moving.unsqueeze(-1), action, 0.0)
         path = self._path(state, limit_speed(velocity, TOP_SPEED_RATIO * state.pref_speed))
@@ -92,7 +96,7 @@ class Simulation:
         reached = state.reached.unsqueeze(-1) + hits
         finished = reached[..., -1] >= self.scenario.goals
         clock = state.clock + self.trace_points * TRACE_SECONDS
-        late = state.late | ((clock.unsqueeze(1) > state.deadline) & ~finished & state.mask)
+        late = state.late | (self._overdue(state, clock, hits) & state.mask)
         leaving = finished if self.scenario.finished == "leave" else torch.zeros_like(finished)
         moved = torch.cat((state.past[:, :, self.trace_points :], trace), dim=2)
         after = state._replace(
@@ -107,18 +111,28 @@ class Simulation:
             late=late,
         )
         guidance = self.guide(after)
-        way = guidance.distance.detach()
+        # whoever has squeezed into a corner that no planned way leads out of is as far as before
+        way = torch.where(guidance.distance.isfinite(), guidance.distance, state.way)
+        progress = state.way - torch.where(hit, 0.0, way)
+        way = way.detach()
         until = torch.where(hit, deadline(clock, way, state.pref_speed), state.deadline)
         after = after._replace(way=way, goal_point=guidance.goal_point, deadline=until)
         terminated = (finished | ~state.mask).all(1) & ~broken
         settled = (finished | late | ~state.mask).all(1) | after.failed
         touched = (contacts.agent | contacts.wall).any(-1)
-        progress = state.way - torch.where(hit, 0.0, guidance.distance)
         reward = torch.where(moving, progress - CONTACT_COST * touched, 0.0)
         outcome = Outcome(
             trace, contacts.agent, contacts.wall, reached, reward, terminated, settled & ~terminated
         )
         return after, guidance, outcome
+
+    def _overdue(self, state: State, clock: Tensor, hits: Tensor) -> Tensor:
+        """Return whose time for the goal is up (B, A) bool; a goal reached in time on the trace counts."""
+        when = TRACE_SECONDS * torch.arange(1, self.trace_points + 1, device=clock.device)
+        when = state.clock[:, None, None] + when
+        in_time = (hits & (when <= state.deadline.unsqueeze(-1) + _ROUNDING)).any(-1)
+        had_all = state.reached >= self.scenario.goals
+        return (clock.unsqueeze(1) > state.deadline + _ROUNDING) & ~in_time & ~had_all
 
     def _path(self, state: State, velocity: Tensor) -> Tensor:
         """Return everybody's sub-steps (B, A, S, M, 2)."""
