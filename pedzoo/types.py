@@ -47,7 +47,10 @@ Clock = Literal["benchmark", "true"]
 """``benchmark``: every annotated step counts as 0.4 s; ``true``: resampled to a real 0.4 s."""
 
 PRED_LEN = 8
-"""Predicted steps that a short-term goal lies ahead in simulation: 3.2 s."""
+"""Predicted steps that a short-term goal lies ahead in simulation."""
+
+AHEAD_SECONDS = PRED_LEN * STEP_SECONDS
+"""How far ahead that is: 3.2 s."""
 
 TRACE_SECONDS = 0.1
 """Contacts, goals and closed-loop metrics are evaluated on positions this far apart."""

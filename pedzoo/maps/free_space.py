@@ -38,10 +38,7 @@ def free_points(grid: OccupancyGrid, unknown: Unknown, clearance: float) -> NDAr
         )
     sizes = np.bincount(parts.ravel())
     row, column = np.nonzero(parts == 1 + sizes[1:].argmax())
-    x, y, yaw = grid.origin
-    along, across = (column + 0.5) * grid.resolution, (row + 0.5) * grid.resolution
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.stack((x + cos * along - sin * across, y + sin * along + cos * across), axis=1)
+    return grid.cells_to_map(np.stack((column, row), axis=1))
 
 
 def spread_points(

@@ -56,7 +56,7 @@ class OpenGraph:
         row, column = np.divmod(self.cells, self.shape[1])
         self.place = np.stack((column, row), axis=1).astype(np.int32)
         self._to_cell = grid.map_to_cell()
-        self.xy = (self.place - self._to_cell[:, 2]) @ np.linalg.inv(self._to_cell[:, :2]).T
+        self.xy = grid.cells_to_map(self.place)
         self.sight = Sight(self.open)
 
     def __len__(self) -> int:

@@ -96,10 +96,8 @@ class WallSegments:
 
     def polygons(self, grid: OccupancyGrid) -> list[NDArray[np.float64]]:
         """Return the outlines (V, 2) of a floor plan's walls in its frame, metres, walls to the left."""
-        affine = grid.map_to_cell()  # whole at cell centres
-        turn = np.linalg.inv(affine[:, :2]).T
         found = outlines(grid.occupied(self.bank.unknown), self.tolerance)
-        return [(polygon - 0.5 - affine[:, 2]) @ turn for polygon in found]
+        return [grid.cells_to_map(polygon - 0.5) for polygon in found]
 
     def edges(self, grid: OccupancyGrid) -> NDArray[np.float64]:
         """Return the segments (S, 12) of a floor plan's walls in the form of `SegmentTable`."""

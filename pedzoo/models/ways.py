@@ -13,7 +13,7 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.planner import Planner
 from pedzoo.models.roster import Roster, as_points
-from pedzoo.types import PRED_LEN, STEP_SECONDS
+from pedzoo.types import AHEAD_SECONDS
 
 _KEPT = 64
 """Goals that nobody has any more are forgotten when there are more than this in all, and 4 per person."""
@@ -75,8 +75,7 @@ class Ways(NamedTuple):
         """Return the carrots and desired velocities (N, 2) of people at ``position`` (N, 2)."""
         map_id = torch.full_like(people.goal_id, self.map_id)
         pose = identity_pose(len(map_id))
-        ahead = PRED_LEN * STEP_SECONDS
-        return self.planner.guide(position, people.goal_id, map_id, pose, people.pref_speed, ahead)
+        return self.planner.guide(position, people.goal_id, map_id, pose, people.pref_speed, AHEAD_SECONDS)
 
     def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
         row = 0 if self.planner.bank.grids else -1

@@ -10,7 +10,10 @@ from pedzoo.sim.scenario import Scenario
 from pedzoo.types import GOAL_RADIUS
 
 LEAST_SECONDS = 20.0
+"""Everybody has at least so long for a goal."""
+
 WAYS = 4.0
+"""And so many times as long as the way to it takes at the speed that they like."""
 
 
 def arrived(path: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.base import People, World
-from pedzoo.types import PRED_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.types import AHEAD_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 CONTACT_COST = 1.0
 """Metres of progress that a decision with a contact costs in the reward."""
@@ -73,7 +73,7 @@ class Simulation:
             state.map_id.repeat_interleave(agents),
             state.pose.repeat_interleave(agents, 0),
             state.pref_speed.flatten(),
-            PRED_LEN * STEP_SECONDS,
+            AHEAD_SECONDS,
         )
         return Guidance(*(value.unflatten(0, state.mask.shape) for value in guidance))
 

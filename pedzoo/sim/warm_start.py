@@ -18,14 +18,12 @@ from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.scenario import Layout
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP
-from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 
 WarmStart = Literal["orca", "static", "recorded"]
 
 ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS, max_obstacles=8)
 """The same for every row of a table, whatever walks afterwards."""
-
-AHEAD_SECONDS = 8 * STEP_SECONDS
 
 
 @torch.no_grad()

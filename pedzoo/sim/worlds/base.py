@@ -180,5 +180,4 @@ def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
     (top, bottom), (left, right) = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
     left, right, top, bottom = left - 0.5, right + 0.5, top - 0.5, bottom + 0.5
     cells = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
-    affine = grid.map_to_cell()
-    return (cells - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+    return grid.cells_to_map(cells)
