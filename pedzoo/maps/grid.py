@@ -157,7 +157,9 @@ class OccupancyGrid:
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) / self.resolution
         return np.column_stack((turn, -turn @ (x, y) - 0.5))
 
-    def cells_to_map(self, cells: NDArray[np.number]) -> NDArray[np.float64]:
-        """Return the map-frame positions (N, 2), metres, of columns and rows (N, 2), whole at cell centres."""
+    def cells_to_map(
+        self, cells: NDArray[np.float64] | NDArray[np.int32] | NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return map-frame positions (N, 2), metres, of columns and rows (N, 2), whole at cell centres."""
         affine = self.map_to_cell()
         return (cells - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
