@@ -1,0 +1,207 @@
+"""Who is near whom: the one way to ask, for scenes of two people and for crowds.
+
+Up to `ALL_PAIRS` people per scene everybody is compared with everybody. In larger scenes people are sorted
+into square cells as wide as they can see, and compared with those in the nine cells around them (cell lists:
+Allen and Tildesley, "Computer Simulation of Liquids", 1987, section 5.3.2). Both ways give the same answers.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+ALL_PAIRS = 100
+"""People per scene beyond which cells are used; measured on one CPU thread."""
+
+_BITS = 21
+"""Of a cell's number along x, and along y; the cells at the rim hold everybody beyond them."""
+
+_MARGIN = 1 + 1e-6
+"""How much wider than necessary cells are, so that rounding of a distance loses nobody."""
+
+
+class Neighbors(NamedTuple):
+    """Up to K people near each of N people, nearest first (in single precision), equally near ones in order.
+
+    Attributes:
+        index: Their places b * A + a in the flattened batch (K, N) long; the person's own where not ``near``.
+        near: Which of the K there are (K, N) bool; None: all.
+    """
+
+    index: Tensor
+    near: Tensor | None
+
+
+class Pairs(NamedTuple):
+    """N pairs of people of the same scene, first < second, packed, in order of scene, first and second.
+
+    Attributes:
+        scene: (N,) long.
+        first: (N,) long.
+        second: (N,) long.
+    """
+
+    scene: Tensor
+    first: Tensor
+    second: Tensor
+
+
+@torch.no_grad()
+def nearest(
+    position: Tensor, mask: Tensor, reach: float, most: int | None, rows: Tensor | None = None
+) -> Neighbors:
+    """Return everybody's nearest others; absent people have none and are nobody's.
+
+    Args:
+        position: Positions (B, A, 2), metres; anything for absent people.
+        mask: Who is there (B, A) bool.
+        reach: Metres between centres from which on others are ignored.
+        most: So many at most; None: all within reach.
+        rows: Which of the B * A people are asked for (N,) long; None: all.
+    """
+    agents = mask.shape[1]
+    asked = torch.arange(mask.numel(), device=mask.device) if rows is None else rows
+    most = agents - 1 if most is None else min(agents - 1, most)
+    if most < 1 or not len(asked):
+        return Neighbors(asked.new_zeros(0, len(asked)), None)
+    present = mask & position.isfinite().all(-1)
+    if agents <= ALL_PAIRS:
+        keys = _keys_of_all(position, present, reach)
+        keys = keys if rows is None else keys.index_select(0, rows)
+    else:
+        keys = _keys_in_cells(position, present, reach, asked)
+    most = min(most, keys.shape[1])
+    # selection beats sorting where it leaves most of them out
+    few = keys.topk(most, dim=1, largest=False)[0] if keys.shape[1] > 4 * most else keys.sort(dim=1)[0]
+    few = few[:, :most].T
+    near = few < _key(few.new_full((), torch.inf, dtype=torch.float32), 0)
+    near = near[: int(near.any(1).sum())]
+    index = (few[: len(near)] & _SLOT) + asked // agents * agents
+    return Neighbors(index, None) if near.all() else Neighbors(torch.where(near, index, asked), near)
+
+
+@torch.no_grad()
+def pairs_within(position: Tensor, mask: Tensor, reach: Tensor | float) -> Pairs:
+    """Return all pairs of people who are near each other.
+
+    Args:
+        position: Positions (B, A, 2), metres; anything for absent people.
+        mask: Who is there (B, A) bool.
+        reach: Pairs whose centres are closer than this; or everybody's own (B, A), finite where somebody is
+            there: closer than the sum of both.
+    """
+    present = mask & position.isfinite().all(-1)
+    own = reach if isinstance(reach, Tensor) else position.new_full(mask.shape, reach / 2)
+    if mask.shape[1] <= ALL_PAIRS:
+        first, second = torch.triu_indices(mask.shape[1], mask.shape[1], 1, device=mask.device)
+        close = _closer(position, torch.where(present, own, -torch.inf), 1, first, second)
+        scene, pair = close.nonzero(as_tuple=True)
+        return Pairs(scene, first[pair], second[pair])
+    return _pairs_in_cells(position, present, own)
+
+
+_SLOT = (1 << 31) - 1
+
+
+def _key(distance2: Tensor, slot: Tensor | int) -> Tensor:
+    """Return whole numbers in the order of distances (...), and of slots (...) among equals."""
+    # floats that are not negative are ordered as their bits are
+    return (distance2.float().view(torch.int32).long() << 31) + slot
+
+
+def _keys_of_all(position: Tensor, present: Tensor, reach: float) -> Tensor:
+    """Return the keys (B * A, A) of everybody with everybody; those who do not count have the last ones."""
+    agents = present.shape[1]
+    x, y = position.unbind(-1)
+    dx, dy = x[:, None] - x[:, :, None], y[:, None] - y[:, :, None]
+    distance2 = dx * dx + dy * dy
+    itself = torch.eye(agents, dtype=torch.bool, device=position.device)
+    ignored = itself | ~present[:, None] | ~present[:, :, None] | (distance2 >= reach * reach)
+    slot = torch.arange(agents, device=position.device)
+    return _key(distance2.masked_fill_(ignored, torch.inf), slot).flatten(0, 1)
+
+
+class _Cells(NamedTuple):
+    """P present people in order of scene, row and column of their cells, and of slot within a cell.
+
+    Attributes:
+        place: Their places in the flattened batch (P,) long.
+        cell: Their cells' numbers (P,) long, ascending.
+    """
+
+    place: Tensor
+    cell: Tensor
+
+    @classmethod
+    def of(cls, position: Tensor, present: Tensor, width: Tensor) -> _Cells:
+        """Sort people into cells of their scene's width (B, 1, 1), double precision."""
+        exact = torch.where(present[..., None], position, torch.inf).double()
+        column = ((exact - exact.amin(1, keepdim=True)) / (width * _MARGIN)).clamp(0, (1 << _BITS) - 3)
+        x, y = torch.where(present[..., None], column, 0).long().add_(1).unbind(-1)
+        scene = torch.arange(len(present), device=present.device)[:, None]
+        cell = ((scene << 2 * _BITS) + (y << _BITS) + x).flatten()
+        place = present.flatten().nonzero()[:, 0]
+        cell, order = cell[place].sort(stable=True)
+        return cls(place[order], cell)
+
+    def runs(self, cell: Tensor, rows: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+        """Return from where to where (M, R) people lie in three cells of some rows below cells (M,)."""
+        below = cell[:, None] + (torch.tensor(rows, device=cell.device) << _BITS)
+        begin = torch.searchsorted(self.cell, below - 1)
+        return begin, torch.searchsorted(self.cell, below + 1, right=True)
+
+
+def _expanded(begin: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
+    """Return for runs (M, R) of numbers the M that each belongs to and the number, both (N,)."""
+    count = (end - begin).flatten()
+    run = torch.arange(len(count), device=count.device).repeat_interleave(count)
+    skipped = begin.flatten() - (count.cumsum(0) - count)
+    return run // begin.shape[1], torch.arange(len(run), device=run.device) + skipped.index_select(0, run)
+
+
+def _keys_in_cells(position: Tensor, present: Tensor, reach: float, asked: Tensor) -> Tensor:
+    """Return the keys (N, C) of those near the people ``asked`` (N,); unused ones are the last ones."""
+    agents = present.shape[1]
+    width = position.new_full((len(present), 1, 1), max(reach, torch.finfo(position.dtype).tiny))
+    cells = _Cells.of(position, present, width.double())
+    cell = cells.cell.new_full((present.numel(),), -1 << _BITS).index_put_((cells.place,), cells.cell)
+    person, other = _expanded(*cells.runs(cell.index_select(0, asked), (-1, 0, 1)))
+    own, other = asked.index_select(0, person), cells.place.index_select(0, other)
+    x, y = position.flatten(0, 1).T.contiguous()
+    dx, dy = (part.index_select(0, other) - part.index_select(0, own) for part in (x, y))
+    distance2 = dx * dx + dy * dy
+    kept = ((distance2 < reach * reach) & (other != own)).nonzero()[:, 0]
+    person = person.index_select(0, kept)
+    key = _key(distance2.index_select(0, kept), other.index_select(0, kept) % agents)
+    count = person.bincount(minlength=len(asked))
+    rank = torch.arange(len(person), device=person.device) - (count.cumsum(0) - count).index_select(0, person)
+    most = int(count.max())
+    keys = _key(position.new_full((), torch.inf), 0).repeat(len(asked), max(1, most))
+    keys.view(-1)[person * keys.shape[1] + rank] = key
+    return keys
+
+
+def _pairs_in_cells(position: Tensor, present: Tensor, own: Tensor) -> Pairs:
+    """Return what `pairs_within` does, of people whose own reach is (B, A)."""
+    agents = present.shape[1]
+    own = torch.where(present, own, -torch.inf)
+    width = (2 * own.amax(1)).clamp_min(torch.finfo(own.dtype).tiny)[:, None, None]
+    cells = _Cells.of(position, present, width.double())
+    begin, end = cells.runs(cells.cell, (0, 1))
+    # whoever comes later in the own row, and all of the next
+    begin[:, 0] = torch.arange(1, len(begin) + 1, device=begin.device)
+    one, other = (cells.place.index_select(0, part) for part in _expanded(begin, end))
+    first, second = torch.minimum(one, other), torch.maximum(one, other)
+    near = _closer(position.flatten(0, 1), own.flatten(), 0, first, second).nonzero()[:, 0]
+    key = (first[near] * agents + second[near] % agents).sort()[0]
+    place = key // agents
+    return Pairs(place // agents, place % agents, key % agents)
+
+
+def _closer(position: Tensor, own: Tensor, dim: int, first: Tensor, second: Tensor) -> Tensor:
+    """Return which pairs of people along a dimension are closer than both reaches together."""
+    gap = position.index_select(dim, first) - position.index_select(dim, second)
+    close = own.index_select(dim, first) + own.index_select(dim, second)
+    return (gap.square().sum(-1) < close.square()) & (close > 0)
