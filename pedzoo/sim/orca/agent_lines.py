@@ -8,6 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.sim.neighbors import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.vectors import cross, dot, left, pick
 
@@ -24,7 +25,7 @@ def agent_lines(
         rows: Which of the B * A people are asked for (N,) long; None: all.
         settings: Radius, time step, neighbours and horizon.
     """
-    neighbor, near = _neighbors(position, mask, rows, settings)
+    neighbor, near = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
     everybody = torch.cat((position.flatten(0, 1).T, velocity.flatten(0, 1).T))
     own = everybody if rows is None else everybody.index_select(1, rows)
     relative = everybody.index_select(1, neighbor.flatten()).view(4, *neighbor.shape) - own[:, None]
@@ -55,25 +56,3 @@ def agent_lines(
     point = own[2:, None] + 0.5 * pick(on_circle, to_circle, to_leg)
     lines = torch.cat((point, pick(on_circle, -left(outward), side)))
     return lines if near is None else lines * near
-
-
-def _neighbors(
-    position: Tensor, mask: Tensor, rows: Tensor | None, settings: OrcaSettings
-) -> tuple[Tensor, Tensor | None]:
-    """Return places (K, N) of the nearest others in the flattened batch, and which are near; None: all."""
-    scenes, agents = mask.shape
-    x, y = position.unbind(-1)
-    dx, dy = x[:, None, :] - x[:, :, None], y[:, None, :] - y[:, :, None]
-    distance2 = dx * dx + dy * dy
-    ignored = torch.eye(agents, dtype=torch.bool, device=mask.device) | ~mask[:, None, :]
-    ignored = ignored | (distance2 >= settings.neighbor_dist**2)
-    distance2 = distance2.masked_fill(ignored, torch.inf).flatten(0, 1)
-    first = torch.arange(scenes, device=mask.device).mul(agents).repeat_interleave(agents)
-    if rows is not None:
-        distance2, first = distance2[rows], first[rows]
-    most = agents - 1 if settings.max_neighbors is None else min(agents - 1, settings.max_neighbors)
-    distance2, order = distance2.sort(dim=1, stable=True)
-    near = distance2[:, :most].T.isfinite()
-    used = int(near.any(1).sum())
-    near = near[:used]
-    return order[:, :most].T[:used] + first, None if near.all() else near

@@ -2,24 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import torch
 from torch import Tensor
 
-
-class Pairs(NamedTuple):
-    """N pairs of people of the same scene, first < second, packed.
-
-    Attributes:
-        scene: (N,) long.
-        first: (N,) long.
-        second: (N,) long.
-    """
-
-    scene: Tensor
-    first: Tensor
-    second: Tensor
+from pedzoo.sim.neighbors import Pairs, pairs_within
 
 
 def farthest(path: Tensor, start: Tensor) -> Tensor:
@@ -38,12 +23,7 @@ def near_pairs(start: Tensor, present: Tensor, far: Tensor, within: float) -> Pa
         far: How far each person gets at most (B, A), metres.
         within: Metres between centres.
     """
-    i, j = torch.triu_indices(start.shape[1], start.shape[1], 1, device=start.device)
-    gap = (start.index_select(1, i) - start.index_select(1, j)).square().sum(-1)
-    far = torch.where(present, far, -torch.inf)
-    close = far.index_select(1, i) + far.index_select(1, j) + within
-    scene, pair = ((gap < close.square()) & (close > 0)).nonzero(as_tuple=True)
-    return Pairs(scene, i[pair], j[pair])
+    return pairs_within(start, present, far + within / 2)
 
 
 def mark(touching: Tensor, pairs: Pairs, hit: Tensor) -> None:
