@@ -8,6 +8,7 @@ A plan is a list of rectangles, which the helpers make and ``+`` joins::
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -132,6 +133,31 @@ def rectangles(
     for x0, y0, x1, y1 in borders[: len(walls)]:
         cells[y0:y1, x0:x1] = OCCUPIED
     return OccupancyGrid(cells, resolution, (float(low[0]), float(low[1]), 0.0), name=name)
+
+
+def check_lengths(what: str, resolution: float, *, instead: str = "", **lengths: float) -> None:
+    """Check that lengths are whole cells.
+
+    Args:
+        what: Whose lengths they are, for messages.
+        resolution: Side of a cell, metres.
+        instead: What else would help, for messages.
+        lengths: By name, metres.
+
+    Raises:
+        UserError: A length or the resolution is not above 0, or a length is no multiple of it.
+    """
+    if not resolution > 0 or not all(length > 0 for length in lengths.values()):
+        given = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise UserError(f"{what}: {given}, resolution {resolution}: expected above 0")
+    for name, length in lengths.items():
+        cells = length / resolution
+        if abs(cells - round(cells)) > _TOLERANCE:
+            near = [f"{math.floor(cells + more) * resolution:g}" for more in (0, 1)]
+            raise UserError(
+                f"{what}: {name} {length} is no multiple of the resolution {resolution:g}: the nearest are "
+                f"{' and '.join(near)}{instead and f'; {instead}'}"
+            )
 
 
 def _misfit(lengths: np.ndarray, resolution: float) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ import torch
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.plain import check_lengths, rectangles, room, wall
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, Scenario
 
 BEFORE = 2.5
@@ -63,18 +63,8 @@ class Door(Scenario):
         super().__init__(people, speed, speed_std)
         if speed_ratio <= 0 or jitter < 0:
             raise UserError(f"door: speed_ratio {speed_ratio}, jitter {jitter}: expected above 0, at least 0")
-        if resolution <= 0 or width <= 0 or thickness <= 0:
-            raise UserError(
-                f"door: width {width}, thickness {thickness}, resolution {resolution}: expected above 0"
-            )
-        for name, length in (("width", width), ("thickness", thickness)):
-            cells = length / resolution
-            if abs(cells - round(cells)) > 1e-3:
-                near = [f"{math.floor(cells + more) * resolution:g}" for more in (0, 1)]
-                raise UserError(
-                    f"door: {name} {length} is no multiple of the resolution {resolution}: the nearest are "
-                    f"{' and '.join(near)}; resolution=0.01 takes whole centimetres"
-                )
+        fine = "resolution=0.01 takes whole centimetres"
+        check_lengths("door", resolution, instead=fine, width=width, thickness=thickness)
         self.width, self.thickness, self.offset, self.jitter = width, thickness, offset, jitter
         self.speed_ratio, self.resolution = speed_ratio, resolution
         queue = -(-people // 2) * SPACING
