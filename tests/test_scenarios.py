@@ -13,12 +13,13 @@ from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.geometry import move_to_scene, turn_to_scene
+from pedzoo.maps.library import flat
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import baselines, list_models, load, save_weights
 from pedzoo.registry import POLICIES, SCENARIOS
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import load_policy
-from pedzoo.sim.scenarios.goals import Goals, flat
+from pedzoo.sim.scenarios.goals import Goals
 from pedzoo.types import BODY_RADIUS
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())

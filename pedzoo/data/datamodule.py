@@ -19,6 +19,7 @@ from pedzoo.data.windows import Counts, People
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.library import load_plan
 from pedzoo.types import OBS_LEN, Clock, GoalProtocol
 
 STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
@@ -57,7 +58,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.
             split: Shares of the recorded time of ``files`` for train, val and test.
-            map: ROS yaml of the floor plan of ``files``.
+            map: The floor plan of ``files``: a ROS map yaml, or a name as ``apartment.7``.
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
             obs_len: Observed steps of 0.4 s.
             pred_len: Predicted steps of 0.4 s.
@@ -109,7 +110,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         recordings: dict[Split, list[Recording]] = {s: self.source.recordings(s) for s in missing}
         plans = {recording.plan for split in missing for recording in recordings[split] if recording.plan}
         if new := sorted(plans - self._grids.keys()):
-            self._grids |= {plan: OccupancyGrid.from_ros_yaml(plan) for plan in new}
+            self._grids |= {plan: load_plan(plan) for plan in new}
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank(list(self._grids.values()), unknown="free")
         for split in missing:

@@ -33,7 +33,7 @@ class OwnFiles:
             files: Text or CSV files (see `pedzoo.data.tracks`).
             dt: Seconds between two consecutive frame numbers.
             split: Shares of the recorded time for train, val and test, in this order.
-            plan: ROS yaml of the floor plan of all files.
+            plan: Floor plan of all files, as `pedzoo.maps.library.load_plan` takes it.
             homography: Text file of a 3x3 matrix from the files' (x, y, 1) to world metres.
         """
         if dt is None or not 0 < dt < 5:

@@ -16,7 +16,7 @@ Split = Literal["train", "val", "test"]
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording and the ROS yaml of its floor plan, None where it has none."""
+    """One recording and its floor plan (`pedzoo.maps.library.load_plan`), None where it has none."""
 
     tracks: Tracks
     plan: Path | None = None

@@ -74,12 +74,12 @@ class Forecaster(nn.Module):
         """Return the model as a controller for the people of any simulator.
 
         Args:
-            map: The floor plan that they walk on, or its file; None for open space.
+            map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
             noise: As of `policy`.
             settings: As of `pedzoo.models.controller.Controller`: ``dt``, ``pref_speed``, ``seed``, ...
 
         Raises:
-            UserError: The file is no floor plan, or a setting is out of range.
+            UserError: There is no such floor plan, or a setting is out of range.
         """
         from pedzoo.models.controller import Controller
 

@@ -19,6 +19,7 @@ from pedzoo.geometry import identity_pose, limit_speed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.guidance import Guidance
+from pedzoo.maps.library import load_plan
 from pedzoo.maps.planner import Planner
 from pedzoo.models.roster import PREF_SPEED, Roster, as_points
 from pedzoo.models.ways import Ways
@@ -76,7 +77,8 @@ class Controller:
         Args:
             policy: Decides. It is bound to this floor plan; a controller on another one needs a policy and
                 model of its own.
-            map: The floor plan, or its file; None for open space, where ways lead straight to the goal.
+            map: The floor plan, its name (``apartment.7``) or its file; None for open space, where ways lead
+                straight to the goal.
             pref_speed: The speed that people like, m/s: one for all, or by id (1.3 for those who are not
                 in it). It is looked up when a person comes.
             dt: Seconds between two calls of `step`.
@@ -86,7 +88,7 @@ class Controller:
             unknown: What unknown cells of the floor plan count as.
 
         Raises:
-            UserError: The file is no floor plan, or a setting is out of range.
+            UserError: There is no such floor plan, or a setting is out of range.
         """
         self._every = _times(policy.decision_dt, dt, "the policy decides")
         self._per_sample = _times(STEP_SECONDS, dt, "histories have a position")
@@ -95,7 +97,7 @@ class Controller:
                 f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
                 "who come and go: expected 1"
             )
-        grid = OccupancyGrid.load(map) if isinstance(map, str | Path) else map
+        grid = load_plan(map) if isinstance(map, str | Path) else map
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
         self._ways = Ways(Planner(bank, clearance))

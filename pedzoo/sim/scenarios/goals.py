@@ -12,7 +12,7 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.library import load_plan
 from pedzoo.sim.scenario import Layout, Scenario
 
 SPACING = 0.8
@@ -43,8 +43,9 @@ class Goals(Scenario):
         """Set the scene.
 
         Args:
-            map: Floor plan file (ROS map yaml, iGibson's ``floor_trav_0.png``), several of them, or
-                ``flat``: the four rooms and the corridor that need no file.
+            map: Floor plan, or several: ``[apartment.0,apartment.1]``. A file (ROS map yaml, iGibson's
+                ``floor_trav_0.png``), or what needs none: ``flat``, four rooms and a corridor, or
+                ``apartment.7``, ``office.7`` and the like, drawn from a seed.
             people: How many, or the least and the largest number, ``[2,5]``.
             goals: That everybody has to reach.
             pool: Places among which goals are drawn, per floor plan.
@@ -67,7 +68,7 @@ class Goals(Scenario):
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the floor plans."""
-        return [flat() if name == "flat" else OccupancyGrid.load(name) for name in self.files]
+        return [load_plan(name) for name in self.files]
 
     def prepare(self, clearance: float) -> None:
         """Spread places over the floor plans and find the ways to those that are goals."""
@@ -152,13 +153,3 @@ def _padded(tables: list[Tensor], value: float) -> Tensor:
     for row, table in enumerate(tables):
         whole[(row, *(slice(length) for length in table.shape))] = table
     return whole
-
-
-def flat() -> OccupancyGrid:
-    """Return four rooms of about 4.5 x 3.5 m along a corridor of 1.8 m: a floor plan that needs no file."""
-    walls = room((0.0, 0.0), (9.1, 9.0), 0.1)
-    for y in (3.65, 5.55):
-        walls += wall((0.0, y), (9.1, y), 0.1, doors=[(2.25, 0.9), (6.85, 0.9)])
-    for low, high in ((0.0, 3.6), (5.6, 9.0)):
-        walls += wall((4.55, low), (4.55, high), 0.1)
-    return rectangles(walls, 0.05, name="flat")

@@ -1,0 +1,196 @@
+"""Furniture put into rooms so that nothing blocks a door and all free space stays one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pedzoo.maps.procedural.catalogue import CATALOGUE, Kind, desks
+from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.shapes import Door, Rect, Room, units
+
+CLEARANCES = (units(0.25), units(0.3))
+"""Units from walls at which the free space of a room is one piece: the planner's clearance, and a little
+more, so that grids of other resolutions agree."""
+
+BEFORE_DOORS = units(0.9)
+"""Units that are kept free on both sides of a door."""
+
+_TRIES = 12
+_BEYOND = units(0.5)  # what a room knows of the space behind its doors
+
+
+class Piece(NamedTuple):
+    """A piece of furniture."""
+
+    name: str
+    rect: Rect
+
+
+class RoomFloor:
+    """The free space of a room, on which furniture is put piece by piece.
+
+    Attributes:
+        pieces: What stands there.
+    """
+
+    def __init__(self, room: Room, doors: Sequence[Door]) -> None:
+        """Take an empty room and its doors."""
+        self.room = room
+        self.pieces: list[Piece] = []
+        self._keep = [door.ahead(BEFORE_DOORS) for door in doors]
+        around = room.box.grown(_BEYOND + 4, _BEYOND + 4)
+        self._low = around.x0, around.y0
+        solid = np.ones((around.height, around.width), dtype=np.uint8)
+        for rect in (*room.parts, *(door.ahead(_BEYOND) for door in doors)):
+            solid[self._slices(rect)] = 0
+        self._open = [_eroded(solid, clearance) for clearance in CLEARANCES]
+
+    def connected(self) -> bool:
+        """Whether the open space is one piece, its doors included."""
+        return all(_is_one(part) for part in self._open)
+
+    def put(self, pieces: Sequence[Piece]) -> bool:
+        """Put pieces down together and return true, or leave them where they are not possible."""
+        for _, rect in pieces:
+            if not any(part.holds(rect) for part in self.room.parts):
+                return False
+            if any(rect.overlaps(other) for other in self._keep):
+                return False
+            if any(rect.overlaps(piece.rect) for piece in self.pieces):
+                return False
+        after = [part.copy() for part in self._open]
+        for _, rect in pieces:
+            for part, clearance in zip(after, CLEARANCES, strict=True):
+                self._close(part, rect, clearance)
+        if not all(_is_one(part) for part in after):
+            return False
+        self._open = after
+        self.pieces += pieces
+        return True
+
+    def _slices(self, rect: Rect) -> tuple[slice, slice]:
+        x, y = self._low
+        return slice(rect.y0 - y, rect.y1 - y), slice(rect.x0 - x, rect.x1 - x)
+
+    def _close(self, part: NDArray[np.uint8], rect: Rect, clearance: int) -> None:
+        """Close what is nearer than ``clearance`` to a rectangle: the rectangle with rounded corners."""
+        region = part[self._slices(rect.grown(clearance, clearance))]
+        region &= _outside(rect.width, rect.height, clearance)
+
+
+def furnish(dice: Dice, room: Room, doors: Sequence[Door], furnished: float) -> list[Piece] | None:
+    """Return the furniture of a room; None where even the empty room is not one piece.
+
+    Args:
+        dice: Random numbers.
+        room: Where it goes.
+        doors: Those of the room.
+        furnished: From 0, nothing, to 1, everything that belongs there and fits.
+    """
+    floor = RoomFloor(room, doors)
+    if not floor.connected():
+        return None
+    if room.use == "open_plan":
+        for group in _clusters(dice, room.box):
+            if dice.chance(furnished):
+                floor.put(group)
+    area = sum(part.area for part in room.parts)
+    for kind in CATALOGUE[room.use]:
+        for _ in range(max(1, round(area / kind.every))):
+            if dice.chance(kind.chance * furnished):
+                any(floor.put(group) for group in _places(dice, room, kind))
+    return floor.pieces
+
+
+def _places(dice: Dice, room: Room, kind: Kind) -> Iterator[list[Piece]]:
+    """Yield some places for a piece."""
+    pieces = kind.draw(dice)
+    low = min(rect.y0 for _, rect in pieces)
+    length, depth = max(rect.x1 for _, rect in pieces), max(rect.y1 for _, rect in pieces)
+    for _ in range(_TRIES):
+        part = dice.choice(room.parts)
+        side = dice.whole(0, 3)
+        wall, across = (part.width, part.height) if side < 2 else (part.height, part.width)
+        along, away = wall - length, across - depth
+        if along < 0 or away < 0:
+            continue
+        at, off = dice.whole(0, along), 0
+        if kind.place == "corner":
+            at = dice.choice((0, along))
+        elif kind.place == "middle":
+            # in the middle third, where the room is wide enough to walk around
+            at = round(along * dice.uniform(0.35, 0.65))
+            off = round((away + low) * dice.uniform(0.35, 0.65)) - low
+        group = _moved(pieces, part, side, at, off)
+        # not where a part of the room opens into another one
+        if not any(
+            other.overlaps(rect.grown(1, 1)) for other in room.parts if other != part for _, rect in group
+        ):
+            yield group
+
+
+def _moved(pieces: Sequence[tuple[str, Rect]], part: Rect, side: int, at: int, off: int) -> list[Piece]:
+    """Return pieces drawn along a wall as they lie at the bottom, top, left or right wall of a part."""
+    found = []
+    for name, (a0, d0, a1, d1) in pieces:
+        along, away = (at + a0, at + a1), (off + d0, off + d1)
+        if side in (1, 3):
+            across = part.height if side == 1 else part.width
+            away = across - away[1], across - away[0]
+        (x0, x1), (y0, y1) = (along, away) if side < 2 else (away, along)
+        found.append(Piece(name, Rect(part.x0 + x0, part.y0 + y0, part.x0 + x1, part.y0 + y1)))
+    return found
+
+
+def _clusters(dice: Dice, box: Rect) -> list[list[Piece]]:
+    """Return blocks of desks in rows, as they stand in an open-plan office: as many desks as fit."""
+    aisle, gap, margin = units(dice.uniform(1.7, 2.2)), units(dice.uniform(1.2, 1.6)), units(1.2)
+    deep, most, best = units(1.6), 0, []
+    for side, count in dice.shuffled([(side, count) for side in (0, 2) for count in (2, 3, 4)]):
+        length, depth = (box.width, box.height) if side == 0 else (box.height, box.width)
+        block = count * units(1.4)
+        across = (length - 2 * margin + gap) // (block + gap)
+        rows = (depth - 2 * margin + aisle) // (deep + aisle)
+        if min(across, rows) < 1 or across * rows * count <= most:
+            continue
+        most = across * rows * count
+        first = (length - across * (block + gap) + gap) // 2
+        begin = (depth - rows * (deep + aisle) + aisle) // 2
+        best = [
+            _moved(desks(count), box, side, first + i * (block + gap), begin + k * (deep + aisle))
+            for k in range(rows)
+            for i in range(across)
+        ]
+    return best
+
+
+def _outside(width: int, height: int, clearance: int) -> NDArray[np.uint8]:
+    """Return which cells around a rectangle keep the clearance: those of it grown by that much."""
+    # between centres of cells; the nearest wall begins half a cell before its centre
+    x, y = (_beyond(length, clearance) for length in (width, height))
+    return (4 * (x**2 + y[:, None] ** 2) >= (2 * clearance + 1) ** 2).astype(np.uint8)
+
+
+def _beyond(length: int, clearance: int) -> NDArray[np.int64]:
+    """Return how far each cell is from a stretch of ``length``, from ``clearance`` before it to behind it."""
+    at = np.arange(-clearance, length + clearance)
+    return np.maximum(np.maximum(-at, at - (length - 1)), 0)
+
+
+def _eroded(solid: NDArray[np.uint8], clearance: int) -> NDArray[np.uint8]:
+    """Return the cells whose centre keeps the clearance from everything solid."""
+    import cv2
+
+    disk = 1 - _outside(1, 1, clearance)
+    return np.asarray(1 - cv2.dilate(solid, disk, borderValue=1), dtype=np.uint8)
+
+
+def _is_one(part: NDArray[np.uint8]) -> bool:
+    import cv2
+
+    # 0 is the rest; connected through their sides, as the planner's cells are
+    return cv2.connectedComponents(part, connectivity=4)[0] == 2

@@ -1,0 +1,136 @@
+"""Offices: corridors with rooms on both sides, some of them open-plan."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.shapes import WALL, Rect, Room, units
+
+SIDES = (12.0, 60.0)
+"""Metres: sides that an office may have."""
+
+_NARROW = units(2.2)
+"""Shortest front that a room may have."""
+
+_WIDTHS = {
+    "office": (2.4, 4.4),
+    "meeting": (3.6, 6.5),
+    "open_plan": (7.0, 14.0),
+    "kitchen": (2.8, 4.5),
+    "toilets": (2.4, 3.6),
+    "storage": (2.2, 3.2),
+}
+"""Metres of a room's front on the corridor."""
+
+_MIX = ["office"] * 9 + ["meeting"] * 3 + ["open_plan"] * 3 + ["kitchen", "toilets", "storage"]
+
+_SMALL, _SMALL_AREA = ("kitchen", "toilets", "storage"), 20.0
+"""Square metres that such rooms have at most."""
+
+
+def draw_size(dice: Dice) -> tuple[float, float]:
+    """Return the outer width and height in metres."""
+    return dice.uniform(20.0, 40.0), dice.uniform(12.0, 25.0)
+
+
+def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
+    """Return the corridor and the rooms inside the outer walls, the longer side along x; None for a bad draw.
+
+    One corridor or more run along the whole length, rows of rooms on both of their sides. Rooms between two
+    corridors are one row or two, back to back, and short corridors lead through them.
+    """
+    count = 1 if inside.height < units(17) else 2 if inside.height < units(28) else 3
+    count += (inside.height > units(40)) + (inside.height > units(52))
+    widths = [dice.whole(units(1.5), units(2.4)) for _ in range(count)]
+    depth = inside.height - sum(widths) - 2 * count * WALL
+    if count == 1:
+        below = round(depth * dice.uniform(0.38, 0.62))
+        depths = [below, depth - below]
+    else:
+        deepest = min(units(5.8), (depth - (count - 1) * units(3)) // 2)
+        outer = [dice.whole(units(3.8), deepest) for _ in range(2)]
+        core = depth - sum(outer)
+        borders = [round(core * i / (count - 1)) for i in range(count)]
+        depths = [outer[0], *(high - low for low, high in pairwise(borders)), outer[1]]
+    if min(depths) < units(2.8):
+        return None
+
+    corridor: list[Rect] = []
+    rows: list[Rect] = []
+    y = inside.y0
+    for i, deep in enumerate(depths):
+        band = inside._replace(y0=y, y1=y + deep)
+        y += deep + WALL
+        if i < count:
+            corridor.append(inside._replace(y0=y, y1=y + widths[i]))
+            y += widths[i] + WALL
+        inner = 0 < i < count
+        links, blocks = _links(dice, band, inner)
+        # a link reaches into the corridors beside it
+        reach = (0 if i == 0 else WALL, 0 if i == count else WALL)
+        corridor += [link._replace(y0=link.y0 - reach[0], y1=link.y1 + reach[1]) for link in links]
+        for block in blocks:
+            if inner and deep > units(7.2):
+                rows += block.cut(1, block.y0 + round((deep - WALL) * dice.uniform(0.42, 0.58)))
+            else:
+                rows.append(block)
+    long = [row for row in rows if row.width >= units(8)]
+    if not long:
+        return None
+    first = dice.choice(long)
+    rooms = [room for row in rows for room in _row(dice, row, "open_plan" if row is first else None)]
+    if any(room.box.short < _NARROW - units(0.2) for room in rooms):
+        return None
+    return [Room("corridor", tuple(corridor)), *rooms]
+
+
+def _links(dice: Dice, band: Rect, inner: bool) -> tuple[list[Rect], list[Rect]]:
+    """Return corridors across a row of rooms, and the blocks of rooms between them.
+
+    Rows between two corridors have two or three, maybe at the ends; outer rows one at times, to a window.
+    """
+    length = band.width
+    if inner:
+        places = [dice.choice((0.0, dice.uniform(0.15, 0.3))), dice.choice((1.0, dice.uniform(0.7, 0.85)))]
+        if length > units(30) and dice.chance(0.6):
+            places.insert(1, dice.uniform(0.42, 0.58))
+    else:
+        places = [dice.uniform(0.25, 0.75)] if dice.chance(0.3) else []
+    links, blocks, begin = [], [], band.x0
+    for place in places:
+        width = dice.whole(units(1.5), units(2.0))
+        low = band.x0 + round((length - width) * place)
+        links.append(band._replace(x0=low, x1=low + width))
+        if low > begin:
+            blocks.append(band._replace(x0=begin, x1=low - WALL))
+        begin = low + width + WALL
+    if begin < band.x1:
+        blocks.append(band._replace(x0=begin))
+    return links, blocks
+
+
+def _row(dice: Dice, row: Rect, first: str | None) -> list[Room]:
+    """Return rooms side by side that fill a row; ``first`` is one of them where it is given."""
+    least = max(_NARROW, round(0.42 * row.height))
+    uses: list[str] = []
+    fronts: list[int] = []
+    while True:
+        use = first if first and not uses else dice.choice(_MIX)
+        front = max(units(dice.uniform(*_WIDTHS[use])), least)
+        if use == "open_plan" and row.height < units(3.6):
+            use = "meeting"
+        if fronts and sum(fronts) + (front + WALL) * 0.5 > row.width:
+            break
+        uses.append(use)
+        fronts.append(front + WALL)
+    order = dice.shuffled(range(len(uses)))
+    # all fronts are stretched a little, so that they fill the row
+    scale = (row.width + WALL) / sum(fronts)
+    rooms, done = [], 0
+    for i in order:
+        low, done = done, done + fronts[i]
+        room = row._replace(x0=row.x0 + round(low * scale), x1=row.x0 + round(done * scale) - WALL)
+        large = uses[i] in _SMALL and room.area > _SMALL_AREA
+        rooms.append(Room("meeting" if large else uses[i], (room,)))
+    return rooms
