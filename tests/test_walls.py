@@ -179,7 +179,7 @@ def test_maps_of_a_bank_poses_and_shapes() -> None:
     assert single.dtype == torch.float32
     torch.testing.assert_close(single.double(), distance, atol=1e-5, rtol=0)
     moved = bank.to("meta")
-    assert moved._walls.box.device.type == "meta" and bank._walls.box.device.type == "cpu"
+    assert moved._walls.choice.device.type == "meta" and bank._walls.choice.device.type == "cpu"
 
 
 def test_the_gradient_is_the_direction() -> None:

@@ -156,31 +156,3 @@ class MapBank:
             pose: Scene poses (N, 4).
         """
         return self._walls.around(self.index(map_id), pose)
-
-    @property
-    def field_error(self) -> float:
-        """Metres by which `signed_distance` can exceed the exact distance.
-
-        That is 1.25 cells: a fifth at cell centres, at most 0.71 by reading between them, and half a cell
-        beside the outermost centres, where it is read along one axis only.
-        """
-        return 1.25 * max((grid.resolution for grid in self.grids), default=0.0)
-
-    @torch.no_grad()
-    def walls_within(self, points: Tensor, map_id: Tensor, pose: Tensor, distance: float) -> Tensor:
-        """Return where (N, K) bool the nearest wall is closer than ``distance``, as `closest_wall` says.
-
-        The distance field, a tenth of the price, answers for most.
-
-        Args:
-            points: Scene positions (N, K, 2), metres.
-            map_id: Floor plan of each entry (N,) long, -1 for none.
-            pose: Scene poses (N, 4).
-            distance: Metres.
-        """
-        close = self.signed_distance(points, map_id, pose) < distance + self.field_error
-        entry, place = close.nonzero(as_tuple=True)
-        if not len(entry):
-            return close
-        exact, _ = self.closest_wall(points[entry, place], map_id[entry], pose[entry])
-        return close.index_put((entry, place), exact < distance)

@@ -37,19 +37,23 @@ class Contenders(NamedTuple):
         sets: Boxes that contend with one another (S, CONTENDERS), repeated where they are fewer.
         choice: For each quarter of a cell (2H, 2W) a box, or M plus a set; boxes are walls for free places
             and free space for walls.
+        sign: Plus one for each box of wall and minus one for each of free space (M,).
+        centre: Signed distance of each cell's centre to the nearest box of the other kind (H, W), in cells.
     """
 
     box: NDArray[np.float64]
     sets: NDArray[np.int64]
     choice: NDArray[np.int64]
+    sign: NDArray[np.float64]
+    centre: NDArray[np.float64]
 
 
 def contenders(walls: NDArray[np.bool_]) -> Contenders:
     """Return the boxes of walls and free space, and which can be the nearest of the other kind where."""
     parts, choices, sets = [], np.zeros([2 * size for size in walls.shape], dtype=np.int64), []
-    mixed_places = []
+    mixed_places, signs, centre = [], [], np.empty(walls.shape)
     count = 0
-    for side in (walls, ~walls):
+    for sign, side in ((1, walls), (-1, ~walls)):
         box = merge_cells(side)
         label = _nearest_box(box, side.shape)
         corners = (label[:-1, :-1], label[:-1, 1:], label[1:, :-1], label[1:, 1:])
@@ -64,6 +68,11 @@ def contenders(walls: NDArray[np.bool_]) -> Contenders:
             near = np.stack([around[row + i, column + j] for i in range(4) for j in range(4)], axis=1)
             sets.append(_unbeaten(near, box, row, column) + count)
         parts.append(box if len(box) else np.full((1, 4), FAR))
+        signs.append(np.full(len(parts[-1]), float(sign)))
+        here = np.argwhere(~side)
+        low, high = parts[-1][label[1::2, 1::2][~side]].reshape(-1, 2, 2).transpose(1, 0, 2)
+        gap = np.maximum(np.maximum(low - here[:, ::-1] - 0.5, here[:, ::-1] + 0.5 - high), 0)
+        centre[~side] = sign * np.hypot(*gap.T)
         count += len(parts[-1])
     row, column = (np.concatenate(axis) for axis in zip(*mixed_places, strict=True))
     choices[row, column] = count + np.arange(len(row))
@@ -71,6 +80,8 @@ def contenders(walls: NDArray[np.bool_]) -> Contenders:
         np.concatenate(parts).astype(np.float64),
         np.concatenate([np.zeros((0, CONTENDERS), dtype=np.int64), *sets]),
         choices,
+        np.concatenate(signs),
+        centre,
     )
 
 

@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import move_to_map, turn_to_map
 from pedzoo.maps.contenders import CONTENDERS, contenders
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.planar import pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,25 +28,26 @@ class Walls:
     which boxes contend in a quarter. The contending boxes of a position's quarter are compared.
 
     Attributes:
-        box: Boxes of all maps (4, M) float64: x0, y0, x1, y1 in cells from the padded map's outer corner.
-        option: Sets of contending boxes (CONTENDERS, O) int32; the first M are one box each.
+        option: Sets of contending boxes in columns (4 * CONTENDERS + 1, O) float32: all their x0, then all
+            their y0, x1 and y1, in half cells from the padded map's outer corner; last, plus one where they
+            are walls and minus one where they are free space.
         choice: Which set contends in each quarter, row by row, one map after another (Q,) int32.
-        wall: Whether each cell is a wall, one map after another (C,) bool.
-        affine: Map frame in metres to cells of the padded map: column by column a matrix's two rows and two
-            shifts (6, R + 1) float64; row -1 means "no map".
-        place: Columns and rows of each padded map, and where it begins in ``wall`` (3, R + 1) long.
-        resolution: Side of a cell in metres (R + 1,) float64.
-        limit: Distances are clipped to plus and minus this, metres () float64.
+        least: What every place in a cell is away from the nearest wall, at least; one map after another
+            (C,) float32, metres.
+        affine: Map frame in metres to half cells of the padded map: column by column a matrix's two rows and
+            two shifts (6, R + 1) float64; row -1 means "no map".
+        place: Columns and rows of each padded map, and where it begins in ``least`` (3, R + 1) long.
+        side: Of half a cell in metres (R + 1,) float64.
+        limit: Distances are clipped to plus and minus this, metres.
     """
 
-    box: Tensor
     option: Tensor
     choice: Tensor
-    wall: Tensor
+    least: Tensor
     affine: Tensor
     place: Tensor
-    resolution: Tensor
-    limit: Tensor
+    side: Tensor
+    limit: float
 
     @classmethod
     def of(cls, grids: Sequence[OccupancyGrid], unknown: Unknown, max_distance: float) -> Walls:
@@ -55,39 +57,41 @@ class Walls:
         pads = [math.ceil(max_distance / grid.resolution) for grid in grids]
         plans = [np.pad(grid.occupied(unknown), pad) for grid, pad in zip(grids, pads, strict=True)]
         plans.append(np.zeros((1, 1), dtype=bool))
-        found = [contenders(cells) for cells in plans]
-        boxes = np.concatenate([one.box for one in found])
-        first_box = np.cumsum([0, *(len(one.box) for one in found)])
-        first_set = len(boxes) + np.cumsum([0, *(len(one.sets) for one in found)])
-        sets = [one.sets + start for one, start in zip(found, first_box, strict=False)]
-        choice = [
-            np.where(one.choice < len(one.box), one.choice + box, one.choice - len(one.box) + rest).ravel()
-            for one, box, rest in zip(found, first_box, first_set, strict=False)
-        ]
-        option = np.concatenate((np.repeat(np.arange(len(boxes))[:, None], CONTENDERS, axis=1), *sets))
+        sides = [*(grid.resolution for grid in grids), 1.0]
+        option, choice, least, options = [], [], [], 0
+        for cells, side in zip(plans, sides, strict=True):
+            found = contenders(cells)
+            sets = np.concatenate((np.repeat(np.arange(len(found.box))[:, None], CONTENDERS, 1), found.sets))
+            boxes = (2 * found.box)[sets].transpose(2, 1, 0).reshape(4 * CONTENDERS, -1)
+            option.append(np.concatenate((boxes, found.sign[sets[:, 0]][None])).astype(np.float32))
+            choice.append((found.choice + options).astype(np.int32).ravel())
+            # no place in a cell is farther from its centre than half its diagonal
+            bound = (found.centre - math.sqrt(0.5) - 1e-4) * side
+            least.append(np.minimum(bound, max_distance).astype(np.float32).ravel())
+            options += len(sets)
         begin = np.cumsum([0, *(cells.size for cells in plans[:-1])])
         place = [(*cells.shape[::-1], start) for cells, start in zip(plans, begin, strict=True)]
 
         affine = np.zeros((6, len(plans)))
         for row, (grid, pad) in enumerate(zip(grids, pads, strict=True)):
             to_cell = grid.map_to_cell()
-            affine[:, row] = [*to_cell[0, :2], *to_cell[1, :2], *(to_cell[:, 2] + pad + 0.5)]
+            affine[:, row] = 2 * np.array([*to_cell[0, :2], *to_cell[1, :2], *(to_cell[:, 2] + pad + 0.5)])
         return cls(
-            box=torch.from_numpy(boxes.T.copy()),
-            option=torch.from_numpy(option.T.astype(np.int32)),
-            choice=torch.from_numpy(np.concatenate(choice).astype(np.int32)),
-            wall=torch.from_numpy(np.concatenate([cells.ravel() for cells in plans])),
+            option=torch.from_numpy(np.concatenate(option, axis=1)),
+            choice=torch.from_numpy(np.concatenate(choice)),
+            least=torch.from_numpy(np.concatenate(least)),
             affine=torch.from_numpy(affine),
             place=torch.tensor(place).T.contiguous(),
-            resolution=torch.tensor([*(grid.resolution for grid in grids), 1.0], dtype=torch.float64),
-            limit=torch.tensor(max_distance, dtype=torch.float64),
+            side=torch.tensor(sides, dtype=torch.float64) / 2,
+            limit=max_distance,
         )
 
     def to(self, device: torch.device | str) -> Walls:
         """Return the walls on a device: themselves where they are there already."""
-        if self.box.device == torch.device(device):
+        if self.choice.device == torch.device(device):
             return self
-        return Walls(**{part.name: getattr(self, part.name).to(device) for part in fields(self)})
+        parts = {part.name: getattr(self, part.name) for part in fields(self)}
+        return Walls(**{key: part if key == "limit" else part.to(device) for key, part in parts.items()})
 
     def around(self, row: Tensor, pose: Tensor) -> LocalWalls:
         """Return the walls as N entries see them, to be asked any number of times.
@@ -96,46 +100,98 @@ class Walls:
             row: Which map (N,) long, -1 for none.
             pose: Scene poses (N, 4).
         """
-        row, pose = row % self.place.shape[1], pose.double()
+        row = row % self.place.shape[1]
         xx, xy, yx, yy, shift_x, shift_y = self.affine.index_select(1, row)
-        # pose and map together are one affine from the scene to cells
-        axes = torch.eye(2, dtype=pose.dtype, device=pose.device).expand(len(pose), 2, 2)
-        (ax, ay), (bx, by) = turn_to_map(axes, pose).permute(1, 2, 0)
-        home_x, home_y = move_to_map(pose.new_zeros(len(pose), 2), pose).unbind(1)
-        affine = (
-            xx * ax + xy * ay,
-            xx * bx + xy * by,
-            yx * ax + yy * ay,
-            yx * bx + yy * by,
-            xx * home_x + xy * home_y + shift_x,
-            yx * home_x + yy * home_y + shift_y,
+        angle, mirror, right, up = pose.double().unbind(1)
+        # pose and map together are one affine from the scene to cells; see `pedzoo.geometry.move_to_map`
+        c, s = angle.cos(), angle.sin()
+        d, e = c * mirror, s * mirror
+        home_x, home_y = c * right + s * up, d * up - e * right
+        frame = (
+            xx * c - xy * e,
+            yx * c - yy * e,
+            xx * s + xy * d,
+            yx * s + yy * d,
+            shift_x - xx * home_x - xy * home_y,
+            shift_y - yx * home_x - yy * home_y,
+            self.side.index_select(0, row),
         )
-        columns, lines, begin = (values.unsqueeze(1) for values in self.place.index_select(1, row))
-        resolution = self.resolution.index_select(0, row).unsqueeze(1)
-        return LocalWalls(
-            self, tuple(part.unsqueeze(1) for part in affine), columns, lines, begin, resolution
-        )
+        return LocalWalls(self, torch.stack(frame).unsqueeze(2), self.place.index_select(1, row).unsqueeze(2))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalWalls:
     """The walls as N entries see them, each on its map and in its scene's frame.
 
+    Coordinates are handled in rows, (2, N, K): on the CPU several times faster than pairs of them.
+
     Attributes:
         walls: Those of all maps.
-        affine: Scene positions in metres to cells of the padded map: two rows and two shifts (6, N, 1).
-        columns: Of the padded map (N, 1).
-        lines: Its rows (N, 1).
-        begin: Where its cells begin (N, 1).
-        resolution: Side of a cell in metres (N, 1).
+        frame: Scene positions in metres to half cells of the padded map: where the x axis points, where the
+            y axis points, and the shift, two rows each; then the side of half a cell in metres (7, N, 1).
+        place: Columns and rows of the padded map, and where its cells begin (3, N, 1) long.
     """
 
     walls: Walls
-    affine: tuple[Tensor, ...]
-    columns: Tensor
-    lines: Tensor
-    begin: Tensor
-    resolution: Tensor
+    frame: Tensor
+    place: Tensor
+
+    def rows(self, index: Tensor) -> LocalWalls:
+        """Return the walls as some of the entries see them."""
+        return LocalWalls(self.walls, self.frame.index_select(1, index), self.place.index_select(1, index))
+
+    def least(self, points: Tensor) -> Tensor:
+        """Return how far from the nearest wall positions are at least (N, K), for a tenth of the price.
+
+        That is the exact distance less up to 1.5 cells, float32; of a position that is not a number, anything.
+
+        Args:
+            points: Scene positions (2, N, K), metres.
+        """
+        x_axis, y_axis, shift = self.frame.float()[:6].split(2)
+        columns, _, begin = self.place
+        place = torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
+        cell = place.mul_(0.5).long().clamp(self._zero, self.place[:2] - 1)
+        index = torch.addcmul(cell[0].add_(begin), cell[1], columns)
+        return self.walls.least.index_select(0, index.view(-1)).view(index.shape)
+
+    @cached_property
+    def _zero(self) -> Tensor:
+        return torch.zeros_like(self.place[:2])
+
+    @cached_property
+    def _quarters(self) -> tuple[Tensor, ...]:
+        """Return the last column and row of quarters (2, N, 1), their number in a row and the first (N, 1)."""
+        size = 2 * self.place[:2]
+        return size - 1, size[0], 4 * self.place[2]
+
+    @cached_property
+    def _parts(self) -> tuple[Tensor, ...]:
+        """Return the frame's axes and shift, each (2, N, 1), both axes (2, 2, N, 1) and the side (N, 1)."""
+        axes = self.frame[:4].view(2, 2, *self.frame.shape[1:])
+        return axes[0], axes[1], self.frame[4:6], axes, self.frame[6]
+
+    @torch.no_grad()
+    def within(self, path: Tensor, distance: float) -> Tensor:
+        """Return where paths come closer than ``distance`` to a wall (N, S, M) bool.
+
+        Of a stretch of M points the middle one is asked about first, roughly.
+
+        Args:
+            path: Scene positions (2, N, S, M), metres; M points of a stretch are near each other.
+            distance: Metres.
+        """
+        middle = path[..., path.shape[3] // 2]
+        spread = (path - middle.unsqueeze(3)).abs_().amax(3)
+        close = self.least(middle) < torch.hypot(spread[0], spread[1]) + distance
+        result = close.unsqueeze(2).repeat(1, 1, path.shape[3]).flatten(0, 1)
+        stretch = close.view(-1).nonzero()[:, 0]
+        if len(stretch):
+            points = path.flatten(1, 2).index_select(1, stretch).double()
+            entry = stretch.div(close.shape[1], rounding_mode="floor")
+            gap, _ = self.rows(entry).look(points)
+            result.index_copy_(0, stretch, gap < distance)
+        return result.unflatten(0, close.shape)
 
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distance (N, ...) to the nearest wall and the direction (N, ..., 2) in which it grows.
@@ -148,42 +204,42 @@ class LocalWalls:
         """
         with torch.no_grad():
             flat = points.double().reshape(len(points), math.prod(points.shape[1:-1]), 2)
-            distance, away = self._look(*flat.unbind(2))
-            distance = distance.view(points.shape[:-1]).to(points.dtype)
-            away = away.view(points.shape).to(points.dtype)
+            gap, away = self.look(flat.permute(2, 0, 1).contiguous())
+            gap = gap.view(points.shape[:-1]).to(points.dtype)
+            away = pairs(*away).view(points.shape).to(points.dtype)
         if points.requires_grad:
-            distance = distance + ((points - points.detach()) * away).sum(dim=-1)
-        return distance, away
+            gap = gap + ((points - points.detach()) * away).sum(dim=-1)
+        return gap, away
 
-    def _look(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        # Coordinates (N, K) are handled one by one: on the CPU several times faster than pairs of them.
-        walls, columns, lines, begin = self.walls, self.columns, self.lines, self.begin
-        xx, xy, yx, yy, shift_x, shift_y = self.affine
-        x, y = xx * x + xy * y + shift_x, yx * x + yy * y + shift_y
-        column = (x * 2).long().clamp_min(0).minimum(2 * columns - 1)
-        line = (y * 2).long().clamp_min(0).minimum(2 * lines - 1)
-        inside = _at(walls.wall, begin + (line >> 1) * columns + (column >> 1))
-        choice = _at(walls.choice, 4 * begin + line * (2 * columns) + column)
-        around = torch.stack([_at(boxes, choice) for boxes in walls.option])
-        x0, y0, x1, y1 = (_at(values, around) for values in walls.box)
-        dx, dy = x - x.clamp(x0, x1), y - y.clamp(y0, y1)
-        squared, best = (dx.square() + dy.square()).min(dim=0)
-        best = best.unsqueeze(0)
-        dx, dy = dx.gather(0, best)[0], dy.gather(0, best)[0]
+    @torch.no_grad()
+    def look(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return distances (N, K) and directions (2, N, K), as `closest` does.
+
+        Args:
+            points: Scene positions (2, N, K) float64, metres.
+        """
+        walls, (x_axis, y_axis, shift, axes, side) = self.walls, self._parts
+        last, columns, begin = self._quarters
+        place = torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
+        quarter = place.long().clamp(self._zero, last)
+        index = torch.addcmul(quarter[0].add_(begin), quarter[1], columns)
+        shape = index.shape
+        choice = walls.choice.index_select(0, index.view(-1))
+        option = walls.option.index_select(1, choice).double()
+        corners, sign = option[:-1].view(2, 2, CONTENDERS, *shape), option[-1].view(shape)
+        apart = place.unsqueeze(1) - place.unsqueeze(1).clamp(corners[0], corners[1])
+        squared, best = torch.addcmul(apart[0] * apart[0], apart[1], apart[1]).min(dim=0)
+        apart = apart.gather(1, best.expand(2, 1, *shape))[:, 0]
         depth = squared.sqrt()
+        distance = depth * side
+        toward = sign * (distance < walls.limit)
         edge = depth == 0
         if bool(edge.any()):  # on the very edge of a box the direction is square to that edge
-            x0, y0, x1, y1 = (values.gather(0, best)[0] for values in (x0, y0, x1, y1))
-            along_x = torch.maximum(x0 - x, x - x1) >= torch.maximum(y0 - y, y - y1)
-            dx = torch.where(edge, along_x * (2 * x - x0 - x1).sign(), dx)
-            dy = torch.where(edge, ~along_x * (2 * y - y0 - y1).sign(), dy)
-        distance = depth * self.resolution
-        sign = 1 - 2 * inside.double()
-        scale = torch.where(distance < walls.limit, sign * self.resolution, 0) / torch.where(edge, 1, depth)
-        away = torch.stack(((xx * dx + yx * dy) * scale, (xy * dx + yy * dy) * scale), dim=2)
-        return distance.minimum(walls.limit) * sign, away
-
-
-def _at(values: Tensor, index: Tensor) -> Tensor:
-    # values[index], several times faster on the CPU
-    return values.index_select(0, index.view(-1)).view(index.shape)
+            low, high = corners.gather(2, best.expand(2, 2, 1, *shape))[:, :, 0]
+            beyond = torch.maximum(low - place, place - high)
+            square = torch.stack((beyond[0] >= beyond[1], beyond[0] < beyond[1]))
+            apart = torch.where(edge, square * (2 * place - low - high).sign(), apart)
+            depth = torch.where(edge, 1, depth)
+        # the way back from cells to the scene is the transposed one
+        away = (axes * (apart * (toward * side / depth))).sum(1)
+        return distance.clamp_max(walls.limit) * sign, away

@@ -58,27 +58,42 @@ class GridWorld(World):
     @torch.no_grad()
     def contacts(self, path: Tensor, people: People) -> Contacts:
         """See `World.contacts`: bounds first, and the exact question only for the few whom they leave."""
-        start = people.position
-        far = farthest(path, start)
+        planes = path.movedim(-1, 0).contiguous()
+        # a bound about the middle of a way is half of one about its start
+        middle = planes.flatten(3)[..., path.shape[2] * path.shape[3] // 2]
+        far = farthest(planes, middle)
         present = people.mask & far.isfinite()
         agent = path.new_zeros(path.shape[:3], dtype=torch.bool)
 
-        pairs = near_pairs(start, present, far, 2 * self.body_radius)
-        apart = path[pairs.scene, pairs.first] - path[pairs.scene, pairs.second]
-        mark(agent, pairs, (apart.square().sum(-1) < (2 * self.body_radius) ** 2).any(-1))
-        return Contacts(agent, self._wall_contacts(path, people, present, far))
+        pairs = near_pairs(middle.movedim(0, -1), present, far, 2 * self.body_radius)
+        agents, (first, second) = present.shape[1], (pairs.first, pairs.second)
+        everybody = planes.flatten(1, 2)
+        apart = everybody.index_select(1, pairs.scene * agents + first)
+        apart -= everybody.index_select(1, pairs.scene * agents + second)
+        mark(agent, pairs, (apart.square().sum(0) < (2 * self.body_radius) ** 2).any(-1))
+        return Contacts(agent, self._wall_contacts(planes, middle, far, present, people))
 
-    def _wall_contacts(self, path: Tensor, people: People, present: Tensor, far: Tensor) -> Tensor:
-        touching = path.new_zeros(path.shape[:3], dtype=torch.bool)
-        if not self.bank.grids:
-            return touching
-        map_id, pose, within = people.map_id[:, 0], people.pose, self.body_radius + self.bank.field_error
-        field = self.bank.signed_distance(people.position, map_id, pose)
-        scene, person = (present & (field < within + far)).nonzero(as_tuple=True)
-        points = path[scene, person].flatten(1, 2)
-        hit = self.bank.walls_within(points, map_id[scene], pose[scene], self.body_radius)
-        touching[scene, person] = hit.unflatten(1, path.shape[2:4]).any(-1)
-        return touching
+    def _wall_contacts(
+        self, path: Tensor, middle: Tensor, far: Tensor, present: Tensor, people: People
+    ) -> Tensor:
+        """Return who touches a wall when (B, A, S) bool.
+
+        Args:
+            path: Sub-steps (2, B, A, S, M), metres.
+            middle: A point of each path (2, B, A).
+            far: What no point of it is farther away (B, A).
+            present: Whom to ask about (B, A) bool.
+            people: Their scenes.
+        """
+        touching = torch.zeros(path.shape[1:4], dtype=torch.bool, device=path.device).flatten(0, 1)
+        if self.bank.grids:
+            walls = self.bank.walls_around(people.map_id[:, 0], people.pose)
+            near = present & (walls.least(middle) < far + self.body_radius)
+            who = near.view(-1).nonzero()[:, 0]
+            some = walls.rows(who.div(near.shape[1], rounding_mode="floor"))
+            hit = some.within(path.flatten(1, 2).index_select(1, who), self.body_radius)
+            touching.index_copy_(0, who, hit.any(-1))
+        return touching.unflatten(0, present.shape)
 
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
