@@ -1,0 +1,144 @@
+"""Baseline: the social force model (Helbing and Molnar, Phys. Rev. E 51, 1995), walls or not."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from pedzoo import draws
+from pedzoo.errors import UserError
+from pedzoo.geometry import move_to_map, turn_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.base import ids_of
+from pedzoo.sim.policy import Policy
+from pedzoo.sim.social_force.borders import Borders
+from pedzoo.sim.social_force.forces import wall_force
+from pedzoo.sim.social_force.settings import Anisotropy, SocialForceSettings
+from pedzoo.sim.social_force.velocity import social_force_velocity
+from pedzoo.types import TRACE_SECONDS
+
+
+class SocialForce(Policy):
+    """People accelerate along the planner's way, away from each other and away from walls.
+
+    `SocialForceSettings` has symbols, units and sources of all parameters. Those of 1995, the default, are
+    for open places and wide corridors: their walls push so hard that nobody who walks at 1.3 m/s gets through
+    a door of 0.85 m. The preset ``indoor`` has softer walls.
+    """
+
+    def __init__(
+        self,
+        tau: float | None = None,
+        walls: bool = True,
+        dt: float = TRACE_SECONDS,
+        preset: Literal["1995", "indoor"] = "1995",
+        strength: float | None = None,
+        sigma: float | None = None,
+        step_time: float | None = None,
+        wall_strength: float | None = None,
+        wall_range: float | None = None,
+        anisotropy: Anisotropy | None = None,
+        view_angle: float | None = None,
+        out_of_view: float | None = None,
+        behind: float | None = None,
+        top_speed_ratio: float | None = None,
+        neighbor_dist: float | None = None,
+        max_neighbors: int | None = None,
+        fluctuation: float | None = None,
+    ) -> None:
+        """Set the parameters; what is not given is the preset's.
+
+        Args:
+            tau: Relaxation time, seconds.
+            walls: Whether walls are avoided.
+            dt: Seconds between decisions, at most ``tau``; forces are integrated in steps of 0.1 s or less.
+            preset: ``1995`` for the paper's parameters, ``indoor`` for doors.
+            strength: Of the potential around people (V0), m^2/s^2.
+            sigma: Its range, metres.
+            step_time: How far ahead of a walking person it reaches (Delta t), seconds of their way.
+            wall_strength: Of the potential of walls (U0), m^2/s^2.
+            wall_range: Its range (R), metres.
+            anisotropy: How much less what is behind counts: ``view``, ``smooth`` or ``none``.
+            view_angle: Half of the angle of sight for ``view`` (phi), degrees.
+            out_of_view: Weight of what is out of sight for ``view`` (c).
+            behind: Weight of who is straight behind for ``smooth`` (lambda).
+            top_speed_ratio: Top speed, divided by the preferred one.
+            neighbor_dist: Metres from which on others are ignored.
+            max_neighbors: So many nearest others are heeded.
+            fluctuation: Standard deviation of random accelerations, m/s^2.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        super().__init__(dt)
+        given = {
+            "tau": tau,
+            "strength": strength,
+            "sigma": sigma,
+            "step_time": step_time,
+            "wall_strength": wall_strength,
+            "wall_range": wall_range,
+            "anisotropy": anisotropy,
+            "view_angle": view_angle,
+            "out_of_view": out_of_view,
+            "behind": behind,
+            "top_speed_ratio": top_speed_ratio,
+            "neighbor_dist": neighbor_dist,
+            "max_neighbors": max_neighbors,
+            "fluctuation": fluctuation,
+        }
+        changes = {key: value for key, value in given.items() if value is not None}
+        self.settings = SocialForceSettings.preset(preset, **changes)
+        if dt > self.settings.tau:
+            raise UserError(
+                f"social_force: dt {dt}: expected at most tau, {self.settings.tau} s: who holds a velocity "
+                "for longer than it takes to change it follows no forces"
+            )
+        self._sees_walls = walls
+        self._borders: Borders | None = None
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans whose walls are avoided."""
+        self._borders = Borders(bank, self.settings.wall_reach) if self._sees_walls else None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write everybody's velocity."""
+        agents: Any = tensordict["agents"]
+        mask, ids = agents["mask"], ids_of(tensordict)
+        identity = draws.join(tensordict["scene_key"], "social_force", ids)
+        fluctuation = None
+        if self.settings.fluctuation:
+            step = (tensordict["time"] / TRACE_SECONDS).round().long()
+            key = draws.join(identity, step).unsqueeze(-1)
+            key = draws.join(key, torch.arange(2, device=key.device))
+            fluctuation = self.settings.fluctuation * draws.normal(key)
+        tensordict["agents", "action"] = social_force_velocity(
+            agents["history"][:, :, -1],
+            agents["velocity"],
+            agents["desired_velocity"],
+            agents["pref_speed"][..., 0],
+            mask,
+            self.settings,
+            self.decision_dt,
+            identity,
+            None if self._borders is None else lambda place, rows: self._walls(tensordict, place, rows),
+            fluctuation,
+        )
+        return tensordict
+
+    def _walls(self, tensordict: TensorDictBase, place: Tensor, rows: Tensor | None) -> Tensor:
+        """Return the walls' forces (2, N) on the people ``rows`` (N,) of B * A, at ``place`` (2, N)."""
+        assert self._borders is not None
+        mask, poses, ids = (
+            cast("Tensor", tensordict[key]) for key in (("agents", "mask"), "scene_pose", "map_id")
+        )
+        slots = mask.shape[1]
+        scene = torch.arange(len(mask), device=mask.device).repeat_interleave(slots)
+        scene = scene if rows is None else scene[rows]
+        pose = poses[scene]
+        points = self._borders.near(move_to_map(place.T, pose), ids.flatten()[scene])
+        force = wall_force(*points, place.shape[1], self.settings.wall_strength, self.settings.wall_range)
+        return turn_to_scene(force.T, pose).T

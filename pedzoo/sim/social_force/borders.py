@@ -1,0 +1,119 @@
+"""Which points of the walls push a person.
+
+The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. On a floor
+plan that is no matter of course: one wall is many cells, a room is one outline, and the nearest point of a
+doorway's outline flips from jamb to jamb. Here every *local minimum* of the distance along the outlines acts:
+a straight wall once, into however many pieces it is cut, a convex corner once, both jambs of a doorway, both
+sides of a corridor, both walls of a room's corner.
+
+Where an outline bends a little towards the person there are two minima in almost the same place, and one of
+them vanishes as the person walks on, in the corner between them, which is a local *maximum*. So that the
+force neither doubles nor jumps there, the maximum acts, too, with the opposite sign: where it swallows a
+minimum both have the same distance and direction. It counts in full while the nearest points of its two
+segments lie within 60 degrees of each other, as seen by the person, and not at all from 90 degrees on: the
+two walls of a room's corner are two borders.
+
+Borders do not hide each other, and two obstacles are two however narrow the gap between them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
+from pedzoo.maps.segments import WallSegments
+from pedzoo.sim.orca.vectors import cross, dot
+from pedzoo.sim.social_force.forces import direction
+
+
+class WallPoints(NamedTuple):
+    """M points of walls that act on people.
+
+    Attributes:
+        person: Whom each acts on (M,) long.
+        offset: From the point to the person (2, M), metres, in the frame of the floor plan.
+        weight: 1 for minima of the distance, down to -1 for maxima (M,).
+    """
+
+    person: Tensor
+    offset: Tensor
+    weight: Tensor
+
+
+class Borders:
+    """The walls of a bank's floor plans, simplified as `WallSegments` has them.
+
+    Attributes:
+        bank: The floor plans; their unknown cells count as it says.
+        reach: Metres within which walls act.
+    """
+
+    def __init__(self, bank: MapBank, reach: float) -> None:
+        """Take the floor plans; nothing is computed before the first look-up."""
+        self.bank = bank
+        self.reach = reach
+        self._known: dict[tuple[torch.device, torch.dtype], tuple[MapBank, SegmentTable, Tensor]] = {}
+
+    def near(self, place: Tensor, map_id: Tensor) -> WallPoints:
+        """Return the points of walls that act on people; none without a map.
+
+        Args:
+            place: Where people are on their floor plans (N, 2), metres; differentiable.
+            map_id: Floor plan of each (N,) long, -1 for none.
+
+        Raises:
+            UserError: A ``map_id`` is of another bank.
+        """
+        bank, table, before_start = self._look_up(place)
+        with torch.no_grad():
+            reach = place.new_full((len(place),), self.reach)
+            person, segment, _ = table.look(place, bank.index(map_id), reach)
+        corner = table.segments.index_select(1, segment)
+        start, end, along, before = corner[:2], corner[2:4], corner[4:6], corner[6:8]
+        at = place.T.index_select(1, person)
+        off = at - start
+        t = dot(off, along)
+        offset = off - along * t.clamp_min(0).minimum(dot(end - start, along))
+
+        # A foot inside the segment; or its start, where the segment before has no foot either. The same
+        # expression decides for both segments at a corner, so that exactly one of them has it.
+        past = dot(off, before)
+        acts = torch.where(t > 0, dot(at - end, along) < 0, past >= 0)
+        concave = (corner[10] == 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)
+        kept, hollow = acts.nonzero()[:, 0], concave.nonzero()[:, 0]
+        weight = torch.ones_like(t.index_select(0, kept))
+        points = WallPoints(person.index_select(0, kept), offset.index_select(1, kept), weight)
+        if not len(hollow):
+            return points
+
+        off, before, nearest = (part.index_select(1, hollow) for part in (off, before, offset))
+        start, first = (
+            start.index_select(1, hollow),
+            before_start.index_select(1, segment.index_select(0, hollow)),
+        )
+        nearest_before = off + before * (-dot(off, before)).minimum(dot(start - first, before))
+        likeness = dot(direction(nearest), direction(nearest_before))
+        return WallPoints(
+            torch.cat((points.person, person.index_select(0, hollow))),
+            torch.cat((points.offset, off), dim=1),
+            torch.cat((weight, -(2 * likeness).clamp(0, 1))),
+        )
+
+    def _look_up(self, place: Tensor) -> tuple[MapBank, SegmentTable, Tensor]:
+        """Return bank, segments and where the segment before each starts (2, S + 1) for people like these."""
+        key = place.device, place.dtype
+        if key not in self._known:
+            outlines = WallSegments(self.bank)
+            polygons = [outlines.polygons(grid) for grid in self.bank.grids]
+            segments = [np.concatenate([NOWHERE[:0], *map(edges, some)]) for some in polygons]
+            # all segments within reach: a limit would cut off different ones from step to step
+            table = SegmentTable.build(segments, self.reach, 0).to(*key)
+            starts = [np.roll(polygon, 1, axis=0) for some in polygons for polygon in some]
+            first = torch.as_tensor(np.concatenate([*starts, NOWHERE[:, :2]])).T.contiguous()
+            self._known[key] = self.bank.to(place.device), table, first.to(*key)
+        return self._known[key]
