@@ -1,6 +1,6 @@
-"""Compares pedzoo's ORCA with RVO2 (pyrvo), one step at a time from the same states, and times both.
+"""Compares pedzoo's ORCA with RVO2 (pyrvo), one step at a time from the same states.
 
-    python tools/compare_orca.py [--steps 12000] [--map ../shared/maps/igibson_rs.yaml] [--json FILE]
+    python tools/compare_orca.py [--steps 12000] [--map ../shared/maps/igibson_rs.yaml]
 
 Everybody walks to random places, replaced at arrival and at times; after each step everybody is where RVO2
 put them. Both sides compute in float32 with the same parameters and the same wall polygons. RVO2 splits walls
@@ -13,7 +13,7 @@ What is 1e-3 m/s and more apart is counted in the first of these classes that it
 * blocked: no velocity obeys all walls, so that the answer depends on the order of lines;
 * other.
 
-The last table times both on one thread, in turns; with walls, looking up the segments counts as ours.
+How fast both are is told by `pedzoo bench orca --peer tools/peers/pyrvo_orca.py`.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from rvo2_peer import Rvo2
-from side_by_side import Row, race, report
 from torch import Tensor
 
+from pedzoo.bench.scenes import plan
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim.orca.programs import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
@@ -43,7 +43,6 @@ from pedzoo.sim.orca.wall_lines import wall_lines
 SPEED, TOP_SPEED = 1.3, 1.69
 SETTINGS = OrcaSettings(time_step=0.1, max_obstacles=1000)
 APART = 1e-3
-CELL = 0.1
 
 
 class Pieces(WallSegments):
@@ -129,16 +128,6 @@ def _centres(grid: OccupancyGrid, cells: NDArray[np.int64]) -> NDArray[np.float6
     return (cells[:, ::-1] - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
 
 
-def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:
-    """Return a square room of ``side`` cells with boxes in it."""
-    cells, random = np.zeros((side, side), dtype=np.uint8), np.random.default_rng(seed)
-    cells[[0, -1]] = cells[:, [0, -1]] = OCCUPIED
-    for _ in range(boxes):
-        (x, y), (width, height) = random.integers(2, side - 12, 2), random.integers(1, 15, 2)
-        cells[y : y + height, x : x + width] = OCCUPIED
-    return OccupancyGrid(cells, CELL, name=f"plan {side} {boxes} {seed}")
-
-
 def classify(state: State, walk: Walk, scene: int, agent: int, theirs: Tensor) -> str:
     """Return the class of a person of whom both sides think differently."""
 
@@ -213,28 +202,6 @@ def agreement(name: str, plans: list[OccupancyGrid], walled: bool, agents: int, 
     ]
 
 
-def speed(name: str, scenes: int, agents: int, side: int, boxes: int | None, bar: float | None) -> list[Row]:
-    """Time one step of all scenes: from torch's wishes to torch's velocities, and RVO2's own part of it."""
-    walk = Walk(plan(side, boxes or 0, 0), boxes is not None, scenes, agents, 0)
-    walls = WallSegments(walk.walls.bank) if walk.walls else None
-    for _ in range(20):
-        state, _ = walk.step()
-    few = replace(SETTINGS, max_obstacles=OrcaSettings.max_obstacles)
-
-    def ours() -> Tensor:
-        return state.ours(walls, few)
-
-    def theirs() -> Tensor:
-        walk.peer.wish(state.preferred)
-        walk.peer.step()
-        return walk.peer.velocity()
-
-    walk.peer.prepare(state.position, state.velocity, state.preferred)
-    whole, _ = race(name, bar, theirs, ours, 15)
-    walk.peer.prepare(state.position, state.velocity, state.preferred)
-    return [whole, race(f"{name}, RVO2 without Python", None, walk.peer.step, ours, 15)[0]]
-
-
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(
@@ -242,7 +209,6 @@ def main() -> None:
     )
     parser.add_argument("--steps", type=int, default=12_000, help="steps of people per row")
     parser.add_argument("--map", action="append", default=[], help="a floor plan for two more rows")
-    parser.add_argument("--json", help="also write the timings to this file")
     options = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -260,11 +226,6 @@ def main() -> None:
     for case in cases:
         table.add_row(*agreement(*case, options.steps))
     Console(width=150).print(table)
-    rows = []
-    for scenes, agents, without, walled in ((1024, 5, 3.0, 1.0), (64, 20, None, None), (64, 5, None, None)):
-        rows += speed(f"{scenes} x {agents}, no walls", scenes, agents, 100, None, without)
-        rows += speed(f"{scenes} x {agents}, walls", scenes, agents, 100, 10, walled)
-    report("one step of ORCA, one thread", rows, {}, options.json)
 
 
 if __name__ == "__main__":

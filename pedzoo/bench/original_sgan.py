@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor, nn
@@ -23,30 +24,15 @@ from pedzoo.errors import UserError
 Batch = tuple[Tensor, ...]
 
 
-class Peer:
+class Original:
     """The original's data, networks and steps.
 
     Attributes:
         args: The options that its scripts would have parsed.
     """
 
-    def __init__(self, checkout: Path) -> None:
-        """Import the package ``sgan`` and the two scripts of a checkout.
-
-        Raises:
-            UserError: The folder is no checkout of it.
-        """
-        if not (checkout / "sgan" / "models.py").is_file():
-            raise UserError(
-                f"{str(checkout)!r} is no checkout of Social GAN: "
-                "git clone https://github.com/agrimgupta92/sgan and give its folder"
-            )
-        sys.path[:0] = [str(checkout), str(checkout / "scripts")]
-        # evaluate_model.py needs attrdict, which no longer imports, only to read checkpoints
-        attrdict = ModuleType("attrdict")
-        attrdict.AttrDict = dict  # type: ignore[attr-defined]
-        sys.modules.setdefault("attrdict", attrdict)
-        torch.Tensor.cuda = lambda self, *_, **__: self  # type: ignore[method-assign]
+    def __init__(self) -> None:
+        """Import the package ``sgan`` and its two scripts; `original` makes them known."""
         self.models, self.losses = import_module("sgan.models"), import_module("sgan.losses")
         self.data = import_module("sgan.data.trajectories")
         self.train, self.test = import_module("train"), import_module("evaluate_model")
@@ -131,6 +117,30 @@ class Peer:
             return generator(batch[0], batch[2], batch[-1], user_noise=noise)[0]
         finally:
             generator.decoder.seq_len = 8  # type: ignore[union-attr]
+
+
+@contextmanager
+def original(checkout: Path) -> Iterator[Original]:
+    """Let the code of a checkout run within the block.
+
+    Raises:
+        UserError: The folder is no checkout of it.
+    """
+    if not (checkout / "sgan" / "models.py").is_file():
+        raise UserError(
+            f"{str(checkout)!r} is no checkout of Social GAN: "
+            "git clone https://github.com/agrimgupta92/sgan and give its folder"
+        )
+    # evaluate_model.py needs attrdict, which no longer imports, only to read checkpoints
+    attrdict = ModuleType("attrdict")
+    attrdict.AttrDict = dict  # type: ignore[attr-defined]
+    sys.modules.setdefault("attrdict", attrdict)
+    folders = [str(checkout.resolve()), str(checkout.resolve() / "scripts")]
+    with (
+        patch.object(sys, "path", [*folders, *sys.path]),
+        patch.object(torch.Tensor, "cuda", lambda self, *_, **__: self),
+    ):
+        yield Original()
 
 
 @contextmanager

@@ -1,0 +1,1 @@
+"""Speed: every figure of the project, measured in one run and beside others where there are others."""

@@ -1,0 +1,144 @@
+"""The loop: agent-steps per second of the environment with each policy, beside VMAS and RVO2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from tensordict import TensorDictBase
+
+from pedzoo.bench.figures import Measured, Row, Verdict
+from pedzoo.bench.peer import Scenes, running
+from pedzoo.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario
+from pedzoo.bench.section import Section
+from pedzoo.bench.turns import Side, in_turns, ratio, repeated, seconds_of
+from pedzoo.maps.segments import WallSegments
+from pedzoo.registry import POLICIES
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env
+from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.scenario import Scenario
+from pedzoo.spec import parse
+from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
+
+MODEL = "sgan_goal_map.zara1"
+NETWORK = f"{MODEL} alone"
+BARE = "go_to_goal"
+ORCA = f"orca:dt={STEP_SECONDS}"
+POLICIES_TIMED = (BARE, f"{ORCA},walls=false", ORCA, "orca", "social_force", MODEL)
+"""Who walks; the first makes the environment bare."""
+
+EPISODE = 20.0
+"""Simulated seconds of one turn at least, about an episode: every turn has its share of resets."""
+
+FAST_ENOUGH = 100_000
+"""Agent-steps per second at which it does not matter how much faster the network alone would be."""
+
+
+class Loop(Section):
+    """An agent-step is one decision of one person; notes say how much time is simulated in it.
+
+    Ours has trace points every 0.1 s with their sub-steps, walls, contacts, goals, the planner's guidance,
+    the observation, resets and new goals. Bars compare one agent-step with one of a peer, whatever is in it.
+    """
+
+    def rows(self) -> Iterator[Row]:
+        """Measure every size."""
+        known: dict[int, tuple[Scenario, Measured]] = {}
+        for size in QUICK if self.settings.quick else SIZES:
+            if size.people not in known:
+                begun = self.settings.clock()
+                made = scenario(size.people, self.settings.maps)
+                known[size.people] = made, Measured.of([self.settings.clock() - begun])
+            yield from self._size(size, *known[size.people])
+
+    def _size(self, size: Size, scene: Scenario, prepared: Measured) -> Iterator[Row]:
+        """Time all sides at one size."""
+        where = {"size": str(size), "map": scene.bank.grids[0].name}
+        walks = [
+            _Walk(scene, size, policy, self.settings.quick)
+            for policy in POLICIES_TIMED
+            if policy == MODEL or parse(policy).name in POLICIES.names()
+        ]
+        resets = [1e3 * seconds_of(walks[0].env.reset, self.settings.clock) for _ in range(3)]
+        walks[0].now = walks[0].env.reset()
+        yield Row("loop", "reset", where, {"reset_ms": Measured.of(resets), "planner_s": prepared})
+
+        now = self.settings.clock
+        sides = {walk.title: repeated(walk.step, size.total, now, walk.least) for walk in walks}
+        sides[NETWORK] = repeated(walks[-1].ask, size.total, now)
+        about = next(walk.scenes() for walk in walks if walk.policy_name == ORCA)
+        with running(self.settings) as peers:
+            rivals = [case for peer in peers for case in peer.cases([about])]
+            for peer in peers:
+                self.versions |= peer.versions
+            every: dict[str, Side] = sides | {case.title: case.side for case in rivals}
+            speeds = in_turns(every, self.settings.turns, self.settings.seconds)
+
+        for walk in walks:
+            found, note = speeds[walk.title], f"{walk.env.decision_dt:g} s per agent-step"
+            metrics = {"agent_steps_per_s": Measured.of(found)}
+            metrics |= {case.metric: ratio(found, speeds[case.title]) for case in rivals}
+            if walk.policy_name == MODEL:
+                metrics["times_network"] = ratio(found, speeds[NETWORK])
+            row = Row("loop", walk.title, where, metrics, note=note)
+            yield Row("loop", walk.title, where, metrics, self._bars(row, walk.policy_name, size), note)
+        alone = {"agent_steps_per_s": Measured.of(speeds[NETWORK])}
+        yield Row("loop", NETWORK, where, alone, note="asked about the same scenes again and again")
+        for case in rivals:
+            note = f"{case.step_seconds:g} s per agent-step; {case.note}"
+            yield Row(
+                "loop", case.title, where, {"agent_steps_per_s": Measured.of(speeds[case.title])}, (), note
+            )
+
+    def _bars(self, row: Row, policy: str, size: Size) -> list[Verdict]:
+        """Return what is asked of a row; of peers that are absent nothing is."""
+        if size != LARGEST:
+            return []
+        wanted = {BARE: ("times_vmas_lidar", 3.0), ORCA: ("times_pyrvo_from_python", 1.0)}
+        if policy in wanted and wanted[policy][0] in row.metrics:
+            return [row.at_least(*wanted[policy])]
+        if policy == MODEL:
+            fast, half = row.at_least("agent_steps_per_s", FAST_ENOUGH), row.at_least("times_network", 0.5)
+            return [Verdict(f"{fast.bar} or {half.bar}", fast.ok or half.ok)]
+        return []
+
+
+class _Walk:
+    """An environment and who walks in it, in the middle of episodes."""
+
+    def __init__(self, scene: Scenario, size: Size, policy: str, quick: bool) -> None:
+        """Walk for as long as a turn takes, so that not all scenes are reset in the same step."""
+        self.policy_name, self.title = policy, f"env + {policy}"
+        self.policy = load_policy(policy)
+        self.env: PedestrianEnv = make_env(scene, size.scenes, decision_dt=self.policy.decision_dt)
+        self.policy.bind(self.env.bank)
+        self.now: TensorDictBase = self.env.reset()
+        self.least = 1 if quick else round(EPISODE / self.env.decision_dt)
+        for _ in range(max(self.least, 2)):
+            self.step()
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Let everybody decide once and walk."""
+        _, self.now = self.env.step_and_maybe_reset(self.policy(self.now))
+
+    @torch.no_grad()
+    def ask(self) -> None:
+        """Let everybody decide once and nothing else."""
+        self.policy(self.now)
+
+    def scenes(self) -> Scenes:
+        """Return what the environment is in the middle of, for ORCA of others."""
+        state, bank = self.env.state, self.env.bank
+        return for_peers(
+            "loop",
+            Size(*state.mask.shape),
+            OrcaSettings(time_step=self.env.decision_dt),
+            WallSegments(bank),
+            state.position,
+            state.velocity,
+            self.now["agents", "desired_velocity"],
+            state.pref_speed * TOP_SPEED_RATIO,
+        )

@@ -1,0 +1,45 @@
+"""Memory: the peak of a fresh process in which SGAN+goal+map walks on the largest floor plan."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+
+from pedzoo.bench.figures import Measured, Row
+from pedzoo.bench.section import NotGivenError, Section
+from pedzoo.errors import UserError
+
+SCENES, STEPS, GOALS = 64, 20, 64
+BAR_MB = 2000.0
+
+
+class Memory(Section):
+    """64 scenes of 5 people, 64 goals, 20 steps, on the floor plan with the most cells."""
+
+    def rows(self) -> Iterator[Row]:
+        """Measure once; memory hardly differs from run to run."""
+        if not find_spec("resource"):
+            raise NotGivenError("memory is measured with the module resource, which Python lacks here")
+        file = max(self.settings.maps, key=cells) if self.settings.maps else "flat"
+        scenes, steps = (4, 2) if self.settings.quick else (SCENES, STEPS)
+        command = [sys.executable, "-m", "pedzoo.bench.peak", file, str(scenes), str(steps), str(GOALS)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise UserError(f"memory: the process that walks on {file} ended: {done.stderr.strip()[-300:]}")
+        found: dict[str, float] = json.loads(done.stdout)
+        name = file.rpartition("/")[2].removesuffix(".yaml")
+        where = {"size": f"{scenes} x 5", "map": f"{name}, {found.pop('cells'):,.0f} cells"}
+        for what, megabytes in found.items():
+            row = Row("memory", what, where, {"peak_mb": Measured.of([megabytes])})
+            bars = [row.below("peak_mb", BAR_MB)] if what == list(found)[-1] else []
+            yield Row("memory", what, where, row.metrics, bars)
+
+
+def cells(file: str) -> int:
+    """Return how many cells a floor plan has."""
+    from pedzoo.maps.grid import OccupancyGrid
+
+    return OccupancyGrid.load(file).cells.size

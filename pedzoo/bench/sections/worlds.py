@@ -1,0 +1,106 @@
+"""The worlds, torch alone and pybullet: milliseconds per decision of contacts, distances, rays, pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+
+import torch
+from torch import Tensor
+
+from pedzoo.bench.figures import Measured, Row
+from pedzoo.bench.scenes import LARGEST, Size
+from pedzoo.bench.section import Section
+from pedzoo.bench.turns import seconds_of
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.free_space import free_points
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.sim.dynamics import walk
+from pedzoo.sim.scenarios.goals import Goals
+from pedzoo.sim.worlds.base import People, World
+from pedzoo.sim.worlds.bullet import BulletWorld
+from pedzoo.sim.worlds.camera import Camera
+from pedzoo.sim.worlds.grid import GridWorld
+from pedzoo.types import STEP_SECONDS
+
+WORLDS: dict[str, type[World]] = {"grid": GridWorld, "bullet": BulletWorld}
+TRACE, STEPS, RAYS, PICTURE = 4, 4, 128, (640, 480)
+SIZES = (Size(1, 5), Size(1, 20), Size(64, 5), LARGEST)
+SPEED = 1.3
+
+
+class Worlds(Section):
+    """People start at random free places at least 0.3 m from walls and walk at 1.3 m/s in random directions.
+
+    They walk along the walls that stop them: more of them touch walls than people do. Rays are 128 around
+    everybody; the picture from the top and the oblique one have 640 x 480 pixels.
+    """
+
+    def rows(self) -> Iterator[Row]:
+        """Measure the grid at every size, pybullet with one scene; without pybullet it has no rows."""
+        (grid,) = Goals(self.settings.maps[0] if self.settings.maps else "flat").plans()
+        bank = MapBank([grid], "wall")
+        free = torch.from_numpy(free_points(grid, "wall", 0.3)).float()
+        for name, kind in WORLDS.items():
+            if name == "bullet" and not find_spec("pybullet"):
+                continue
+            for size in SIZES[:2] if self.settings.quick or name == "bullet" else SIZES:
+                crowds = [draw(grid, free, size, seed) for seed in range(self.settings.turns)]
+                where = {"size": str(size), "map": grid.name}
+                yield Row("worlds", name, where, self._measure(kind(bank), crowds))
+
+    def _measure(self, world: World, crowds: list[People]) -> dict[str, Measured]:
+        """Time each question over several crowds of the same size."""
+        now = self.settings.clock
+        first = seconds_of(lambda: everything(world, crowds[0]), now)
+        paths = iter([walks(world, people) for people in crowds])
+        beams = iter([lidar(people) for people in crowds])
+        questions: dict[str, Callable[[People], object]] = {
+            "contacts": lambda people: world.contacts(next(paths), people),
+            "distances": world.distances,
+            "rays": lambda people: world.rays(people, *next(beams)),
+            "picture": lambda people: world.image(people, 0, PICTURE),
+        }
+        if isinstance(world, BulletWorld):
+            questions["oblique"] = lambda people: world.image(people, 0, PICTURE, Camera("perspective"))
+        found = {}
+        for what, ask in questions.items():
+            taken = [seconds_of(lambda ask=ask, one=one: ask(one), now) for one in crowds]
+            found[f"{what}_ms"] = Measured.of([1e3 * second for second in taken])
+        world.close()
+        return found | {"first_use_s": Measured.of([first])}
+
+
+def draw(grid: OccupancyGrid, free: Tensor, size: Size, seed: int) -> People:
+    """Return people at random free places."""
+    generator = torch.Generator().manual_seed(seed)
+    places = free[torch.randint(len(free), tuple(size), generator=generator)]
+    mask = torch.ones(tuple(size), dtype=torch.bool)
+    return People(places, mask, torch.full((size.scenes, 1), grid.map_id), identity_pose(size.scenes))
+
+
+def walks(world: World, people: People) -> Tensor:
+    """Return where they go in a decision (B, A, S, M, 2)."""
+    angle = torch.rand(people.mask.shape, generator=torch.Generator().manual_seed(0)) * 2 * math.pi
+    velocity = SPEED * torch.stack((angle.cos(), angle.sin()), dim=-1)
+    ids = people.map_id[:, 0]
+    path = walk(people.position, velocity, STEP_SECONDS, TRACE * STEPS, world.bank, ids, people.pose)
+    return path.unflatten(2, (TRACE, STEPS))
+
+
+def lidar(people: People) -> tuple[Tensor, Tensor]:
+    """Return origins and directions (B, A * 128, 2) of a full turn around everybody."""
+    angle = torch.arange(RAYS) * (2 * math.pi / RAYS)
+    scenes, slots = people.mask.shape
+    direction = torch.stack((angle.cos(), angle.sin()), dim=-1).repeat(slots, 1).expand(scenes, -1, -1)
+    return people.position.repeat_interleave(RAYS, dim=1), direction
+
+
+def everything(world: World, people: People) -> None:
+    """Ask each question once: builds what the world builds at first use."""
+    world.contacts(walks(world, people), people)
+    world.distances(people)
+    world.rays(people, *lidar(people))
+    world.image(people, 0, PICTURE)

@@ -1,0 +1,109 @@
+"""How `pedzoo bench` prints what was measured, and what has changed since another run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from pedzoo.bench.compare import Comparison, title
+from pedzoo.bench.figures import Measured, Row
+
+
+def print_bench(report: dict[str, Any]) -> None:
+    """Print a report of `pedzoo.bench.run.Run`: one table per benchmark, then where it was measured."""
+    console = _console()
+    rows = [Row.from_json(row) for row in report["rows"]]
+    for section, found in groupby(rows, lambda row: row.section):
+        _print_section(console, section, list(found))
+    for section, why in report["skipped"].items():
+        console.print(f"{section}: skipped: {why}", highlight=False, markup=False)
+    for part in ("protocol", "machine", "versions"):
+        facts = ", ".join(f"{key} {value}" for key, value in report[part].items() if value not in ([], None))
+        console.print(f"{part}: {facts}", highlight=False, markup=False)
+    verdicts = [(row, verdict) for row in rows for verdict in row.bars]
+    missed = [f"{title(row)}: {verdict}" for row, verdict in verdicts if not verdict.ok]
+    console.print(f"\n{len(verdicts) - len(missed)} of {len(verdicts)} bars met", highlight=False)
+    for line in missed:
+        console.print(f"  {line}", highlight=False, markup=False)
+
+
+def print_comparison(comparison: Comparison, file: str) -> None:
+    """Print every figure of two runs, and mark those that have changed beyond noise."""
+    console = _console()
+    for warning in comparison.warnings:
+        console.print(f"warning: {warning}", highlight=False, markup=False)
+    table = Table("figure", "metric", "old", "new", "new / old", "", title=f"since {file}")
+    for change in comparison.changes:
+        values = text(change.old), text(change.new), f"{change.ratio:.3g}", change.mark
+        table.add_row(title(change.row), change.metric, *values)
+    console.print(table)
+    for name, titles in (("only then", comparison.gone), ("only now", comparison.added)):
+        if titles:
+            console.print(f"{name}: {'; '.join(titles)}", highlight=False, markup=False)
+    marked = [change for change in comparison.changes if change.mark]
+    console.print(
+        f"{len(marked)} of {len(comparison.changes)} figures changed beyond noise: by 5 %, quartiles apart",
+        highlight=False,
+    )
+
+
+def line(row: Row) -> str:
+    """Return a row in one line, for those who wait."""
+    found = ", ".join(f"{metric} {text(value)}" for metric, value in row.metrics.items())
+    return f"{title(row)}: {found}"
+
+
+def text(found: Measured) -> str:
+    """Return a value and half the distance of its quartiles, in percent of it."""
+    digits = f"{found.value:,.0f}" if abs(found.value) >= 1000 else f"{found.value:.3g}"
+    if found.n == 1 or not found.value:
+        return digits
+    return f"{digits} ±{50 * (found.high - found.low) / abs(found.value):.0f}%"
+
+
+def _print_section(console: Console, section: str, rows: Sequence[Row]) -> None:
+    cases, metrics = _union(row.case for row in rows), _union(row.metrics for row in rows)
+    table = Table(title=f"{section}: medians ± half the distance of the quartiles", title_justify="left")
+    table.add_column("name", overflow="fold")
+    for name in (*cases, *(_broken(metric) for metric in metrics), *(["bars"] if _barred(rows) else [])):
+        table.add_column(name, justify="left" if name in (*cases, "bars") else "right")
+    for _, block in groupby(rows, lambda row: str(row.case)):
+        for row in block:
+            values = [text(row.metrics[metric]) if metric in row.metrics else "" for metric in metrics]
+            bars = ["\n".join(map(str, row.bars))] if _barred(rows) else []
+            table.add_row(row.name, *(str(row.case.get(key, "")) for key in cases), *values, *bars)
+        table.add_section()
+    console.print(table)
+    notes = {
+        note: [row.name for row in rows if row.note == note] for note in (row.note for row in rows) if note
+    }
+    for note, names in notes.items():
+        console.print(f"  {', '.join(dict.fromkeys(names))}: {note}", highlight=False, markup=False)
+    console.print()
+
+
+def _barred(rows: Sequence[Row]) -> bool:
+    return any(row.bars for row in rows)
+
+
+def _union(groups: Iterable[Iterable[str]]) -> list[str]:
+    return list(dict.fromkeys(name for group in groups for name in group))
+
+
+def _broken(metric: str) -> str:
+    """Break a metric's name at underscores into lines of about twelve letters."""
+    lines = [""]
+    for part in metric.split("_"):
+        if lines[-1] and len(lines[-1]) + len(part) > 12:
+            lines.append("")
+        lines[-1] += f"{part}_"
+    return "\n".join(lines)[:-1]
+
+
+def _console() -> Console:
+    console = Console()
+    return console if console.is_terminal else Console(width=200)  # a file has no width that must be kept

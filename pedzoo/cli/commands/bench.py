@@ -1,0 +1,98 @@
+"""``pedzoo bench``: every speed figure of the project, measured in one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+HELP = "every speed figure, as ratios measured in one run, beside other programs where they are given"
+EXAMPLE = "pedzoo bench loop orca --peer tools/peers/pyrvo_orca.py --json speed.json --compare old.json"
+
+
+def run(argv: list[str]) -> int:
+    """Measure and print; returns the exit code."""
+    from pedzoo.cli.arguments import Arguments
+    from pedzoo.registry import BENCHMARKS
+
+    names = BENCHMARKS.names()
+    width = max(map(len, names))
+    about = [f"  {name:<{width}}  {BENCHMARKS.describe(name)}" for name in names]
+    parser = Arguments("bench", "\n".join([f"{HELP}", "", "sections:", *about]), EXAMPLE)
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help="which (default: all that can be run)")
+    parser.add_argument("--quick", action="store_true", help="small cases and short turns: about a minute")
+    parser.add_argument(
+        "--seconds", type=float, help="least seconds per side and turn (default: 1; quick 0.1)"
+    )
+    parser.add_argument("--turns", type=int, help="how often each side is timed (default: 5; quick 3)")
+    parser.add_argument("--threads", type=int, default=1, help="of torch and of peers (default: 1)")
+    parser.add_argument(
+        "--map",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="floor plans; each case takes the first with room",
+    )
+    parser.add_argument(
+        "--device", default="cpu", choices=("cpu", "cuda"), help="cpu; the environment has no other"
+    )
+    parser.add_argument(
+        "--peer", nargs="+", default=[], metavar="FILE.py", help="other programs: tools/peers/*.py"
+    )
+    parser.add_argument(
+        "--peer_python",
+        "--peer-python",
+        default="",
+        metavar="PYTHON",
+        help="interpreter of peers (default: this)",
+    )
+    parser.add_argument(
+        "--sgan", metavar="FOLDER", help="checkout of the original Social GAN, for section sgan"
+    )
+    parser.add_argument("--data", metavar="FOLDER", help="ETH/UCY, for section sgan (default: PEDZOO_DATA)")
+    parser.add_argument("--json", metavar="FILE", help="also write the report to this file")
+    parser.add_argument("--compare", metavar="FILE", help="an older report: what has become faster or slower")
+    options = parser.parse_args(argv)
+
+    import sys
+
+    from pedzoo.bench.compare import compare, read_report
+    from pedzoo.bench.run import Run
+    from pedzoo.bench.section import Settings
+    from pedzoo.cli.bench_tables import line, print_bench, print_comparison
+    from pedzoo.cli.output import write_json
+    from pedzoo.errors import UserError
+
+    if options.device != "cpu":
+        raise UserError(f"--device {options.device}: the environment runs on the CPU only: expected cpu")
+    if options.json and options.json != "-" and not Path(options.json).parent.is_dir():
+        raise UserError(f"--json {options.json}: there is no folder {str(Path(options.json).parent)!r}")
+    old = read_report(options.compare) if options.compare else None
+    settings = Settings(
+        seconds=options.seconds or (0.1 if options.quick else 1.0),
+        turns=options.turns or (3 if options.quick else 5),
+        quick=options.quick,
+        threads=options.threads,
+        maps=tuple(options.map),
+        peers=tuple(map(Path, options.peer)),
+        peer_python=options.peer_python,
+        sgan=Path(options.sgan) if options.sgan else None,
+        data=options.data,
+    )
+    measuring = Run(options.sections, settings)
+
+    def finish(**more: bool) -> None:
+        report = measuring.report() | more
+        print_bench(report)
+        if options.json:
+            write_json(options.json, report)
+        if old is not None:
+            print_comparison(compare(old, report), options.compare)
+
+    try:
+        measuring.go(lambda row: print(line(row), file=sys.stderr, flush=True))
+    except (KeyboardInterrupt, UserError):
+        if measuring.rows:
+            print("not finished: only what was measured by then")
+            finish(interrupted=True)
+        raise
+    finish()
+    return 0
