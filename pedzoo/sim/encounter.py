@@ -28,8 +28,8 @@ SPACING = 0.9
 ABREAST = 0.8
 """Metres between lanes."""
 
-MOST_JITTER = 0.15
-"""Metres: with more of it people of neighbouring lanes could touch at the start."""
+MOST_JITTER = (ABREAST - 0.5) / 2
+"""Metres: with more of it people of neighbouring lanes could be nearer than 0.5 m at the start."""
 
 BEYOND = 4.0
 """Metres of the goals behind the place of the encounter."""
@@ -124,7 +124,13 @@ class Encounter(Scenario):
     stray: float = 0.0
 
     def __init__(
-        self, people: int, speed: float, speed_std: float, jitter: float, meet: float = MEET
+        self,
+        people: int,
+        speed: float,
+        speed_std: float,
+        jitter: float,
+        meet: float = MEET,
+        most_jitter: float = MOST_JITTER,
     ) -> None:
         """Check what all encounters have.
 
@@ -134,6 +140,7 @@ class Encounter(Scenario):
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, to each side, evenly distributed.
             meet: Seconds after the warm start at which those in front meet.
+            most_jitter: Metres with which nobody touches anybody at the start.
 
         Raises:
             UserError: A setting that gives no scene.
@@ -145,8 +152,8 @@ class Encounter(Scenario):
                 f"{self.name}: people {people}: expected {self.fewest} to {self.most}; "
                 "goals:people=N takes any number"
             )
-        if not 0 <= jitter <= MOST_JITTER:
-            raise UserError(f"{self.name}: jitter {jitter}: expected 0 to {MOST_JITTER} m")
+        if not 0 <= jitter <= most_jitter:
+            raise UserError(f"{self.name}: jitter {jitter}: expected 0 to {most_jitter:.2f} m")
         self.jitter, self.meet = jitter, meet
 
     @property

@@ -6,9 +6,12 @@ import math
 
 from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.encounter import ABREAST, Encounter, Lane
+from pedzoo.sim.encounter import Encounter, Lane
 
-LEAST_RADIUS = 4.0
+CHORD = 1.0
+"""Metres between neighbours, at least."""
+
+USUAL_RADIUS, LEAST_RADIUS = 4.0, 2.0
 """Metres."""
 
 
@@ -17,7 +20,7 @@ class Circle(Encounter):
 
     *Circular crossing* of Francis et al. 2023 (Fig. 7), the antipodal swap by which collision avoidance is
     tested since van den Berg et al., "Reciprocal n-body collision avoidance" (2011). People come from outside
-    and are on the circle when the episode begins.
+    and are about on the circle when the episode begins.
     """
 
     def __init__(
@@ -31,7 +34,7 @@ class Circle(Encounter):
         """Set the scene.
 
         Args:
-            radius: Of the circle, metres; None: 4, or more where people would be closer than 0.8 m.
+            radius: Of the circle, metres; None: 4, or more where neighbours would be closer than 1 m.
             people: 2 to 50.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
@@ -40,16 +43,17 @@ class Circle(Encounter):
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, meet=0.0)
         # neighbours are a chord apart
-        room = ABREAST / (2 * math.sin(math.pi / people))
-        least = max(room, 2.0)
-        if radius is not None and not radius >= least:
+        half_chord = math.sin(math.pi / max(people, 2))
+        room = CHORD / (2 * half_chord)
+        if radius is not None and not radius >= max(room, LEAST_RADIUS):
             raise UserError(
-                f"circle: radius {radius} for {people} people: expected at least {least:.2f} m, which puts "
-                f"them {ABREAST} m apart or more"
+                f"circle: radius {radius} for {people} people: expected at least "
+                f"{max(room, LEAST_RADIUS):.2f} m, which puts them {CHORD} m apart or more"
             )
-        self.radius = max(room, LEAST_RADIUS) if radius is None else radius
+        self.radius = max(room, USUAL_RADIUS) if radius is None else radius
+        most_jitter = min(1.0, self.radius * half_chord - 0.25)
+        super().__init__(people, speed, speed_std, jitter, meet=0.0, most_jitter=most_jitter)
         self.lanes = []
         for number in range(people):
             angle = 2 * math.pi * number / people

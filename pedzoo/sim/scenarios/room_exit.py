@@ -61,7 +61,7 @@ class RoomExit(Encounter):
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, meet=3.0)
+        super().__init__(people, speed, speed_std, jitter)
         check_lengths(self.name, CELL, width=width, corridor=corridor)
         if not 0 <= entering < people:
             raise UserError(f"room_exit: entering {entering} of {people} people: expected 0 to {people - 1}")
@@ -83,7 +83,7 @@ class RoomExit(Encounter):
     def _entering(self, people: int) -> list[Lane]:
         """Return lanes along the corridor to the place before the door."""
         place = (THICKNESS + self.corridor) / 2
-        inside = ((-BEYOND, 0.0), (-BEYOND, 1.5), (-BEYOND, -1.5))
+        inside = ((-BEYOND, 1.0), (-BEYOND, -1.0))
         lanes = []
         for number, heading in enumerate(((0.0, -1.0), (0.0, 1.0))):
             mine = (people + 1 - number) // 2

@@ -1,0 +1,306 @@
+"""Encounters: who meets whom, where and when, with how many people, and what cannot be."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.eval.rollout import Rollout, joined, prepare, walk
+from pedzoo.metrics.navigation import finish_seconds, success
+from pedzoo.registry import SCENARIOS
+from pedzoo.sim.encounter import MEET, SPACING, Encounter
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.types import BODY_RADIUS
+
+ENCOUNTERS = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
+EVERY = pytest.mark.parametrize("name", ENCOUNTERS)
+
+
+@cache
+def made(spec: str) -> Encounter:
+    """Return a scenario that many environments share, for ways take time to find."""
+    scenario = make_scenario(spec)
+    assert isinstance(scenario, Encounter)
+    return scenario
+
+
+def begun(spec: str, episodes: int = 8, seed: int = 0) -> PedestrianEnv:
+    """Return an environment whose episodes have just begun."""
+    env = make_env(made(spec), num_envs=episodes, seed=seed)
+    env.reset()
+    return env
+
+
+@cache
+def walked(spec: str, episodes: int = 8, policy: str = "go_to_goal") -> Rollout:
+    walks, env = prepare(policy, made(spec), "grid", episodes)
+    return joined(list(walk(walks, env, episodes)))
+
+
+def apart(position: Tensor) -> Tensor:
+    """Return the distances of positions (B, A, 2), infinite from oneself."""
+    between = torch.cdist(position, position, compute_mode="donot_use_mm_for_euclid_dist")
+    return between + torch.eye(position.shape[1]).mul(1e9)
+
+
+def touched(result: Rollout) -> float:
+    """Return the share of episodes in which people touch."""
+    return float(result.agent_contact.any(2).any(1).double().mean())
+
+
+def arrived(result: Rollout) -> float:
+    good = success(result.reached, result.goals, result.late, result.failed, result.mask)
+    return float(good.double().mean())
+
+
+def test_there_are_eight() -> None:
+    expected = "blind_corner circle hallway intersection overtaking parallel perpendicular room_exit"
+    assert set(expected.split()) <= set(ENCOUNTERS)
+
+
+@EVERY
+def test_a_crowd_has_room_and_arrives(name: str) -> None:
+    most = SCENARIOS.get(name).most  # type: ignore[attr-defined]
+    env = begun(f"{name}:people={most}", 6)
+    state = env.state
+    assert state.mask.all() and state.mask.shape == (6, most)
+    assert float(apart(state.past[:, :, 0]).min()) > 2 * BODY_RADIUS
+    assert float(apart(state.position).min()) > 2 * BODY_RADIUS
+    wall, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
+    assert float(wall.min()) > BODY_RADIUS
+    assert state.way.isfinite().all()
+    assert arrived(walked(f"{name}:people={most}", 4)) > 0.95
+
+
+@EVERY
+def test_how_many_people(name: str) -> None:
+    cls: Any = SCENARIOS.get(name)
+    for people in (cls.fewest - 1, cls.most + 1):
+        with pytest.raises(UserError, match=rf"people {people}: expected .*{cls.fewest}"):
+            make_scenario(f"{name}:people={people}")
+    for people in (cls.fewest, 7):
+        scenario = make_scenario(f"{name}:people={people}")
+        scenario.ready(0.25)
+        assert scenario.layout(Draws.of(0, torch.arange(3))).mask.sum(1).tolist() == [people] * 3
+
+
+@EVERY
+@pytest.mark.parametrize("people", [None, 9])
+def test_a_scene_is_the_same_in_every_batch_and_another_with_another_seed(
+    name: str, people: int | None
+) -> None:
+    scenario = made(name if people is None else f"{name}:people={people}")
+    whole = make_env(scenario, num_envs=9, seed=3).reset()
+    for i in (0, 4, 8):
+        alone = make_env(scenario, seed=3, first_episode=i).reset()
+        for key in ("history", "goal", "desired_velocity", "pref_speed"):
+            assert torch.equal(alone["agents", key][0], whole["agents", key][i]), key
+    history = whole["agents", "history"]
+    other = make_env(scenario, num_envs=9, seed=4).reset()["agents", "history"]
+    assert float((history - other).abs().amax((1, 2, 3)).min()) > 0.01
+    assert float((history[1:] - history[:-1]).abs().amax((1, 2, 3)).min()) > 0.01
+
+
+@EVERY
+def test_people_meet_after_the_warm_start(name: str) -> None:
+    """During it those in front have not turned aside for anybody, nor slowed down."""
+    scenario, state = made(f"{name}:jitter=0,speed_std=0"), begun(f"{name}:jitter=0,speed_std=0", 4).state
+    front = scenario.row == 0
+    length = (state.position - state.past[:, :, 0]).norm(dim=-1)[:, front]
+    assert torch.allclose(length, 2.8 * state.pref_speed[:, front], rtol=0.1)
+    heading = torch.tensor([scenario.lanes[number].heading for number in scenario.lane.tolist()])
+    turned = (state.velocity * heading).sum(-1)[:, front] / state.velocity.norm(dim=-1)[:, front]
+    # who changes lanes or comes to a bend does not walk along the lane
+    assert float(turned.min()) > math.cos(math.radians(20))
+
+
+@EVERY
+def test_who_avoids_nobody_runs_into_somebody(name: str) -> None:
+    assert touched(walked(name)) >= 0.7
+    assert touched(walked(name, 4, "orca:radius=0.3,dt=0.4")) == 0
+
+
+def test_hallway_is_head_on() -> None:
+    env = begun("hallway")
+    x = env.state.position[..., 0]
+    assert ((x[:, 0] < -1.5) & (x[:, 1] > 1.5)).all()
+    met = walked("hallway:speed_std=0,jitter=0", 1)
+    # the two of them are at x = 0 when they are said to be, but for the first steps of the warm start
+    point = int(met.trace[0, :, :, 0].abs().sum(0).argmin())
+    assert 0.1 * (point + 1) == pytest.approx(MEET, abs=0.3)
+
+
+def test_hallway_is_its_own_mirror_image() -> None:
+    state = begun("hallway:people=10,width=2.5,offset=0.2,speed_std=0,jitter=0", 1).state
+    from_left = state.past[0, :, 0, 0] < 0
+    left, right = state.past[0, from_left], state.past[0, ~from_left]
+    assert {round(float(y), 3) for y in left[:, 0, 1]} == {-0.6, 0.2}
+    distance = torch.cdist(left.flatten(1), -right.flatten(1))
+    assert float(distance.amin(1).max()) < 1e-5
+
+
+def test_hallway_of_some_against_others() -> None:
+    for against in (1, 3):
+        velocity = begun(f"hallway:people=4,against={against}").state.velocity[..., 0]
+        assert ((velocity < 0).sum(1) == against).all() and ((velocity > 0).sum(1) == 4 - against).all()
+
+
+@pytest.mark.parametrize("people", [2, 8])
+def test_the_fast_overtake_the_slow(people: int) -> None:
+    env = begun(f"overtaking:people={people},speed_ratio=1.5")
+    slow = env.state.pref_speed < env.state.pref_speed.mean(1, keepdim=True)
+    speed, x = env.state.pref_speed, env.state.position[..., 0]
+    fastest, slowest = speed.masked_fill(~slow, 0).amax(1), speed.masked_fill(slow, 9).amin(1)
+    assert (slowest >= 1.5 * fastest - 1e-5).all()
+    front = x.masked_fill(slow, -99).amax(1)
+    assert (x.masked_fill(~slow, 99).amin(1) > front + 0.5).all()
+    result = walked(f"overtaking:people={people},speed_ratio=1.5", policy="orca:radius=0.2")
+    seconds = finish_seconds(result.reached, result.goals)
+    assert (seconds.masked_fill(slow, 0).mean(1) < seconds.masked_fill(~slow, 0).mean(1)).all()
+
+
+def test_lanes_keep_their_distance_whoever_is_fast() -> None:
+    scenario = made("overtaking:people=20,jitter=0")
+    scenario.ready(0.25)
+    start = scenario.layout(Draws.of(0, torch.arange(50))).start
+    for number in range(len(scenario.lanes)):
+        x = start[:, scenario.lane == number, 0]
+        assert (x.diff(dim=1) <= -SPACING + 1e-4).all()
+
+
+@pytest.mark.parametrize("people", [2, 4])
+def test_those_at_an_intersection_are_in_the_middle_together(people: int) -> None:
+    result = walked(f"intersection:people={people}")
+    nearest = result.trace.norm(dim=-1).argmin(2) * 0.1
+    assert float((nearest.amax(1) - nearest.amin(1)).max()) < 1.0
+    assert float(nearest.mean()) == pytest.approx(MEET, abs=0.4)
+    heading = torch.atan2(*begun(f"intersection:people={people}").state.velocity.flip(-1).unbind(-1))
+    quarters = (heading / (math.pi / 2)).round().long() % 4
+    assert (quarters.sort(1).values == torch.arange(people)).all()
+
+
+def test_some_turn_at_the_intersection() -> None:
+    straight, all_turn, some = (
+        begun(f"intersection:people=8,turn={turn}", 12).state for turn in ("0", "1", "0.5")
+    )
+    for state, share in ((straight, 0.0), (all_turn, 1.0), (some, 0.5)):
+        ahead = torch.nn.functional.cosine_similarity(state.velocity, state.goal_point, dim=-1)
+        assert float((ahead < 0.7).double().mean()) == pytest.approx(share, abs=0.15)
+    assert begun("intersection:arms=2,people=6", 1).state.velocity.min() > -0.2
+
+
+@pytest.mark.parametrize("settings", ["", "width=2.5,people=20", "width=3,speed=0.6"])
+def test_nobody_sees_round_the_blind_corner(settings: str) -> None:
+    spec = f"blind_corner:{settings}" if settings else "blind_corner"
+    env, scenario = begun(spec, 12), made(spec)
+    position, grid = env.state.position, env.bank.grids[0]
+    across = position[..., 1] > -scenario.width / 2  # type: ignore[attr-defined]
+    occupied = torch.from_numpy(grid.occupied("wall"))
+    lines = 0
+    for scene in range(12):
+        for one in position[scene, across[scene]]:
+            for other in position[scene, ~across[scene]]:
+                points = torch.lerp(one, other, torch.linspace(0, 1, 400).unsqueeze(1))
+                cells = ((points - torch.tensor(grid.origin[:2])) / grid.resolution).long()
+                assert occupied[cells[:, 1], cells[:, 0]].any()
+                lines += 1
+    assert lines >= 12
+    result = walked("blind_corner")
+    where = result.trace.mean(1)[torch.arange(8), result.agent_contact.any(1).int().argmax(1)]
+    assert float(where.norm(dim=-1).max()) < 1.5
+
+
+def test_both_sides_of_the_corner_are_mirror_images() -> None:
+    state = begun("blind_corner:people=6,width=2.5,speed_std=0,jitter=0", 1).state
+    across = state.past[0, :, 0, 0] < -3
+    one, other = state.past[0, across], state.past[0, ~across].flip(-1)
+    assert float(torch.cdist(one.flatten(1), other.flatten(1)).amin(1).max()) < 1e-4
+
+
+def test_who_leaves_the_room_and_who_enters() -> None:
+    env = begun("room_exit:people=9,entering=3", 6)
+    inside = env.state.position[..., 0] < 0
+    assert (inside.sum(1) == 6).all()
+    result = walked("room_exit:people=9,entering=3", 6)
+    # after all have reached their goals they have changed places, all through the door
+    assert ((result.trace[:, :, -1, 0] < 0) == ~inside).all()
+    side = result.trace[..., 0] > 0
+    crossing = side[..., 1:] != side[..., :-1]
+    assert (crossing.sum(2) == 1).all()
+    assert float(result.trace[:, :, 1:, 1][crossing].abs().max()) < 0.45
+    ends = result.goal[..., -1, 1][inside]
+    assert (ends > 0).any() and (ends < 0).any()
+
+
+def test_streams_side_by_side() -> None:
+    same = begun("parallel:people=20,change=0", 4).state
+    assert (same.velocity[..., 0] > 0).all()
+    assert float((same.goal_point - same.past[:, :, 0])[..., 1].abs().max()) < 0.11
+    there = begun("parallel:people=20,change=0,opposite=true", 4).state
+    right = there.velocity[..., 0] > 0
+    assert (right.sum(1) == 10).all()
+    assert (there.goal_point[..., 1][right] < 0).all() and (there.goal_point[..., 1][~right] > 0).all()
+    changed = begun("parallel:people=20,change=1,opposite=true", 4).state
+    assert (changed.goal_point[..., 1].sign() == -changed.past[:, :, 0, 1].sign()).all()
+    assert (changed.goal_point[..., 0].sign() == changed.velocity[..., 0].sign()).all()
+
+
+def test_streams_that_cross() -> None:
+    state = begun("perpendicular:people=20,speed_std=0", 4).state
+    along = state.velocity.abs()
+    eastward = along[..., 0] > along[..., 1]
+    assert (eastward.sum(1) == 10).all()
+    assert (state.velocity.amax(-1) > 0.9).all()
+
+
+@pytest.mark.parametrize("people", [2, 5, 50])
+def test_on_the_circle_everybody_wants_to_the_other_side(people: int) -> None:
+    env = begun(f"circle:people={people},jitter=0")
+    state, radius = env.state, env.scenario.radius  # type: ignore[attr-defined]
+    assert radius == pytest.approx(max(4.0, 0.5 / math.sin(math.pi / people)))
+    assert float((state.position.norm(dim=-1) - radius).abs().mean()) < 0.25
+    assert float((state.position + state.goal_point).norm(dim=-1).mean()) < 0.25
+    assert float(apart(state.position).min()) > 0.6
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ("hallway:width=1.83", r"width 1\.83 is no multiple of the resolution 0\.05: .* 1\.8 and 1\.85"),
+        ("hallway:width=-1", r"hallway: width -1\.0.* expected above 0"),
+        ("hallway:people=4,against=4", r"against 4 of 4 people: expected 1 to 3"),
+        ("hallway:offset=0.8", r"offset 0\.8 in a corridor of 2\.0 m: expected at most 0\.70 m"),
+        ("hallway:jitter=0.5", r"jitter 0\.5: expected 0 to 0\.15 m"),
+        ("hallway:speed=0.1", r"speed 0\.1"),
+        ("overtaking:speed_ratio=1", r"speed_ratio 1\.0: expected at least 1\.2"),
+        ("overtaking:slow=2", r"slow 2 of 2 people: expected 1 to 1"),
+        ("intersection:arms=5", r"arms 5: expected 2 to 4"),
+        ("intersection:turn=2", r"turn 2\.0: expected a share"),
+        ("room_exit:entering=4", r"entering 4 of 4 people: expected 0 to 3"),
+        ("room_exit:corridor=1.99", r"corridor 1\.99"),
+        ("parallel:gap=0.1", r"gap 0\.1: expected at least 0\.8 m"),
+        ("parallel:change=-1", r"change -1\.0: expected a share"),
+        ("circle:radius=1", r"radius 1\.0 for 4 people: expected at least 2\.00 m"),
+        ("circle:people=50,radius=5", r"expected at least 7\.96 m"),
+        ("blind_corner:people=40", r"people 40: expected 2 to 20; goals:people=N"),
+        ("perpendicular:width=2", "known: .*people"),
+    ],
+)
+def test_encounters_that_cannot_be(settings: str, told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        make_scenario(settings)
+
+
+def test_passages_that_nobody_fits_through() -> None:
+    for spec in ("hallway:width=0.4", "room_exit:width=0.45", "blind_corner:width=0.4"):
+        with pytest.raises(UserError, match=r"no way|in or too near a wall|clearance"):
+            begun(spec)
+    begun("hallway:width=0.6")
