@@ -48,6 +48,10 @@ class Pairs(NamedTuple):
     first: Tensor
     second: Tensor
 
+    def places(self, agents: int) -> tuple[Tensor, Tensor]:
+        """Return the places of the first and of the second in the flattened batch, both (N,)."""
+        return self.scene * agents + self.first, self.scene * agents + self.second
+
 
 @torch.no_grad()
 def nearest(
@@ -62,25 +66,27 @@ def nearest(
         most: So many at most; None: all within reach.
         rows: Which of the B * A people are asked for (N,) long; None: all.
     """
-    agents = mask.shape[1]
-    asked = torch.arange(mask.numel(), device=mask.device) if rows is None else rows
+    scenes, agents = mask.shape
+    scene = torch.arange(scenes, device=mask.device).mul_(agents)[:, None].expand(mask.shape).flatten()
+    scene = scene if rows is None else scene.index_select(0, rows)
     most = agents - 1 if most is None else min(agents - 1, most)
-    if most < 1 or not len(asked):
-        return Neighbors(asked.new_zeros(0, len(asked)), None)
-    present = mask & position.isfinite().all(-1)
+    if most < 1 or not len(scene):
+        return Neighbors(scene.new_zeros(0, len(scene)), None)
     if agents <= ALL_PAIRS:
-        keys = _keys_of_all(position, present, reach)
+        keys = _keys_of_all(position, mask, reach)
         keys = keys if rows is None else keys.index_select(0, rows)
     else:
-        keys = _keys_in_cells(position, present, reach, asked)
+        keys = _keys_in_cells(position, mask, reach, rows)
     most = min(most, keys.shape[1])
     # selection beats sorting where it leaves most of them out
     few = keys.topk(most, dim=1, largest=False)[0] if keys.shape[1] > 4 * most else keys.sort(dim=1)[0]
-    few = few[:, :most].T
-    near = few < _key(few.new_full((), torch.inf, dtype=torch.float32), 0)
-    near = near[: int(near.any(1).sum())]
-    index = (few[: len(near)] & _SLOT) + asked // agents * agents
-    return Neighbors(index, None) if near.all() else Neighbors(torch.where(near, index, asked), near)
+    few = few[:, :most].T.contiguous()
+    few = few[: int((few.amin(1) < _NOBODY).sum())]
+    index = (few & _SLOT) + scene
+    if few.numel() == 0 or int(few.amax()) < _NOBODY:
+        return Neighbors(index, None)
+    near = few < _NOBODY
+    return Neighbors(torch.where(near, index, _places(mask, rows)), near)
 
 
 @torch.no_grad()
@@ -93,7 +99,7 @@ def pairs_within(position: Tensor, mask: Tensor, reach: Tensor | float) -> Pairs
         reach: Pairs whose centres are closer than this; or everybody's own (B, A), finite where somebody is
             there: closer than the sum of both.
     """
-    present = mask & position.isfinite().all(-1)
+    present = mask & _finite(position)
     own = reach if isinstance(reach, Tensor) else position.new_full(mask.shape, reach / 2)
     if mask.shape[1] <= ALL_PAIRS:
         first, second = torch.triu_indices(mask.shape[1], mask.shape[1], 1, device=mask.device)
@@ -104,24 +110,45 @@ def pairs_within(position: Tensor, mask: Tensor, reach: Tensor | float) -> Pairs
 
 
 _SLOT = (1 << 31) - 1
+"""The bits of a key that tell the slot."""
+
+_FAR = 1e30
+"""Squared metres from which on others are ignored, whatever the reach."""
+
+_NOBODY = int(torch.tensor(_FAR).view(torch.int32)) << 31
+"""The least key of somebody who is ignored."""
 
 
-def _key(distance2: Tensor, slot: Tensor | int) -> Tensor:
+def _key(distance2: Tensor, slot: Tensor) -> Tensor:
     """Return whole numbers in the order of distances (...), and of slots (...) among equals."""
     # floats that are not negative are ordered as their bits are
-    return (distance2.float().view(torch.int32).long() << 31) + slot
+    return distance2.float().view(torch.int32).long().bitwise_left_shift_(31).add_(slot)
 
 
-def _keys_of_all(position: Tensor, present: Tensor, reach: float) -> Tensor:
-    """Return the keys (B * A, A) of everybody with everybody; those who do not count have the last ones."""
-    agents = present.shape[1]
+def _finite(position: Tensor) -> Tensor:
+    """Return which positions (..., 2) are numbers (...); several times faster than asking for it."""
     x, y = position.unbind(-1)
-    dx, dy = x[:, None] - x[:, :, None], y[:, None] - y[:, :, None]
-    distance2 = dx * dx + dy * dy
-    itself = torch.eye(agents, dtype=torch.bool, device=position.device)
-    ignored = itself | ~present[:, None] | ~present[:, :, None] | (distance2 >= reach * reach)
+    return (x * 0 + y * 0) == 0
+
+
+def _places(mask: Tensor, rows: Tensor | None) -> Tensor:
+    """Return the places of those who are asked for (N,)."""
+    return torch.arange(mask.numel(), device=mask.device) if rows is None else rows
+
+
+def _keys_of_all(position: Tensor, mask: Tensor, reach: float) -> Tensor:
+    """Return the keys (B * A, A) of everybody with everybody."""
+    agents = mask.shape[1]
     slot = torch.arange(agents, device=position.device)
-    return _key(distance2.masked_fill_(ignored, torch.inf), slot).flatten(0, 1)
+    present = mask & _finite(position)
+    if not present.all():  # absent people are far from everybody, and from each other
+        position = torch.where(present[..., None], position, (1e18 * (1.0 + slot))[:, None].to(position))
+    place = position.permute(2, 1, 0).contiguous()  # scenes last: long runs of numbers, in small scenes, too
+    apart = place[:, None] - place[:, :, None]
+    distance2 = apart[0] * apart[0] + apart[1] * apart[1]
+    ignored = torch.ge(distance2, reach * reach, out=torch.empty_like(distance2))
+    ignored.diagonal().fill_(1)
+    return _key(distance2.add_(ignored, alpha=_FAR).permute(2, 0, 1).reshape(-1, agents), slot)
 
 
 class _Cells(NamedTuple):
@@ -162,9 +189,10 @@ def _expanded(begin: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
     return run // begin.shape[1], torch.arange(len(run), device=run.device) + skipped.index_select(0, run)
 
 
-def _keys_in_cells(position: Tensor, present: Tensor, reach: float, asked: Tensor) -> Tensor:
-    """Return the keys (N, C) of those near the people ``asked`` (N,); unused ones are the last ones."""
-    agents = present.shape[1]
+def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | None) -> Tensor:
+    """Return the keys (N, C) of everybody near the people who are asked for."""
+    agents, asked = mask.shape[1], _places(mask, rows)
+    present = mask & _finite(position)
     width = position.new_full((len(present), 1, 1), max(reach, torch.finfo(position.dtype).tiny))
     cells = _Cells.of(position, present, width.double())
     cell = cells.cell.new_full((present.numel(),), -1 << _BITS).index_put_((cells.place,), cells.cell)
@@ -173,13 +201,12 @@ def _keys_in_cells(position: Tensor, present: Tensor, reach: float, asked: Tenso
     x, y = position.flatten(0, 1).T.contiguous()
     dx, dy = (part.index_select(0, other) - part.index_select(0, own) for part in (x, y))
     distance2 = dx * dx + dy * dy
-    kept = ((distance2 < reach * reach) & (other != own)).nonzero()[:, 0]
+    kept = ((distance2 < min(reach * reach, _FAR)) & (other != own)).nonzero()[:, 0]
     person = person.index_select(0, kept)
     key = _key(distance2.index_select(0, kept), other.index_select(0, kept) % agents)
     count = person.bincount(minlength=len(asked))
     rank = torch.arange(len(person), device=person.device) - (count.cumsum(0) - count).index_select(0, person)
-    most = int(count.max())
-    keys = _key(position.new_full((), torch.inf), 0).repeat(len(asked), max(1, most))
+    keys = person.new_full((len(asked), max(1, int(count.max()))), _NOBODY)
     keys.view(-1)[person * keys.shape[1] + rank] = key
     return keys
 

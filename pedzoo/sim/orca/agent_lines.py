@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.sim.neighbors import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.vectors import cross, dot, left, pick
+from pedzoo.sim.orca.vectors import above, at_least, cross, dot, left, pick
 
 
 def agent_lines(
@@ -33,26 +33,27 @@ def agent_lines(
 
     combined = 2 * settings.radius
     distance2 = dot(place, place)
-    overlap = distance2 <= combined * combined
+    overlap = at_least(-distance2, -combined * combined)
     # Those who overlap are to be apart after one step, the others for the whole horizon.
-    apart = (~overlap).to(distance2.dtype)
-    rate = apart * (1 / settings.time_horizon) + (1 - apart) * (1 / settings.time_step)
+    rates = distance2.new_tensor([1 / settings.time_step, 1 / settings.time_horizon])
+    rate = pick(overlap, rates[0], rates[1])
     w = current - rate * place
     w2, ahead = dot(w, w), dot(w, place)
-    on_circle = overlap | ((ahead < 0) & (ahead * ahead > combined * combined * w2))
+    # the projection is on the round end where w points away from its centre by more than the legs' angle
+    on_circle = above(-ahead * ahead.abs(), combined * combined * w2).maximum(overlap)
 
     # The nearest point of the velocity obstacle's border is on its round end, ...
     length = w2.sqrt()
     tiny = torch.finfo(length.dtype).tiny
-    outward = w * (1 / length.clamp_min(tiny))  # w = 0: no direction is better than another
+    outward = w * length.clamp_min(tiny).reciprocal()  # w = 0: no direction is better than another
     to_circle = (rate * combined - length) * outward
     # ... or on its left or right leg.
     leg = (distance2 - combined * combined).clamp_min(0).sqrt()
-    leg = leg * ((cross(place, w) > 0) * 2.0 - 1)
-    side = (place * leg + combined * left(place)) * (1 / distance2.clamp_min(tiny))
+    leg = leg * (above(cross(place, w), 0) * 2 - 1)
+    side = (place * leg + combined * left(place)) * distance2.clamp_min(tiny).reciprocal()
     to_leg = dot(current, side) * side - current
 
     # Everybody does half of what is needed.
     point = own[2:, None] + 0.5 * pick(on_circle, to_circle, to_leg)
     lines = torch.cat((point, pick(on_circle, -left(outward), side)))
-    return lines if near is None else lines * near
+    return lines if near is None else lines * near.to(lines.dtype)

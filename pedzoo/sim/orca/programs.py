@@ -7,9 +7,10 @@ Constraints of N people are ``lines`` (4, L, N): x and y of a point of the line,
 direction; velocities to its left are permitted. Rows of L are in order of importance, walls before people. A
 line of direction (0, 0) constrains nothing, so people with fewer constraints are padded with zeros.
 
-The incremental programs visit one line after the other and act only where the line is violated. Here
-everybody goes straight to their own next violated line: a few rounds in place of L, with the same answer.
-Who is done leaves the batch.
+RVO2's incremental program visits one line after the other: where the velocity found so far violates a line,
+the best one on that line that obeys all lines before it takes its place. That best one does not depend on the
+velocity so far. So it is computed for all lines at once, and each person's way through their lines is looked
+up. Many people with many lines first go to their next violated line together, until few are left.
 """
 
 from __future__ import annotations
@@ -17,12 +18,20 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.sim.orca.vectors import above, at_least, pick
+
 EPSILON = 1e-5
 """RVO2's: lines whose directions have a smaller cross product count as parallel."""
 
+AT_ONCE = 40_000
+"""Pairs of lines, of all people together, up to which computing all of them is faster than choosing."""
+
+_FAR = 1e30
+"""Farther along a line than anything."""
+
 
 def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Tensor:
-    """Return the velocities (2, N): permitted ones, or where there are none, those .
+    """Return the velocities (2, N): permitted ones, or where there are none, those violating lines least.
 
     Args:
         lines: Constraints (4, L, N) as above.
@@ -31,7 +40,8 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
         max_speed: Top speeds (N,), m/s.
     """
     speed = (preferred[0] * preferred[0] + preferred[1] * preferred[1]).sqrt()
-    start = torch.where(speed > max_speed, preferred * (1 / speed) * max_speed, preferred)
+    slower = preferred * (1 / speed.clamp_min(torch.finfo(speed.dtype).tiny)) * max_speed
+    start = pick(above(speed, max_speed), slower, preferred)
     result, failed = nearest(lines, start, preferred, max_speed, towards=False)
     rows = (failed < lines.shape[1]).nonzero()[:, 0]
     if len(rows):
@@ -53,62 +63,101 @@ def nearest(
         towards: ``optimum`` is a unit direction.
 
     Returns:
-        The velocities (2, N), and the first line (N,) that could not be obeyed together with those before
-        it, L where all could. The velocity then obeys the ones before.
+        The velocities (2, N), and the first line (N,) long that could not be obeyed together with those
+        before it, L where all could. The velocity then obeys the ones before.
     """
     count = lines.shape[1]
+    if not count:
+        return start.clone(), torch.zeros_like(max_speed, dtype=torch.long)
+    if _few(lines):
+        return _at_once(lines, start, None, optimum, max_speed, towards)
     result, failed = start.clone(), torch.full_like(max_speed, count, dtype=torch.long)
-    number = torch.arange(count, device=lines.device)[:, None]
-    rows = torch.arange(lines.shape[2], device=lines.device)
-    last, own = rows.new_full((), -1), start
-    while count:
-        wrong = (violation(lines, own) > 0) & (number > last)
-        line = _first(wrong)
+    number = torch.arange(count, device=lines.device, dtype=lines.dtype)[:, None]
+    rows, own, last = torch.arange(lines.shape[2], device=lines.device), start, None
+    while True:
+        wrong = above(violation(lines, own), 0)
+        line = _first(wrong if last is None else wrong.mul_(above(number, last)))
         still = (line < count).nonzero()[:, 0]
         if not len(still):
-            break
-        rows, line, lines = rows[still], line[still], _of(lines, still)
+            return result, failed
+        rows, line, lines, own = rows[still], line[still], _of(lines, still), own[:, still]
         optimum, max_speed = optimum[:, still], max_speed[still]
-        own, feasible = best_on_line(lines, line, optimum, max_speed, towards)
-        failed[rows] = torch.where(feasible, count, line)
-        own = torch.where(feasible, own, result[:, rows])
-        result[:, rows] = own
-        last = torch.where(feasible, line, count)
-    return result, failed
+        if _few(lines):
+            result[:, rows], failed[rows] = _at_once(lines, own, line - 1, optimum, max_speed, towards)
+            return result, failed
+        chosen = lines.gather(1, line.long().expand(4, 1, -1))[:, 0]
+        found, feasible = _best_on(chosen, lines, above(line, number), optimum, max_speed, towards)
+        own = pick(feasible, found, own)
+        end = torch.full_like(line, count)
+        last = pick(feasible, line, end)  # who is stuck has no further lines
+        result[:, rows], failed[rows] = own, pick(feasible, end, line).long()
 
 
-def best_on_line(
-    lines: Tensor, line: Tensor, optimum: Tensor, max_speed: Tensor, towards: bool
+def _few(lines: Tensor) -> bool:
+    """Return whether looking at everything at once is faster."""
+    return lines.shape[1] * lines.shape[1] * lines.shape[2] <= AT_ONCE
+
+
+def _at_once(
+    lines: Tensor, start: Tensor, last: Tensor | None, optimum: Tensor, max_speed: Tensor, towards: bool
+) -> tuple[Tensor, Tensor]:
+    """Do what `nearest` does, from velocities ``start`` (2, N) that obey everybody's lines up to ``last``."""
+    count = lines.shape[1]
+    number = torch.arange(-1, count, device=lines.device, dtype=lines.dtype)[:, None]
+    one, other = number[1:], number.T[..., None]  # of pairs (one, other, person)
+    found, feasible = _best_on(
+        lines, lines[:, :, None], above(other[:, 1:], one[..., None]), optimum, max_speed, towards
+    )
+    # from `start`, -1, and from the best velocity on each line: which line is the next that is violated?
+    places = torch.cat((start[:, None], found), dim=1)
+    wrong = above(violation(lines[:, :, None], places[:, None]), 0) * above(one[..., None], other)
+    if last is not None:
+        wrong[:, 0] *= above(one, last)
+    line = _first(wrong)
+    # Who can obey it stands on that line then, who cannot stays; a step of two steps, of four, ...
+    able = torch.cat((feasible, feasible.new_zeros(1, feasible.shape[1])))
+    following = line.long()
+    able = able.gather(0, following)
+    after = pick(able, line, number.expand_as(line)).long() + 1
+    for _ in range(count.bit_length()):
+        after = after.gather(0, after)
+    end = after[:1]
+    return places.gather(1, end.expand(2, 1, -1))[:, 0], following.gather(0, end)[0]
+
+
+def _best_on(
+    chosen: Tensor, lines: Tensor, before: Tensor, optimum: Tensor, max_speed: Tensor, towards: bool
 ) -> tuple[Tensor, Tensor]:
     """Solve the one-dimensional program: the best velocity on a line that obeys all lines before it.
 
     Args:
-        lines: Constraints (4, L, N).
-        line: Number of everybody's line (N,) long.
+        chosen: Lines (4, ..., N) to be on.
+        lines: Constraints (4, L, ..., N).
+        before: Which of the L come before the chosen line (L, ..., N), 1 or 0.
         optimum: As for `nearest` (2, N).
         max_speed: Top speeds (N,).
         towards: As for `nearest`.
 
     Returns:
-        The velocities (2, N), and where there is one (N,) bool.
+        The velocities (2, ..., N), and where there is one (..., N), 1 or 0.
     """
-    x, y, dx, dy = lines.gather(1, line.expand(4, 1, -1))[:, 0]
+    x, y, dx, dy = chosen
     along = x * dx + y * dy
     inside = along * along + max_speed * max_speed - (x * x + y * y)
     half = inside.clamp_min(0).sqrt()
 
     px, py, qx, qy = lines
-    before = torch.arange(lines.shape[1], device=lines.device)[:, None] < line
     across = (dx * qy - dy * qx) * before
     ahead = (qx * (y - py) - qy * (x - px)) * before
-    cut = ahead / across
-    high = torch.where(across > EPSILON, cut, torch.inf).amin(0).minimum(half - along)
-    low = torch.where(across < -EPSILON, cut, -torch.inf).amax(0).maximum(-along - half)
-    excluded = ((across.abs() <= EPSILON) & (ahead < 0)).any(0)
-    feasible = (inside >= 0) & (low <= high) & ~excluded
+    parallel = at_least(-across.abs(), -EPSILON)
+    cut = ahead / (across + parallel)
+    high = cut.add(at_least(-across, -EPSILON), alpha=_FAR).amin(0).minimum(half - along)
+    low = cut.sub(at_least(across, -EPSILON), alpha=_FAR).amax(0).maximum(-along - half)
+    behind = (parallel * ahead).amin(0)
+    feasible = at_least(inside, 0) * at_least(high, low) * at_least(behind, 0)
 
     if towards:
-        t = torch.where(optimum[0] * dx + optimum[1] * dy > 0, high, low)
+        t = pick(above(optimum[0] * dx + optimum[1] * dy, 0), high, low)
     else:
         t = (dx * (optimum[0] - x) + dy * (optimum[1] - y)).minimum(high).maximum(low)
     return torch.stack((x + t * dx, y + t * dy)), feasible
@@ -125,47 +174,46 @@ def least_violating(lines: Tensor, result: Tensor, first: Tensor, max_speed: Ten
         walls: How many of the L come from walls.
     """
     count = lines.shape[1]
-    number = torch.arange(count, device=lines.device)[:, None]
+    number = torch.arange(count, device=lines.device, dtype=lines.dtype)[:, None]
+    always = above(torch.full_like(number, walls), number)
     answer, rows = result.clone(), torch.arange(lines.shape[2], device=lines.device)
-    own, worst, last = result, torch.zeros_like(max_speed), first - 1
-    while True:
-        wrong = (violation(lines, own) > worst) & (number > last)
-        line = _first(wrong)
-        still = (line < count).nonzero()[:, 0]
-        if not len(still):
-            return answer
-        rows, last, lines, own = rows[still], line[still], _of(lines, still), own[:, still]
-        max_speed = max_speed[still]
-        chosen = lines.gather(1, last.expand(4, 1, -1))
+    line, own = first.to(lines.dtype), result
+    while len(rows):
+        chosen = lines.gather(1, line.long().expand(4, 1, -1))
         inward = torch.stack((-chosen[3, 0], chosen[2, 0]))
-        projected = _equally_violated(lines, chosen, (number < last) | (number < walls), walls)
+        projected = _equally_violated(lines, chosen, above(line, number).maximum(always), walls)
         moved, failed = nearest(projected, inward * max_speed, inward, max_speed, towards=True)
         # it fails by rounding only: the current velocity is feasible by construction
         own = torch.where(failed == count, moved, own)
-        worst = violation(chosen, own)[0]
         answer[:, rows] = own
+        wrong = above(violation(lines, own), violation(chosen, own))
+        following = _first(wrong.mul_(above(number, line)))
+        still = (following < count).nonzero()[:, 0]
+        rows, line, lines, own = rows[still], following[still], _of(lines, still), own[:, still]
+        max_speed = max_speed[still]
+    return answer
 
 
 def _equally_violated(lines: Tensor, chosen: Tensor, before: Tensor, walls: int) -> Tensor:
     """Return walls as they are, and for others ``before`` where they are violated as much as ``chosen``."""
-    px, py, qx, qy = lines[:, walls:]
+    people = lines[:, walls:]
+    px, py, qx, qy = people
     x, y, dx, dy = chosen
     across = dx * qy - dy * qx
-    parallel = across.abs() <= EPSILON
-    t = (qx * (y - py) - qy * (x - px)) / torch.where(parallel, 1, across)
-    point_x = torch.where(parallel, 0.5 * (x + px), x + t * dx)
-    point_y = torch.where(parallel, 0.5 * (y + py), y + t * dy)
-    turn_x, turn_y = qx - dx, qy - dy
-    length = (turn_x * turn_x + turn_y * turn_y).sqrt()
+    parallel = at_least(-across.abs(), -EPSILON)
+    t = (qx * (y - py) - qy * (x - px)) / (across + parallel)
+    crossing = torch.stack((x + t * dx, y + t * dy))
+    point = pick(parallel, 0.5 * (chosen[:2] + people[:2]), crossing)
+    turn = people[2:] - chosen[2:]
+    length = (turn[0] * turn[0] + turn[1] * turn[1]).sqrt().clamp_min(torch.finfo(turn.dtype).tiny)
     # parallel lines of the same direction constrain nothing more, and neither does padding (0, 0)
-    keep = before[walls:] & ~(parallel & (dx * qx + dy * qy > -0.5))
-    scale = torch.where(keep, 1 / length, 0)
-    people = torch.stack((point_x, point_y, turn_x * scale, turn_y * scale))
-    return torch.cat((lines[:, :walls], people), dim=1)
+    same = parallel * above(dx * qx + dy * qy, -0.5)
+    direction = turn * ((before[walls:] - before[walls:] * same) / length)
+    return torch.cat((lines[:, :walls], torch.cat((point, direction))), dim=1)
 
 
 def violation(lines: Tensor, velocity: Tensor) -> Tensor:
-    """Return how far velocities (2, N) are on the wrong side of ``lines`` (4, L, N): (L, N), m/s."""
+    """Return how far velocities (2, ..., N) are on the wrong side of ``lines`` (4, ..., N): (..., N), m/s."""
     px, py, dx, dy = lines
     return dx * (py - velocity[1]) - dy * (px - velocity[0])
 
@@ -177,8 +225,7 @@ def _of(lines: Tensor, rows: Tensor) -> Tensor:
 
 
 def _first(wrong: Tensor) -> Tensor:
-    """Return the number (N,) of the first true row of (L, N), L where there is none."""
+    """Return the number of the first 1 (..., N), a float, of shares (L, ..., N); L where there is none."""
     count = len(wrong)
-    # floats, because their minimum is much faster than that of whole numbers
-    before_end = torch.arange(-count, 0, device=wrong.device, dtype=torch.float32)[:, None]
-    return (before_end * wrong).amin(0).long() + count
+    before_end = torch.arange(-count, 0, device=wrong.device, dtype=wrong.dtype)
+    return (before_end.view(-1, *[1] * (wrong.ndim - 1)) * wrong).amin(0) + count

@@ -1,4 +1,8 @@
-"""Arithmetic of vectors whose two coordinates come first, (2, ...)."""
+"""Arithmetic of vectors whose two coordinates come first (2, ...), and of shares: conditions as 0 and 1.
+
+On a CPU floating point comes in vectors of 8, while truth values, `torch.where` among them, come one by one:
+ORCA computes with shares several times faster.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,16 @@ def unit(a: Tensor) -> Tensor:
     return a * (1 / dot(a, a).sqrt().clamp_min(torch.finfo(a.dtype).tiny))
 
 
-def pick(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """Return ``a`` where ``condition``, else ``b``; both finite. Much faster on a CPU than `torch.where`."""
-    share = condition.to(a.dtype)
-    return a * share + b * (1 - share)
+def above(a: Tensor, b: Tensor | float) -> Tensor:
+    """Return the share 1 where ``a`` > ``b``, else 0. No gradient flows."""
+    return torch.gt(a, b, out=a.new_empty(0))
+
+
+def at_least(a: Tensor, b: Tensor | float) -> Tensor:
+    """Return the share 1 where ``a`` >= ``b``, else 0. No gradient flows."""
+    return torch.ge(a, b, out=a.new_empty(0))
+
+
+def pick(share: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """Return ``a`` where the share is 1, ``b`` where it is 0; both finite."""
+    return torch.lerp(b, a, share.to(b.dtype))
