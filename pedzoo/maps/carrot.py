@@ -41,19 +41,21 @@ def seen_beyond(
         return rest
     number = row.index_select(0, who)
     a, b, c, d = distance.linear.view(-1, 4).index_select(0, number).unbind(1)
-    shift, low, high = (of.index_select(0, number) for of in (distance.shift, distance.low, distance.high))
+    (right, up), low, high = (
+        of.index_select(0, number).t() for of in (distance.shift, distance.low, distance.high)
+    )
     begin, corner, way, ahead = (of.index_select(-1, who) for of in (home, waypoint, beyond, rest))
     end = corner + way * ahead
     # points are a fixed way apart, however far others look: an answer is the same whoever else asks
     spacing = _SPACING / (end - begin).square().sum(0).sqrt().clamp_min(_SPACING)
     x, y = torch.stack((begin, corner, end), dim=1)
-    begin, corner, end = (pairs(a * x + b * y, c * x + d * y) + shift).unbind(0)
+    begin, corner, end = torch.stack((a * x + b * y + right, c * x + d * y + up)).unbind(1)
     for part in _PARTS:
-        target = torch.lerp(corner, end, part).clamp(low, high)
+        way = (corner + part * (end - corner)).clamp(low, high) - begin
         samples = int((1 / spacing.min()).ceil())
         steps = torch.arange(1, samples + 1, device=who.device)[:, None] * spacing
-        line = torch.lerp(begin, target, steps.clamp_max(1)[:, :, None])
-        lowest = F.grid_sample(distance.image, line[None], align_corners=True)[0, 0].amin(dim=0)
+        x, y = torch.addcmul(begin.unsqueeze(1), steps.clamp_max_(1), way.unsqueeze(1))
+        lowest = F.grid_sample(distance.image, pairs(x, y)[None], align_corners=True)[0, 0].amin(dim=0)
         hidden = lowest < BODY_CLEARANCE
         if part < 1:
             seen = who[~hidden]
@@ -62,7 +64,6 @@ def seen_beyond(
         if not len(still):
             return rest
         who, spacing = who.index_select(0, still), spacing.index_select(0, still)
-        begin, corner, end = (of.index_select(0, still) for of in (begin, corner, end))
-        low, high = low.index_select(0, still), high.index_select(0, still)
+        begin, corner, end, low, high = (of.index_select(1, still) for of in (begin, corner, end, low, high))
     rest[who] = 0
     return rest

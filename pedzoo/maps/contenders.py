@@ -13,6 +13,7 @@ place's corners, and a box that is no nearer than another at all four corners is
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,20 +39,21 @@ class Contenders(NamedTuple):
         choice: For each quarter of a cell (2H, 2W) a box, or M plus a set; boxes are walls for free places
             and free space for walls.
         sign: Plus one for each box of wall and minus one for each of free space (M,).
-        centre: Signed distance of each cell's centre to the nearest box of the other kind (H, W), in cells.
+        least: What any position in a quarter is away from the nearest wall, at least; negative inside walls
+            (2H, 2W) float32, in cells.
     """
 
     box: NDArray[np.float64]
     sets: NDArray[np.int64]
     choice: NDArray[np.int64]
     sign: NDArray[np.float64]
-    centre: NDArray[np.float64]
+    least: NDArray[np.float32]
 
 
 def contenders(walls: NDArray[np.bool_]) -> Contenders:
     """Return the boxes of walls and free space, and which can be the nearest of the other kind where."""
     parts, choices, sets = [], np.zeros([2 * size for size in walls.shape], dtype=np.int64), []
-    mixed_places, signs, centre = [], [], np.empty(walls.shape)
+    mixed_places, signs, least = [], [], np.empty(choices.shape, dtype=np.float32)
     count = 0
     for sign, side in ((1, walls), (-1, ~walls)):
         box = merge_cells(side)
@@ -69,10 +71,7 @@ def contenders(walls: NDArray[np.bool_]) -> Contenders:
             sets.append(_unbeaten(near, box, row, column) + count)
         parts.append(box if len(box) else np.full((1, 4), FAR))
         signs.append(np.full(len(parts[-1]), float(sign)))
-        here = np.argwhere(~side)
-        low, high = parts[-1][label[1::2, 1::2][~side]].reshape(-1, 2, 2).transpose(1, 0, 2)
-        gap = np.maximum(np.maximum(low - here[:, ::-1] - 0.5, here[:, ::-1] + 0.5 - high), 0)
-        centre[~side] = sign * np.hypot(*gap.T)
+        least[mine] = _least(_gaps(label, parts[-1]), sign)[mine]
         count += len(parts[-1])
     row, column = (np.concatenate(axis) for axis in zip(*mixed_places, strict=True))
     choices[row, column] = count + np.arange(len(row))
@@ -81,7 +80,7 @@ def contenders(walls: NDArray[np.bool_]) -> Contenders:
         np.concatenate([np.zeros((0, CONTENDERS), dtype=np.int64), *sets]),
         choices,
         np.concatenate(signs),
-        centre,
+        least,
     )
 
 
@@ -96,6 +95,25 @@ def _nearest_box(box: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.i
         label[y0 : y1 + 1, x0 : x1 + 1] = number  # closed boxes: the corners on their edges are theirs
     row, column = np.asarray(distance_transform_edt(label < 0, return_distances=False, return_indices=True))
     return label[row, column]
+
+
+def _gaps(label: NDArray[np.int64], box: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the distance from each corner of a quarter (2H + 1, 2W + 1) to its nearest box, in cells."""
+    row, column = (np.arange(size, dtype=np.float32) / 2 for size in label.shape)
+    x0, y0, x1, y1 = (values[label] for values in box.T.astype(np.float32))
+    x = np.maximum(x0 - column, column - x1)
+    y = np.maximum(y0 - row[:, None], row[:, None] - y1)
+    return np.hypot(np.maximum(x, 0), np.maximum(y, 0))
+
+
+def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
+    """Return the least signed distance in each quarter of those at its corners.
+
+    Distances to boxes are least at a corner. How deep somebody is inside a wall is not: nobody is deeper
+    than at the deepest corner and half a quarter's diagonal.
+    """
+    corners = np.stack((gap[:-1, :-1], gap[:-1, 1:], gap[1:, :-1], gap[1:, 1:]))
+    return corners.min(0) if sign > 0 else -corners.max(0) - np.float32(math.sqrt(0.125))
 
 
 def _unbeaten(

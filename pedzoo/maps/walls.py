@@ -17,7 +17,9 @@ from torch import Tensor
 
 from pedzoo.maps.contenders import CONTENDERS, contenders
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.planar import pairs
+
+_ROUNDING = 1e-4
+"""Cells that single precision may err by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +34,10 @@ class Walls:
             their y0, x1 and y1, in half cells from the padded map's outer corner; last, plus one where they
             are walls and minus one where they are free space.
         choice: Which set contends in each quarter, row by row, one map after another (Q,) int32.
-        least: What every place in a cell is away from the nearest wall, at least; one map after another
-            (C,) float32, metres.
+        least: What any position in a quarter is away from the nearest wall, at least (Q,) float32, metres.
         affine: Map frame in metres to half cells of the padded map: column by column a matrix's two rows and
             two shifts (6, R + 1) float64; row -1 means "no map".
-        place: Columns and rows of each padded map, and where it begins in ``least`` (3, R + 1) long.
+        place: Columns and rows of quarters of each padded map, and where they begin (3, R + 1) int32.
         side: Of half a cell in metres (R + 1,) float64.
         limit: Distances are clipped to plus and minus this, metres.
     """
@@ -65,12 +66,11 @@ class Walls:
             boxes = (2 * found.box)[sets].transpose(2, 1, 0).reshape(4 * CONTENDERS, -1)
             option.append(np.concatenate((boxes, found.sign[sets[:, 0]][None])).astype(np.float32))
             choice.append((found.choice + options).astype(np.int32).ravel())
-            # no place in a cell is farther from its centre than half its diagonal
-            bound = (found.centre - math.sqrt(0.5) - 1e-4) * side
+            bound = (found.least - _ROUNDING) * side
             least.append(np.minimum(bound, max_distance).astype(np.float32).ravel())
             options += len(sets)
-        begin = np.cumsum([0, *(cells.size for cells in plans[:-1])])
-        place = [(*cells.shape[::-1], start) for cells, start in zip(plans, begin, strict=True)]
+        begin = np.cumsum([0, *(4 * cells.size for cells in plans[:-1])])
+        height, width = (2 * np.array([cells.shape for cells in plans])).T
 
         affine = np.zeros((6, len(plans)))
         for row, (grid, pad) in enumerate(zip(grids, pads, strict=True)):
@@ -81,7 +81,7 @@ class Walls:
             choice=torch.from_numpy(np.concatenate(choice)),
             least=torch.from_numpy(np.concatenate(least)),
             affine=torch.from_numpy(affine),
-            place=torch.tensor(place).T.contiguous(),
+            place=torch.from_numpy(np.stack((width, height, begin)).astype(np.int32)),
             side=torch.tensor(sides, dtype=torch.float64) / 2,
             limit=max_distance,
         )
@@ -116,20 +116,20 @@ class Walls:
             shift_y - yx * home_x - yy * home_y,
             self.side.index_select(0, row),
         )
-        return LocalWalls(self, torch.stack(frame).unsqueeze(2), self.place.index_select(1, row).unsqueeze(2))
+        return LocalWalls(self, torch.stack(frame), self.place.index_select(1, row))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalWalls:
     """The walls as N entries see them, each on its map and in its scene's frame.
 
-    Coordinates are handled in rows, (2, N, K): on the CPU several times faster than pairs of them.
+    Coordinates come first and entries last, (2, K, N): on the CPU several times faster than pairs.
 
     Attributes:
         walls: Those of all maps.
         frame: Scene positions in metres to half cells of the padded map: where the x axis points, where the
-            y axis points, and the shift, two rows each; then the side of half a cell in metres (7, N, 1).
-        place: Columns and rows of the padded map, and where its cells begin (3, N, 1) long.
+            y axis points, and the shift, two rows each; then the side of half a cell in metres (7, N).
+        place: Columns and rows of quarters, and where the map's begin (3, N) int32.
     """
 
     walls: Walls
@@ -140,58 +140,45 @@ class LocalWalls:
         """Return the walls as some of the entries see them."""
         return LocalWalls(self.walls, self.frame.index_select(1, index), self.place.index_select(1, index))
 
-    def least(self, points: Tensor) -> Tensor:
-        """Return how far from the nearest wall positions are at least (N, K), for a tenth of the price.
+    def each(self, times: int) -> LocalWalls:
+        """Return the walls with so many entries, one after the other, for each of the N."""
+        count = self.frame.shape[1]
+        return self.rows(torch.arange(count, device=self.frame.device).repeat_interleave(times))
 
-        That is the exact distance less up to 1.5 cells, float32; of a position that is not a number, anything.
+    def least(self, points: Tensor) -> Tensor:
+        """Return how far from the nearest wall positions are at least (K, N), for a tenth of the price.
+
+        That is the exact distance less up to 0.71 cells, float32; of a position that is not a number,
+        anything.
 
         Args:
-            points: Scene positions (2, N, K), metres.
+            points: Scene positions (2, K, N), metres.
         """
-        x_axis, y_axis, shift = self.frame.float()[:6].split(2)
-        columns, _, begin = self.place
-        place = torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
-        cell = place.mul_(0.5).long().clamp(self._zero, self.place[:2] - 1)
-        index = torch.addcmul(cell[0].add_(begin), cell[1], columns)
-        return self.walls.least.index_select(0, index.view(-1)).view(index.shape)
-
-    @cached_property
-    def _zero(self) -> Tensor:
-        return torch.zeros_like(self.place[:2])
-
-    @cached_property
-    def _quarters(self) -> tuple[Tensor, ...]:
-        """Return the last column and row of quarters (2, N, 1), their number in a row and the first (N, 1)."""
-        size = 2 * self.place[:2]
-        return size - 1, size[0], 4 * self.place[2]
-
-    @cached_property
-    def _parts(self) -> tuple[Tensor, ...]:
-        """Return the frame's axes and shift, each (2, N, 1), both axes (2, 2, N, 1) and the side (N, 1)."""
-        axes = self.frame[:4].view(2, 2, *self.frame.shape[1:])
-        return axes[0], axes[1], self.frame[4:6], axes, self.frame[6]
+        place = _placed(self.frame.float(), points)
+        return self.walls.least.index_select(0, self._quarter(place).view(-1)).view(place.shape[1:])
 
     @torch.no_grad()
     def within(self, path: Tensor, distance: float) -> Tensor:
-        """Return where paths come closer than ``distance`` to a wall (N, S, M) bool.
+        """Return which stretches of paths come closer than ``distance`` to a wall (S, N) bool.
 
-        Of a stretch of M points the middle one is asked about first, roughly.
+        The point in the middle of a stretch is asked about first, roughly.
 
         Args:
-            path: Scene positions (2, N, S, M), metres; M points of a stretch are near each other.
+            path: Scene positions (2, S, M, N), metres: S stretches of M points that are near each other.
             distance: Metres.
         """
-        middle = path[..., path.shape[3] // 2]
-        spread = (path - middle.unsqueeze(3)).abs_().amax(3)
-        close = self.least(middle) < torch.hypot(spread[0], spread[1]) + distance
-        result = close.unsqueeze(2).repeat(1, 1, path.shape[3]).flatten(0, 1)
-        stretch = close.view(-1).nonzero()[:, 0]
+        points = path.shape[2]
+        middle = path[:, :, points // 2]
+        spread = (path - middle.unsqueeze(2)).abs_().amax(2)
+        close = self.least(middle) < torch.hypot(*spread) + distance
+        stretch, entry = close.nonzero(as_tuple=True)
         if len(stretch):
-            points = path.flatten(1, 2).index_select(1, stretch).double()
-            entry = stretch.div(close.shape[1], rounding_mode="floor")
-            gap, _ = self.rows(entry).look(points)
-            result.index_copy_(0, stretch, gap < distance)
-        return result.unflatten(0, close.shape)
+            point = torch.arange(points, device=path.device).unsqueeze(1)
+            index = (stretch * points + point) * close.shape[1] + entry
+            asked = path.flatten(1).index_select(1, index.view(-1)).view(2, *index.shape)
+            gap, _ = self.rows(entry).look(asked.double())
+            close = close.index_put((stretch, entry), (gap < distance).any(0))
+        return close
 
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distance (N, ...) to the nearest wall and the direction (N, ..., 2) in which it grows.
@@ -204,25 +191,22 @@ class LocalWalls:
         """
         with torch.no_grad():
             flat = points.double().reshape(len(points), math.prod(points.shape[1:-1]), 2)
-            gap, away = self.look(flat.permute(2, 0, 1).contiguous())
-            gap = gap.view(points.shape[:-1]).to(points.dtype)
-            away = pairs(*away).view(points.shape).to(points.dtype)
+            gap, away = self.look(flat.permute(2, 1, 0).contiguous())
+            gap = gap.t().reshape(points.shape[:-1]).to(points.dtype)
+            away = away.permute(2, 1, 0).reshape(points.shape).to(points.dtype)
         if points.requires_grad:
             gap = gap + ((points - points.detach()) * away).sum(dim=-1)
         return gap, away
 
     @torch.no_grad()
     def look(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return distances (N, K) and directions (2, N, K), as `closest` does.
+        """Return distances (K, N) and directions (2, K, N), as `closest` does.
 
         Args:
-            points: Scene positions (2, N, K) float64, metres.
+            points: Scene positions (2, K, N) float64, metres.
         """
-        walls, (x_axis, y_axis, shift, axes, side) = self.walls, self._parts
-        last, columns, begin = self._quarters
-        place = torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
-        quarter = place.long().clamp(self._zero, last)
-        index = torch.addcmul(quarter[0].add_(begin), quarter[1], columns)
+        walls, side, place = self.walls, self.frame[6], _placed(self.frame, points)
+        index = self._quarter(place)
         shape = index.shape
         choice = walls.choice.index_select(0, index.view(-1))
         option = walls.option.index_select(1, choice).double()
@@ -241,5 +225,24 @@ class LocalWalls:
             apart = torch.where(edge, square * (2 * place - low - high).sign(), apart)
             depth = torch.where(edge, 1, depth)
         # the way back from cells to the scene is the transposed one
+        axes = self.frame[:4].view(2, 2, 1, -1)
         away = (axes * (apart * (toward * side / depth))).sum(1)
         return distance.clamp_max(walls.limit) * sign, away
+
+    def _quarter(self, place: Tensor) -> Tensor:
+        """Return the numbers (K, N) of the quarters that positions (2, K, N) in half cells are in."""
+        first, last = self._ends
+        column, row = place.int().clamp(first, last)
+        return torch.addcmul(column.add_(self.place[2]), row, self.place[0])
+
+    @cached_property
+    def _ends(self) -> tuple[Tensor, Tensor]:
+        """Return the first and last column and row, (2, 1, N) each."""
+        last = self.place[:2].unsqueeze(1) - 1
+        return torch.zeros_like(last), last
+
+
+def _placed(frame: Tensor, points: Tensor) -> Tensor:
+    """Return where on their maps positions (2, K, N) are, in half cells."""
+    x_axis, y_axis, shift = frame[:6].view(3, 2, 1, -1)
+    return torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])

@@ -24,8 +24,10 @@ def arrived(path: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
         goal: Goals (B, A, 2).
         wanted: Who has one (B, A) bool.
     """
-    near = (path - goal[:, :, None, None]).square().sum(-1).amin(-1) < GOAL_RADIUS**2
-    return (near & wanted.unsqueeze(-1)).cummax(-1).values
+    # people last, (2, S, M, B, A): as `dynamics.walk` has them in memory
+    x, y = path.permute(4, 2, 3, 0, 1) - goal.permute(2, 0, 1)[:, None, None]
+    near = torch.addcmul(x * x, y, y).amin(1) < GOAL_RADIUS**2
+    return (near & wanted).cummax(0).values.permute(1, 2, 0)
 
 
 def renewed(

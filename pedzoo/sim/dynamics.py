@@ -62,49 +62,49 @@ def walk(
         body_radius: Of a person, metres.
     """
     time = torch.linspace(seconds / steps, seconds, steps, device=position.device, dtype=position.dtype)
-    # coordinates in rows, (2, B, A, N): on the CPU several times faster than pairs of them
-    origin, wanted = (values.movedim(-1, 0).contiguous().unsqueeze(3) for values in (position, velocity))
-    path = torch.addcmul(origin, wanted, time)
+    # coordinates first, people last, (2, N, B * A): on the CPU several times faster than pairs
+    start, wanted = (values.flatten(0, 1).t().contiguous() for values in (position, velocity))
+    path = torch.addcmul(start.unsqueeze(1), wanted.unsqueeze(1), time.unsqueeze(1))
     if bank.grids:
-        path = _along_walls(path, origin, wanted * (seconds / steps), bank.walls_around(map_id, pose), body_radius)
-    return path.movedim(0, -1)
+        walls = bank.walls_around(map_id, pose).each(position.shape[1])
+        path = _along_walls(path, start, wanted * (seconds / steps), walls, body_radius)
+    return path.permute(2, 1, 0).unflatten(0, position.shape[:2])
 
 
-def _along_walls(path: Tensor, origin: Tensor, move: Tensor, walls: LocalWalls, body_radius: float) -> Tensor:
-    """Return ``path`` (2, B, A, N) with the ways of those who meet a wall.
+def _along_walls(path: Tensor, start: Tensor, move: Tensor, walls: LocalWalls, body_radius: float) -> Tensor:
+    """Return ``path`` (2, N, P) with the ways of those who meet a wall.
 
     Args:
         path: Straight ways.
-        origin: Where they begin (2, B, A, 1).
-        move: What everybody wants in a sub-step (2, B, A, 1).
-        walls: As the scenes see them.
+        start: Where they begin (2, P).
+        move: What everybody wants in a sub-step (2, P).
+        walls: As people see them.
         body_radius: Of a person, metres.
     """
-    reach, steps, agents = body_radius - SKIN, path.shape[3], path.shape[2]
-    path, origin, move = path.flatten(1, 2), origin.flatten(1, 2), move.flatten(1, 2)
+    reach, steps = body_radius - SKIN, path.shape[1]
     with torch.no_grad():  # who can come to a wall at all, then who does
         half = move * (steps / 2)
-        least = walls.least((origin + half).view(2, -1, agents)).view(-1)
-        who = (least < torch.hypot(*half[..., 0]) + reach).nonzero()[:, 0]
-        some = walls.rows(who.div(agents, rounding_mode="floor"))
-        stretches = path.index_select(1, who).unflatten(2, (-1, math.gcd(steps, _STRETCH)))
-        touching = some.within(stretches, reach).flatten(1).any(1).nonzero()[:, 0]
+        least = walls.least((start + half).unsqueeze(1))[0]
+        who = (least < torch.hypot(*half) + reach).nonzero()[:, 0]
+        some = walls.rows(who)
+        stretches = path.index_select(2, who).unflatten(1, (-1, math.gcd(steps, _STRETCH)))
+        touching = some.within(stretches, reach).any(0).nonzero()[:, 0]
         who, some = who[touching], some.rows(touching)
-    if len(who):
-        slid = _slide(origin.index_select(1, who), move.index_select(1, who), steps, some, body_radius)
-        path = path.index_copy(1, who, slid)
-    return path.unflatten(1, (-1, agents))
+    if not len(who):
+        return path
+    slid = _slide(start.index_select(1, who), move.index_select(1, who), steps, some, body_radius)
+    return path.index_copy(2, who, slid)
 
 
-def _slide(origin: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_radius: float) -> Tensor:
-    """Return ways (2, P, N) of people who meet a wall.
+def _slide(start: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_radius: float) -> Tensor:
+    """Return ways (2, N, P) of people who meet a wall.
 
     Nobody comes nearer to the nearest wall than a body's radius, or than they are already; whoever is then
     too near to another wall is pushed off it.
 
     Args:
-        origin: Where they begin (2, P, 1), metres.
-        move: What they want in a sub-step (2, P, 1), metres.
+        start: Where they begin (2, P), metres.
+        move: What they want in a sub-step (2, P), metres.
         steps: N.
         walls: As they see them.
         body_radius: Of a person, metres.
@@ -112,7 +112,7 @@ def _slide(origin: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_rad
     reach = body_radius - SKIN
     # two sub-steps are no longer than the reach: nobody gets to the other side of a wall in them
     stride = 2 - steps % 2
-    here, move = origin.double(), stride * move.double()
+    here, move = start.double(), stride * move.double()
     gap, away = _look(walls, here)
     allowed = gap.detach().clamp_max(reach)
     way = [here]
@@ -135,14 +135,15 @@ def _slide(origin: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_rad
             here, gap, away = (torch.where(stuck, old, new) for old, new in zip(before, now, strict=True))
         allowed = gap.detach().clamp_max(reach).maximum(allowed)  # rounding must not add up
         way.append(here)
-    ends = torch.cat(way, dim=2)
-    parts = [torch.lerp(ends[..., :-1], ends[..., 1:], part / stride) for part in range(1, stride)]
-    return torch.stack((*parts, ends[..., 1:]), dim=3).flatten(2).to(origin.dtype)
+    ends = torch.stack(way, dim=1)
+    parts = [torch.lerp(ends[:, :-1], ends[:, 1:], part / stride) for part in range(1, stride)]
+    return torch.stack((*parts, ends[:, 1:]), dim=2).flatten(1, 2).to(start.dtype)
 
 
 def _look(walls: LocalWalls, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the distance to the nearest wall (P, 1), differentiable, and where it grows (2, P, 1)."""
-    gap, away = walls.look(place.detach())
+    """Return the distance to the nearest wall (P,), differentiable, and where it grows (2, P)."""
+    gap, away = walls.look(place.detach().unsqueeze(1))
+    gap, away = gap[0], away[:, 0]
     if place.requires_grad:
         gap = gap + ((place - place.detach()) * away).sum(0)
     return gap, away

@@ -88,6 +88,7 @@ class PedestrianEnv(EnvBase):
         self._simulation = Simulation(scenario, world, trace_points, fine, body_radius)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._state: State | None = None
+        self._guidance: Guidance
         self._set_seed(seed)
         self.observation_spec = specs.observation(num_envs, agents, trace_points)
         self.action_spec = specs.action(num_envs, agents)
@@ -121,10 +122,14 @@ class PedestrianEnv(EnvBase):
         everybody = torch.arange(self.batch_size[0])
         if flags is None or self._state is None or bool(flags.all()):
             self._state = self._next(everybody)
+            self._guidance = self._simulation.guide(self._state)
         elif bool(flags.any()):
             rows = flags.view(-1).nonzero().view(-1)
-            self._state = self._state.with_rows(rows, self._next(rows))
-        return self._observation(self._state, self._simulation.guide(self._state))
+            fresh = self._next(rows)
+            told = zip(self._guidance, self._simulation.guide(fresh), strict=True)
+            self._guidance = Guidance(*(old.index_copy(0, rows, new) for old, new in told))
+            self._state = self._state.with_rows(rows, fresh)
+        return self._observation(self._state, self._guidance)
 
     def _next(self, rows: Tensor) -> State:
         """Return the next episodes of some rows.
@@ -152,7 +157,7 @@ class PedestrianEnv(EnvBase):
         after, guidance, outcome = self._simulation.step(before, tensordict["agents", "action"])
         if bool((after.failed & ~before.failed).any()):
             self._warn(tensordict["agents", "action"], before, after)
-        self._state = after
+        self._state, self._guidance = after, guidance
         result = self._observation(after, guidance, outcome)
         result["agents", "reward"] = outcome.reward.unsqueeze(-1)
         result["terminated"] = outcome.terminated.unsqueeze(1)

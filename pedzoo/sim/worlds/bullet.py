@@ -144,7 +144,7 @@ class BulletWorld(World):
     @torch.no_grad()
     def contacts(self, path: Tensor, people: People) -> Contacts:
         """See `World.contacts`."""
-        far = farthest(path.movedim(-1, 0), people.position.movedim(-1, 0))
+        far = farthest(path.flatten(2, 3).permute(3, 2, 0, 1), people.position.movedim(-1, 0))
         present = people.mask & far.isfinite()
         agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
         pairs = near_pairs(people.position, present, far, 2 * self.body_radius + _SLACK)

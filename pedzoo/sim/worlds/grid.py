@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
 from pedzoo.sim.worlds.camera import Camera
-from pedzoo.sim.worlds.near import farthest, mark, near_pairs
+from pedzoo.sim.worlds.near import farthest, near_pairs
 from pedzoo.sim.worlds.top_view import draw_top_view
 from pedzoo.sim.worlds.wall_rays import WallRays
 from pedzoo.types import BODY_RADIUS
@@ -58,42 +58,42 @@ class GridWorld(World):
     @torch.no_grad()
     def contacts(self, path: Tensor, people: People) -> Contacts:
         """See `World.contacts`: bounds first, and the exact question only for the few whom they leave."""
-        planes = path.movedim(-1, 0).contiguous()
+        # coordinates first, people last, (2, S, M, B * A): as `dynamics.walk` has them in memory
+        planes = path.permute(4, 2, 3, 0, 1).contiguous().flatten(3)
         # a bound about the middle of a way is half of one about its start
-        middle = planes.flatten(3)[..., path.shape[2] * path.shape[3] // 2]
-        far = farthest(planes, middle)
+        middle = planes.flatten(1, 2)[:, planes.shape[1] * planes.shape[2] // 2]
+        far = farthest(planes.flatten(1, 2), middle).view(people.mask.shape)
         present = people.mask & far.isfinite()
-        agent = path.new_zeros(path.shape[:3], dtype=torch.bool)
-
-        pairs = near_pairs(middle.movedim(0, -1), present, far, 2 * self.body_radius)
-        agents, (first, second) = present.shape[1], (pairs.first, pairs.second)
-        everybody = planes.flatten(1, 2)
-        apart = everybody.index_select(1, pairs.scene * agents + first)
-        apart -= everybody.index_select(1, pairs.scene * agents + second)
-        mark(agent, pairs, (apart.square().sum(0) < (2 * self.body_radius) ** 2).any(-1))
-        return Contacts(agent, self._wall_contacts(planes, middle, far, present, people))
+        pairs = near_pairs(middle.t().unflatten(0, far.shape), present, far, 2 * self.body_radius)
+        first, second = pairs.places(far.shape[1])
+        apart = planes.index_select(3, first) - planes.index_select(3, second)
+        hit = (apart.square().sum(0) < (2 * self.body_radius) ** 2).any(1)
+        agent = torch.zeros(planes.shape[1::2], dtype=torch.bool, device=path.device)
+        point, pair = hit.nonzero(as_tuple=True)
+        agent[point.repeat(2), torch.cat((first[pair], second[pair]))] = True
+        wall = self._wall_contacts(planes, middle, far.flatten(), present.flatten(), people)
+        return Contacts(*(touch.t().unflatten(0, far.shape) for touch in (agent, wall)))
 
     def _wall_contacts(
         self, path: Tensor, middle: Tensor, far: Tensor, present: Tensor, people: People
     ) -> Tensor:
-        """Return who touches a wall when (B, A, S) bool.
+        """Return when who touches a wall (S, P) bool.
 
         Args:
-            path: Sub-steps (2, B, A, S, M), metres.
-            middle: A point of each path (2, B, A).
-            far: What no point of it is farther away (B, A).
-            present: Whom to ask about (B, A) bool.
+            path: Sub-steps (2, S, M, P), metres.
+            middle: A point of each path (2, P).
+            far: What no point of it is farther away (P,).
+            present: Whom to ask about (P,) bool.
             people: Their scenes.
         """
-        touching = torch.zeros(path.shape[1:4], dtype=torch.bool, device=path.device).flatten(0, 1)
+        touching = torch.zeros(path.shape[1::2], dtype=torch.bool, device=path.device)
         if self.bank.grids:
-            walls = self.bank.walls_around(people.map_id[:, 0], people.pose)
-            near = present & (walls.least(middle) < far + self.body_radius)
-            who = near.view(-1).nonzero()[:, 0]
-            some = walls.rows(who.div(near.shape[1], rounding_mode="floor"))
-            hit = some.within(path.flatten(1, 2).index_select(1, who), self.body_radius)
-            touching.index_copy_(0, who, hit.any(-1))
-        return touching.unflatten(0, present.shape)
+            walls = self.bank.walls_around(people.map_id[:, 0], people.pose).each(people.mask.shape[1])
+            near = present & (walls.least(middle.unsqueeze(1))[0] < far + self.body_radius)
+            who = near.nonzero()[:, 0]
+            hit = walls.rows(who).within(path.index_select(3, who), self.body_radius)
+            touching.index_copy_(1, who, hit)
+        return touching
 
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:

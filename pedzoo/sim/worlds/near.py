@@ -9,9 +9,8 @@ from pedzoo.sim.neighbors import Pairs, pairs_within
 
 
 def farthest(path: Tensor, origin: Tensor) -> Tensor:
-    """Return a bound (B, A) on how far anybody gets from ``origin`` (2, B, A) on ``path`` (2, B, A, S, M)."""
-    apart = path.flatten(3) - origin.unsqueeze(3)
-    return torch.hypot(*apart.abs_().amax(3))
+    """Return a bound (...) on how far anybody gets from ``origin`` (2, ...) on ``path`` (2, N, ...)."""
+    return torch.hypot(*(path - origin.unsqueeze(1)).abs_().amax(1))
 
 
 def near_pairs(start: Tensor, present: Tensor, far: Tensor, within: float) -> Pairs:
@@ -24,10 +23,3 @@ def near_pairs(start: Tensor, present: Tensor, far: Tensor, within: float) -> Pa
         within: Metres between centres.
     """
     return pairs_within(start, present, far + within / 2)
-
-
-def mark(touching: Tensor, pairs: Pairs, hit: Tensor) -> None:
-    """Set ``touching`` (B, A, S) for both people of each pair wherever ``hit`` (N, S)."""
-    which, point = hit.nonzero(as_tuple=True)
-    for person in (pairs.first, pairs.second):
-        touching[pairs.scene[which], person[which], point] = True
