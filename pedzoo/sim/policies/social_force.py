@@ -114,7 +114,9 @@ class SocialForce(Policy):
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
             key = draws.join(identity, step).unsqueeze(-1)
             key = draws.join(key, torch.arange(2, device=key.device))
-            fluctuation = self.settings.fluctuation * draws.normal(key)
+            # in the floor plan's frame: a turned and mirrored scene is walked alike
+            noise = self.settings.fluctuation * draws.normal(key)
+            fluctuation = turn_to_scene(noise, cast("Tensor", tensordict["scene_pose"]))
         tensordict["agents", "action"] = social_force_velocity(
             agents["history"][:, :, -1],
             agents["velocity"],

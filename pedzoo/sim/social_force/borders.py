@@ -18,17 +18,20 @@ Borders do not hide each other, and two obstacles are two however narrow the gap
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.outlines import outlines
 from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
-from pedzoo.maps.segments import WallSegments
 from pedzoo.sim.orca.vectors import cross, dot
 from pedzoo.sim.social_force.forces import direction
+from pedzoo.types import BODY_RADIUS
 
 
 class WallPoints(NamedTuple):
@@ -46,7 +49,7 @@ class WallPoints(NamedTuple):
 
 
 class Borders:
-    """The walls of a bank's floor plans, simplified as `WallSegments` has them.
+    """The walls of a bank's floor plans: outlines that are simplified by half a cell at most.
 
     Attributes:
         bank: The floor plans; their unknown cells count as it says.
@@ -73,30 +76,29 @@ class Borders:
         with torch.no_grad():
             reach = place.new_full((len(place),), self.reach)
             person, segment, _ = table.look(place, bank.index(map_id), reach)
-        corner = table.segments.index_select(1, segment)
-        start, end, along, before = corner[:2], corner[2:4], corner[4:6], corner[6:8]
+        wall = table.segments.index_select(1, segment)
+        start, end, along, before, after = wall[:10].split(2)
         at = place.T.index_select(1, person)
-        off = at - start
-        t = dot(off, along)
+        off, off_end = at - start, at - end
+        t, past = dot(off, along), dot(off, before)
         offset = off - along * t.clamp_min(0).minimum(dot(end - start, along))
 
-        # A foot inside the segment; or its start, where the segment before has no foot either. The same
-        # expression decides for both segments at a corner, so that exactly one of them has it.
-        past = dot(off, before)
-        acts = torch.where(t > 0, dot(at - end, along) < 0, past >= 0)
-        concave = (corner[10] == 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)
+        # A foot inside the segment; or its start, where the segment before has no foot either. A pointed end
+        # is often seen from one side only: then it is the start of no segment that people are outside of.
+        foot = (t > 0) & (dot(off_end, along) < 0)
+        first = (t <= 0) & (past >= 0)
+        last = (dot(off_end, along) >= 0) & (dot(off_end, after) <= 0) & (cross(after, off_end) >= 0)
+        acts = foot | first | last
+        concave = (wall[10] == 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)
         kept, hollow = acts.nonzero()[:, 0], concave.nonzero()[:, 0]
         weight = torch.ones_like(t.index_select(0, kept))
         points = WallPoints(person.index_select(0, kept), offset.index_select(1, kept), weight)
         if not len(hollow):
             return points
 
-        off, before, nearest = (part.index_select(1, hollow) for part in (off, before, offset))
-        start, first = (
-            start.index_select(1, hollow),
-            before_start.index_select(1, segment.index_select(0, hollow)),
-        )
-        nearest_before = off + before * (-dot(off, before)).minimum(dot(start - first, before))
+        off, before, nearest, start = (part.index_select(1, hollow) for part in (off, before, offset, start))
+        begin = before_start.index_select(1, segment.index_select(0, hollow))
+        nearest_before = off + before * (-dot(off, before)).minimum(dot(start - begin, before))
         likeness = dot(direction(nearest), direction(nearest_before))
         return WallPoints(
             torch.cat((points.person, person.index_select(0, hollow))),
@@ -108,8 +110,7 @@ class Borders:
         """Return bank, segments and where the segment before each starts (2, S + 1) for people like these."""
         key = place.device, place.dtype
         if key not in self._known:
-            outlines = WallSegments(self.bank)
-            polygons = [outlines.polygons(grid) for grid in self.bank.grids]
+            polygons = [_polygons(grid, self.bank.unknown) for grid in self.bank.grids]
             segments = [np.concatenate([NOWHERE[:0], *map(edges, some)]) for some in polygons]
             # all segments within reach: a limit would cut off different ones from step to step
             table = SegmentTable.build(segments, self.reach, 0).to(*key)
@@ -117,3 +118,18 @@ class Borders:
             first = torch.as_tensor(np.concatenate([*starts, NOWHERE[:, :2]])).T.contiguous()
             self._known[key] = self.bank.to(place.device), table, first.to(*key)
         return self._known[key]
+
+
+def _polygons(grid: OccupancyGrid, unknown: Unknown) -> list[NDArray[np.float64]]:
+    """Return the outlines (V, 2) of walls in the map's frame, without hollows in which nobody could stand.
+
+    Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
+    """
+    from scipy.ndimage import label, maximum
+
+    # the world around the map is free and wide
+    distance = np.pad(grid.signed_distance(unknown), 1, constant_values=np.inf)
+    parts, count = cast("tuple[NDArray[np.int32], int]", label(distance > 0))
+    widest = np.asarray(maximum(distance, parts, np.arange(count + 1)))
+    hollow = (widest < BODY_RADIUS)[parts][1:-1, 1:-1]
+    return [grid.cells_to_map(polygon - 0.5) for polygon in outlines(grid.occupied(unknown) | hollow)]

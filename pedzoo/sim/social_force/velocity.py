@@ -112,7 +112,8 @@ def _people(
         force = force * smooth_weight(offset, heading, settings.behind)
     if near is not None:
         force = force * near
-    return (force * away).sum(1)
+    # one after the other: a sum's rounding would depend on how many people there are in other scenes
+    return (force * away).cumsum(1)[:, -1]
 
 
 def _apart(

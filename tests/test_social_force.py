@@ -1,0 +1,595 @@
+"""Social force: forces by hand, the potential as an oracle, invariances, walls on floor plans, settings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.outlines import outlines
+from pedzoo.sim.policies.social_force import SocialForce
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.social_force import borders
+from pedzoo.sim.social_force.borders import Borders
+from pedzoo.sim.social_force.forces import (
+    driving_force,
+    repulsion,
+    smooth_weight,
+    view_weight,
+    wall_force,
+)
+from pedzoo.sim.social_force.settings import SocialForceSettings
+from pedzoo.sim.social_force.velocity import social_force_velocity
+
+PAPER = SocialForceSettings()
+NEAREST = 50.0  # U0 / R of the paper: what a wall does at distance 0, m/s^2
+
+
+def accelerate(
+    position: Tensor,
+    velocity: Tensor,
+    desired: Tensor,
+    settings: SocialForceSettings = PAPER,
+    seconds: float = 0.01,
+    **options: Any,
+) -> Tensor:
+    """Return everybody's acceleration (B, A, 2); top speeds are out of the way."""
+    shape = position.shape[:2]
+    settings = replace(settings, top_speed_ratio=1e9)
+    mask = options.pop("mask", torch.ones(shape, dtype=torch.bool))
+    identity = options.pop("identity", torch.arange(shape[1]).expand(shape))
+    speed = desired.norm(dim=-1)
+    new = social_force_velocity(
+        position, velocity, desired, speed, mask, settings, seconds, identity, **options
+    )
+    return (new - velocity) / seconds
+
+
+def crowd(scenes: int, agents: int, side: float, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Return positions, velocities and desired velocities of a random crowd (B, A, 2)."""
+    random = torch.Generator().manual_seed(seed)
+    shape = (scenes, agents, 2)
+    position = torch.rand(shape, generator=random) * side
+    velocity, desired = (torch.randn(shape, generator=random) for _ in range(2))
+    return position, 0.6 * velocity, desired
+
+
+def observation(
+    position: Tensor, velocity: Tensor, desired: Tensor, map_id: int = -1, pose: Tensor | None = None
+) -> TensorDict:
+    scenes, agents = position.shape[:2]
+    everybody = torch.ones(scenes, agents, dtype=torch.bool)
+    people = {
+        "history": position.unsqueeze(2).expand(-1, -1, 8, -1),
+        "velocity": velocity,
+        "desired_velocity": desired,
+        "pref_speed": desired.norm(dim=-1, keepdim=True),
+        "mask": everybody,
+        "controlled": everybody,
+    }
+    whole = {
+        "agents": TensorDict(people, [scenes]),
+        "map_id": torch.full((scenes, 1), map_id),
+        "scene_pose": identity_pose(scenes) if pose is None else pose,
+        "scene_key": torch.arange(scenes)[:, None],
+        "time": torch.zeros(scenes, 1),
+    }
+    return TensorDict(whole, [scenes])  # type: ignore[arg-type]
+
+
+def test_the_papers_parameters_are_the_default() -> None:
+    found = SocialForceSettings.preset("1995")
+    assert found == PAPER == SocialForce().settings
+    assert (found.tau, found.strength, found.sigma, found.step_time) == (0.5, 2.1, 0.3, 2.0)
+    assert (found.wall_strength, found.wall_range) == (10.0, 0.2)
+    assert (found.view_angle, found.out_of_view, found.top_speed_ratio) == (100.0, 0.5, 1.3)
+    assert found.wall_reach == pytest.approx(0.2 * math.log(5000))
+    indoor = SocialForceSettings.preset("indoor", tau=0.4)
+    assert (indoor.wall_strength, indoor.wall_range, indoor.tau) == (
+        pytest.approx(2.2408, abs=1e-4),
+        0.1,
+        0.4,
+    )
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ("tau=0", r"tau 0\.0: expected a number above 0"),
+        ("sigma=-0.3", r"sigma -0\.3: expected a number above 0"),
+        ("strength=-1", r"strength -1\.0: expected a number, 0 or more"),
+        ("out_of_view=1.5", r"out_of_view 1\.5: expected a weight from 0 to 1"),
+        ("behind=-0.1", r"behind -0\.1: expected a weight from 0 to 1"),
+        ("view_angle=200", r"view_angle 200\.0: expected degrees from 0 to 180"),
+        ("max_neighbors=-1", r"max_neighbors -1: expected 0 or more"),
+        ("dt=0.6", r"dt 0\.6: expected at most tau, 0\.5 s"),
+        ("dt=0", r"dt 0\.0: expected seconds"),
+        ("anisotropy=viev", "anisotropy=viev"),
+        ("preset=1996", "preset=1996"),
+        ("taw=1", "did you mean 'tau'"),
+    ],
+)
+def test_settings_that_cannot_be(settings: str, told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        load_policy(f"social_force:{settings}")
+
+
+def test_names_that_are_not_known() -> None:
+    with pytest.raises(UserError, match="did you mean 'indoor'"):
+        SocialForceSettings.preset("indor")
+    with pytest.raises(UserError, match="did you mean 'view'"):
+        SocialForceSettings(anisotropy="viev")  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="fluctuation inf"):
+        SocialForceSettings(fluctuation=math.inf)
+
+
+def test_driving_force_by_hand() -> None:
+    velocity, desired = torch.tensor([[0.5], [-0.1]]), torch.tensor([[1.3], [0.0]])
+    # (1.3 - 0.5) / 0.5 and 0.1 / 0.5
+    assert driving_force(velocity, desired, 0.5).flatten().tolist() == pytest.approx([1.6, 0.2])
+    alone = accelerate(torch.zeros(1, 1, 2), velocity.T[None], desired.T[None])
+    assert alone.flatten().tolist() == pytest.approx([1.6, 0.2], abs=1e-4)
+
+
+def test_repulsion_by_hand() -> None:
+    # The other walks at 0.15 m/s along x: the step is 0.3 m. Seen from (0.3, 0.4) the foci are 0.5 and 0.4 m
+    # away: 2 b = sqrt(0.9^2 - 0.3^2), b = 0.424264, exp(-b / 0.3) = 0.243117, V0 / sigma = 7. The gradient of
+    # b is 0.9 / (4 b) ((0.6, 0.8) + (0, 1)) = (0.318198, 0.954594).
+    force, away = repulsion(torch.tensor([[[0.3]], [[0.4]]]), torch.tensor([[[0.3]], [[0.0]]]), 2.1, 0.3)
+    expected = [7 * 0.243117 * 0.318198, 7 * 0.243117 * 0.954594]
+    assert (force * away).flatten().tolist() == pytest.approx(expected, rel=1e-5)
+    assert away.norm() == pytest.approx(1)
+    # somebody who stands: V0 / sigma exp(-distance / sigma) straight away
+    force, away = repulsion(torch.tensor([[[0.0]], [[-0.6]]]), torch.zeros(2, 1, 1), 2.1, 0.3)
+    assert (force * away).flatten().tolist() == pytest.approx([0, -7 * math.exp(-2)], rel=1e-6)
+
+
+def potential(offset: Tensor, step: Tensor) -> Tensor:
+    """V(b) as the paper writes it (eqs. 3 and 4)."""
+    whole = offset.norm(dim=0) + (offset - step).norm(dim=0)
+    return 2.1 * torch.exp(-((whole**2 - (step**2).sum(0)).sqrt() / 2) / 0.3)
+
+
+def test_repulsion_is_the_potentials_gradient() -> None:
+    torch.manual_seed(0)
+    offset, step = torch.randn(2, 5, 40, dtype=torch.float64), torch.randn(2, 5, 40, dtype=torch.float64)
+    offset, step = 0.6 * offset, 1.5 * step
+    force, away = repulsion(offset, step, 2.1, 0.3)
+    h = 1e-6
+    for axis in (0, 1):
+        shift = torch.zeros(2, 1, 1, dtype=torch.float64)
+        shift[axis] = h
+        slope = (potential(offset + shift, step) - potential(offset - shift, step)) / (2 * h)
+        assert torch.allclose((force * away)[axis], -slope, atol=1e-6, rtol=1e-6)
+
+
+def test_forces_stay_finite_where_the_potentials_gradient_does_not() -> None:
+    step = torch.tensor([[[2.6]], [[0.0]]])
+    for place in (0.0, 1e-9, 1.3, 2.6):
+        for side in (0.0, 1e-9, -1e-4):
+            force, away = repulsion(torch.tensor([[[place]], [[side]]]), step, 2.1, 0.3)
+            assert float(force) < 60 and away.isfinite().all()
+    # exactly in front of somebody who comes there is no side to go to
+    force, away = repulsion(torch.tensor([[[1.3]], [[0.0]]]), step, 2.1, 0.3)
+    assert float(away.norm()) < 1e-6
+
+
+def test_perception_by_hand() -> None:
+    heading = torch.tensor([[1.0], [0.0]])
+    angles = torch.tensor([0.0, 60, 99, 101, 180]).deg2rad()
+    towards = torch.stack((angles.cos(), angles.sin())).unsqueeze(2)  # to whom the force comes from
+    assert view_weight(-towards, heading, 100, 0.5).flatten().tolist() == [1, 1, 1, 0.5, 0.5]
+    expected = [1, 0.75 + 0.25 * 0.75, 0.75 + 0.25 * (1 + math.cos(math.radians(99))) / 2]
+    found = smooth_weight(-3 * towards, heading, 0.75).flatten().tolist()
+    assert found[:3] == pytest.approx(expected)
+    assert found[4] == pytest.approx(0.75)
+    assert view_weight(-towards, 0 * heading, 100, 0.5).flatten().tolist() == [1] * 5
+
+
+@pytest.mark.parametrize(("anisotropy", "weight"), [("view", 0.5), ("smooth", 0.75), ("none", 1.0)])
+def test_who_is_behind_counts_less(anisotropy: Any, weight: float) -> None:
+    position = torch.tensor([[[0.0, 0.0], [0.6, 0.0]]])
+    desired = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
+    found = accelerate(position, torch.zeros(1, 2, 2), desired, replace(PAPER, anisotropy=anisotropy))
+    pushed = 7 * math.exp(-2)
+    driven = 1 / 0.5
+    assert found[0, :, 0].tolist() == pytest.approx([driven - pushed, driven + weight * pushed], abs=1e-3)
+
+
+def test_top_speed_by_hand() -> None:
+    policy = SocialForce(fluctuation=0)
+    policy.bind(MapBank())
+    desired = torch.tensor([[[0.6, 0.8]]])
+    quick = policy(observation(torch.zeros(1, 1, 2), 5 * desired, desired))["agents", "action"]
+    assert quick.flatten().tolist() == pytest.approx([1.3 * 0.6, 1.3 * 0.8])
+    # (1 - 0.5) / 0.5 s for 0.1 s: half of what is missing in 0.35 s, as exp(-t / tau) has it
+    slow = policy(observation(torch.zeros(1, 1, 2), 0.5 * desired, desired))["agents", "action"]
+    assert slow.flatten().tolist() == pytest.approx([0.6 * 0.6, 0.6 * 0.8])
+    # the planner's direction counts, the speed is one's own
+    planned = observation(torch.zeros(1, 1, 2), 0.5 * desired, desired)
+    planned["agents", "desired_velocity"] *= 0.1
+    assert torch.allclose(policy(planned)["agents", "action"], slow)
+
+
+def test_turn_mirror_and_shift_change_nothing() -> None:
+    position, velocity, desired = (part.double() for part in crowd(40, 8, 4.0))
+    pose = torch.tensor([[0.7, -1.0, 5.0, -3.0]], dtype=torch.float64).expand(40, 4)
+    here = accelerate(position, velocity, desired)
+    there = accelerate(
+        move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)
+    )
+    torch.testing.assert_close(there, turn_to_scene(here, pose), atol=1e-8, rtol=0)
+
+
+def test_order_padding_and_other_scenes_change_nothing() -> None:
+    position, velocity, desired = crowd(30, 25, 6.0)
+    whole = accelerate(position, velocity, desired)
+    order = torch.randperm(25)
+    mixed = accelerate(position[:, order], velocity[:, order], desired[:, order])
+    assert torch.equal(mixed, whole[:, order])
+    assert torch.equal(accelerate(position[7:8], velocity[7:8], desired[7:8]), whole[7:8])
+
+    # two slots of nobody, who are anywhere
+    place, speed, wish = (
+        torch.cat((part, torch.full((30, 2, 2), math.nan)), 1) for part in (position, velocity, desired)
+    )
+    mask, identity = (torch.arange(27) < 25).expand(30, 27), torch.arange(27).expand(30, 27)
+    liked = wish.norm(dim=-1)
+    found = social_force_velocity(place, speed, wish, liked, mask, PAPER, 0.1, identity)
+    liked, mask, identity = liked[:, :25], mask[:, :25], identity[:, :25]
+    alone = social_force_velocity(position, velocity, desired, liked, mask, PAPER, 0.1, identity)
+    assert torch.equal(found[:, :25], alone)
+    assert (found[:, 25:] == 0).all()
+
+
+def test_people_whom_the_policy_does_not_move_act_on_the_others() -> None:
+    policy = SocialForce()
+    policy.bind(MapBank())
+    seen = observation(*crowd(5, 4, 2.0))
+    everybody = policy(seen)["agents", "action"]
+    seen["agents", "controlled"] = torch.tensor([True, False, False, True]).expand(5, 4)
+    assert torch.equal(policy(seen)["agents", "action"], everybody)
+
+
+def reference(position: Tensor, velocity: Tensor, desired: Tensor, settings: SocialForceSettings) -> Tensor:
+    """Return accelerations (A, 2) of one scene by the paper's equations: all pairs, gradients by autograd."""
+    position, velocity, desired = (part.double() for part in (position, velocity, desired))
+    force = (desired - velocity) / settings.tau
+    heading = desired / desired.norm(dim=1, keepdim=True)
+    offset = (position[:, None] - position).requires_grad_()
+    step = (settings.step_time * velocity)[None]
+    whole = offset.norm(dim=2) + (offset - step).norm(dim=2)
+    b = (whole**2 - step.square().sum(2)).clamp_min(1e-12).sqrt() / 2
+    apart = offset.detach().norm(dim=2)
+    counts = (apart < settings.neighbor_dist) & ~torch.eye(len(position), dtype=torch.bool)
+    (gradient,) = torch.autograd.grad((2.1 * torch.exp(-b / settings.sigma))[counts].sum(), offset)
+    push = -gradient
+    size = push.norm(dim=2)
+    seen = -(push * heading[:, None]).sum(2) >= size * math.cos(math.radians(100))
+    return force + (push * torch.where(seen, 1.0, 0.5)[..., None] * counts[..., None]).sum(1)
+
+
+def test_a_crowd_of_150_is_what_all_pairs_give() -> None:
+    position, velocity, desired = crowd(2, 150, 16.0)
+    settings = replace(PAPER, neighbor_dist=3.0)
+    found = accelerate(position.double(), velocity.double(), desired.double(), settings)
+    for scene in range(2):
+        expected = reference(position[scene], velocity[scene], desired[scene], settings)
+        gap = (found[scene] - expected).norm(dim=1)
+        # whose angle is 100 degrees to the last bit may be on the other side
+        assert (gap < 1e-4).float().mean() > 0.98
+    alone = accelerate(position, velocity, desired, replace(settings, max_neighbors=0))
+    assert torch.allclose(alone, (desired - velocity) / 0.5, atol=1e-3)
+
+
+def test_beyond_the_cut_off_the_force_is_negligible() -> None:
+    # 5 m away and coming at 1.7 m/s: b = sqrt(5 x 1.6)
+    coming = torch.tensor([[[0.0, 0.0], [-5.0, 0.0]]])
+    velocity = torch.tensor([[[0.0, 0.0], [1.7, 0.0]]])
+    settings = replace(PAPER, neighbor_dist=20.0)
+    assert accelerate(coming, velocity, velocity, settings)[0, 0].norm() < 1e-3
+    assert accelerate(coming, velocity, velocity)[0, 0].norm() == 0
+
+
+def test_people_at_the_same_place_part() -> None:
+    still = torch.zeros(1, 3, 2)
+    place = torch.tensor([[[1.0, 1.0], [1.0, 1.0], [9.0, 9.0]]])
+    desired = torch.full((1, 3, 2), 1e-6)
+    settings = replace(PAPER, anisotropy="none")
+    found = accelerate(place, still, desired, settings)
+    assert found.isfinite().all()
+    assert torch.allclose(found[0, 0], -found[0, 1], atol=1e-4)
+    assert float(found[0, 0].norm()) == pytest.approx(7 * math.exp(-0.01 / 0.3), rel=1e-3)
+    # by who they are, not by where they are in the batch
+    swapped = accelerate(place, still, desired, settings, identity=torch.tensor([[1, 0, 2]]))
+    assert torch.allclose(swapped[0, :2], found[0, [1, 0]], atol=1e-4)
+    other = accelerate(place, still, desired, settings, identity=torch.tensor([[1, 7, 2]]))
+    assert not torch.allclose(other[0, 0], found[0, 0], atol=0.1)
+
+
+def test_a_long_decision_is_integrated_in_steps_of_a_tenth_of_a_second() -> None:
+    position, velocity, desired = crowd(6, 5, 3.0)
+    settings = replace(PAPER, neighbor_dist=50.0)
+    mask, identity, liked = (
+        torch.ones(6, 5, dtype=torch.bool),
+        torch.arange(5).expand(6, 5),
+        desired.norm(dim=-1),
+    )
+    long = social_force_velocity(position, velocity, desired, liked, mask, settings, 0.4, identity)
+    for _ in range(4):
+        velocity = social_force_velocity(position, velocity, desired, liked, mask, settings, 0.1, identity)
+        position = position + 0.1 * velocity
+    assert torch.allclose(long, velocity, atol=1e-4)
+
+
+# --- walls
+
+
+def block(cells: NDArray[np.bool_], cell: float = 0.05, yaw: float = 0.0) -> tuple[Borders, Tensor]:
+    """Return the borders of a floor plan and its id."""
+    grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, cell, (0.0, 0.0, yaw), name=f"{cells.sum()}")
+    return Borders(MapBank([grid]), PAPER.wall_reach), torch.tensor([grid.map_id])
+
+
+def push(walls: tuple[Borders, Tensor], places: Tensor) -> Tensor:
+    """Return the paper's wall force (N, 2) at places (N, 2)."""
+    found, map_id = walls
+    points = found.near(places, map_id.expand(len(places)))
+    return wall_force(*points, len(places), 10.0, 0.2).T
+
+
+def plain(distance: float) -> float:
+    """Return what one straight wall does."""
+    return NEAREST * math.exp(-distance / 0.2)
+
+
+def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = np.zeros((80, 200), bool)
+    cells[:20] = True  # y < 1 is wall
+    at = torch.tensor([[5.0, 1.3], [5.03, 1.3], [4.987, 1.05], [5.0, 1.0005]])
+    expected = torch.tensor(
+        [[0.0, 50 * 0.223130], [0, 50 * 0.223130], [0, 50 * 0.778801], [0, 50 * 0.997503]]
+    )
+    torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
+
+    def cut(occupied: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+        pieces = np.linspace(0, 1, 41)[:-1, None]
+        return [
+            np.concatenate(
+                [a + pieces * (b - a) for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True)]
+            )
+            for polygon in outlines(occupied)
+        ]
+
+    monkeypatch.setattr(borders, "outlines", cut)
+    torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
+    assert len(block(cells)[0].near(at, block(cells)[1].expand(4)).person) == 4
+
+
+def test_a_wall_across_the_cells_is_one_wall() -> None:
+    y, x = np.mgrid[:300, :300]
+    walls = block(0.37 * x - y > 20)  # a staircase
+    along, away = torch.tensor([[1.0, 0.37], [-0.37, 1.0]]) / math.hypot(0.37, 1)
+    at = torch.tensor([7.5, 1.775]) + torch.arange(-1.5, 1.5, 0.01)[:, None] * along + 0.4 * away
+    found = push(walls, at)
+    # as strong as one straight wall within a cell and a half of where it is, and as steady
+    apparent = -0.2 * (found.norm(dim=1) / NEAREST).log()
+    assert (apparent - 0.4).abs().max() < 0.075
+    assert (found @ along / (found @ away)).abs().max() < 0.2
+    assert (found[1:] - found[:-1]).norm(dim=1).max() < 0.05 * plain(0.4)  # of a straight way to a wall
+
+
+def test_opposite_walls_cancel_in_the_middle() -> None:
+    cells = np.zeros((40, 200), bool)
+    cells[:8] = cells[-8:] = True  # a corridor of 1.2 m
+    found = push(block(cells), torch.tensor([[5.0, 1.0], [5.0, 0.7], [5.0, 1.3]]))
+    assert found[0].norm() < 1e-4
+    assert found[1].tolist() == pytest.approx([0, plain(0.3) - plain(0.9)], abs=1e-3)
+    assert torch.allclose(found[1], -found[2], atol=1e-3)
+
+
+def test_a_convex_corner_counts_once() -> None:
+    cells = np.zeros((80, 80), bool)
+    cells[:40, :40] = True  # its corner is at (2, 2)
+    found = push(block(cells), torch.tensor([[2.3, 2.4], [2.3, 2.0], [2.3, 1.999], [2.0, 2.3], [1.999, 2.3]]))
+    assert found[0].tolist() == pytest.approx([0.6 * plain(0.5), 0.8 * plain(0.5)], abs=1e-4)
+    for wanted, one in zip(
+        ([plain(0.3), 0], [plain(0.3), 0], [0, plain(0.3)], [0, plain(0.3)]), found[1:], strict=True
+    ):
+        assert one.tolist() == pytest.approx(wanted, abs=1e-3)
+
+
+def test_both_walls_of_a_rooms_corner_count() -> None:
+    cells = np.zeros((80, 80), bool)
+    cells[:20] = cells[:, :20] = True
+    found = push(block(cells), torch.tensor([[1.3, 1.5], [1.2, 1.2]]))
+    assert found.flatten().tolist() == pytest.approx(
+        [plain(0.3), plain(0.5), plain(0.2), plain(0.2)], abs=1e-3
+    )
+
+
+def test_where_a_wall_bends_a_little_the_force_neither_doubles_nor_jumps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bent = np.array([[0.0, 0.0], [200, 0], [200, 60], [100, 40], [0, 60]])  # 11 degrees to either side
+    monkeypatch.setattr(borders, "outlines", lambda occupied: [bent])
+    walls = block(np.ones((2, 2), bool))
+    for height in (0.15, 0.3, 0.6):
+        at = torch.stack(
+            (torch.linspace(4.5, 5.5, 1001), 2 + height + torch.linspace(-0.1, 0.1, 1001).abs()), 1
+        )
+        distance = height * 100 / math.hypot(100, 20)
+        found = push(walls, at)
+        assert (found[1:] - found[:-1]).norm(dim=1).max() < 0.01 * plain(distance)
+        assert found.norm(dim=1).max() < 1.05 * plain(distance)
+        assert found.norm(dim=1).min() > 0.9 * plain(distance)
+
+
+def test_a_doorway_is_symmetric_and_smooth() -> None:
+    cells = np.zeros((121, 120), bool)
+    cells[:, 60:63] = True
+    cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025; the wall is 0.15 m thick
+    walls = block(cells)
+    centre = torch.tensor([3.075, 3.025])
+    across = torch.linspace(-0.27, 0.27, 541)
+    for x in (0.0, 0.05, -0.3):
+        found = push(walls, centre + torch.stack((torch.full((541,), x), across), 1))
+        assert torch.allclose(found[:, 1], -found[:, 1].flip(0), atol=1e-2)
+        assert torch.allclose(found[:, 0], found[:, 0].flip(0), atol=1e-2)
+        assert (found[1:] - found[:-1]).norm(dim=1).max() < 0.2
+        # away from the nearer jamb, all the way
+        assert (found[:270, 1] > 0).all() and (found[271:, 1] < 0).all()
+    inside = push(walls, centre[None] + torch.tensor([[0.0, 0.2]]))
+    assert inside[0].tolist() == pytest.approx([0, plain(0.625) - plain(0.225)], abs=1e-3)
+
+
+def test_hollows_in_walls_do_not_push() -> None:
+    solid = np.zeros((60, 60), bool)
+    solid[20:30] = True
+    hollow = solid.copy()
+    hollow[22:26, 3:50] = False  # 0.2 m wide: nobody stands in there
+    at = torch.tensor([[1.5, 1.8], [1.2, 0.6]])
+    assert torch.equal(push(block(hollow), at), push(block(solid), at))
+    wide = solid.copy()
+    wide[21:29, 3:50] = False  # 0.4 m
+    assert not torch.allclose(push(block(wide), at), push(block(solid), at), rtol=1e-3)
+
+
+def test_in_clutter_the_force_changes_no_faster_than_that_of_a_few_walls() -> None:
+    random = np.random.default_rng(3)
+    cells = np.zeros((160, 160), bool)
+    cells[[0, -1]] = cells[:, [0, -1]] = True
+    for _ in range(25):
+        row, column = random.integers(5, 150, 2)
+        high, wide = random.integers(1, 9, 2)
+        cells[row : row + high, column : column + wide] = True
+    walls = block(cells)
+    start = torch.from_numpy(random.random((300, 2)) * 7 + 0.5).float()
+    angle = torch.from_numpy(random.random(300) * 7).float()
+    line = torch.arange(120)[:, None, None] * 0.005 * torch.stack((angle.cos(), angle.sin()), 1) + start
+    found = push(walls, line.view(-1, 2)).view(line.shape)
+    ids = walls[1].expand(300)
+    field = walls[0].bank.signed_distance(line.transpose(0, 1), ids, identity_pose(300)).T
+    fair = (field[1:] > 0.2) & (field[:-1] > 0.2) & (field[1:] < 1)
+    change = (found[1:] - found[:-1]).norm(dim=2)
+    one_wall = 0.005 / 0.2 * NEAREST * (-field[1:] / 0.2).exp()
+    assert fair.sum() > 10_000
+    assert (change / one_wall)[fair].max() < 5
+
+
+def test_walls_turn_with_map_and_scene() -> None:
+    cells = np.random.default_rng(0).random((30, 30)) < 0.1
+    policy = SocialForce(fluctuation=0)
+    grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, 0.2, (1.0, -2.0, 0.4), name="random")
+    policy.bind(MapBank([grid]))
+    position, velocity, desired = crowd(20, 4, 5.0)
+    position = position + torch.tensor([0.0, -1.0])
+    here = policy(observation(position, velocity, desired, grid.map_id))["agents", "action"]
+    pose = torch.tensor([[2.1, -1.0, 4.0, -7.0]]).expand(20, 4)
+    parts = move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)
+    there = policy(observation(*parts, grid.map_id, pose))["agents", "action"]
+    assert torch.allclose(there, turn_to_scene(here, pose), atol=1e-3)
+    blind = SocialForce(fluctuation=0, walls=False)
+    blind.bind(MapBank([grid]))
+    free = blind(observation(position, velocity, desired, grid.map_id))["agents", "action"]
+    assert not torch.allclose(free, here, atol=0.1)
+    assert torch.equal(policy(observation(position, velocity, desired))["agents", "action"], free)
+
+
+def test_places_on_and_in_walls_give_numbers() -> None:
+    cells = np.zeros((80, 80), bool)
+    cells[:40, :40] = True
+    at = torch.tensor([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [1.9, 1.9], [math.nan, 0.0], [1e4, -1e4]])
+    assert push(block(cells), at).isfinite().all()
+    assert push(block(np.zeros((5, 5), bool)), at).abs().sum() == 0
+    nobody = Borders(MapBank(), 1.0).near(torch.zeros(0, 2), torch.zeros(0, dtype=torch.long))
+    assert len(nobody.person) == 0
+    with pytest.raises(UserError, match="is not of this bank"):
+        block(cells)[0].near(at, torch.full((6,), 7))
+
+
+def test_actions_are_differentiable() -> None:
+    cells = np.zeros((80, 80), bool)
+    cells[:20] = True
+    cells[30:40, 30:40] = True
+    walls = block(cells)
+    ids = walls[1].expand(4)
+    position = torch.tensor([[[1.0, 1.3], [1.4, 1.35], [1.3, 1.8], [0.4, 1.6]]], dtype=torch.float64)
+    _, velocity, desired = (part.double() for part in crowd(1, 4, 1.0))
+
+    def action(position: Tensor, velocity: Tensor, desired: Tensor, speed: Tensor) -> Tensor:
+        mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
+
+        def force(place: Tensor, rows: Tensor | None) -> Tensor:
+            return wall_force(*walls[0].near(place.T, ids), 4, 10.0, 0.2)
+
+        return social_force_velocity(
+            position, velocity, desired, speed, mask, PAPER, 0.2, identity, walls=force
+        )
+
+    inputs = [part.requires_grad_() for part in (position, velocity, desired, torch.ones(1, 4).double())]
+    assert torch.autograd.gradcheck(action, inputs, atol=1e-4)
+    same = torch.zeros(1, 4, 2, requires_grad=True)
+    still = torch.zeros(1, 4, 2)
+    mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
+    social_force_velocity(same, still, still, torch.ones(1, 4), mask, PAPER, 0.1, identity).sum().backward()
+    assert same.grad is not None and same.grad.isfinite().all()
+
+
+# --- walking
+
+
+def test_fluctuations_are_the_scenes_own_and_free_people_who_meet_head_on() -> None:
+    position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
+    velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
+    exact, usual = SocialForce(fluctuation=0), SocialForce()
+    for policy in (exact, usual):
+        policy.bind(MapBank())
+    straight = exact(observation(position, velocity, velocity))["agents", "action"]
+    assert (straight[..., 1] == 0).all()
+    once, again = (usual(observation(position, velocity, velocity))["agents", "action"] for _ in range(2))
+    assert torch.equal(once, again)
+    assert 0 < (once - straight).norm(dim=-1).max() < 0.05
+    place, now, nearest = position, velocity, math.inf
+    for step in range(60):
+        seen = observation(place, now, velocity)
+        seen["time"] = torch.full((1, 1), 0.1 * step)
+        now = usual(seen)["agents", "action"]
+        place = place + 0.1 * now
+        nearest = min(nearest, float((place[0, 0] - place[0, 1]).norm()))
+    assert place[0, 0, 0] > place[0, 1, 0] + 1
+    assert nearest > 0.3
+
+
+@pytest.mark.parametrize(("preset", "passes"), [("1995", False), ("indoor", True)])
+@pytest.mark.parametrize("side", [0.0, 0.1])
+def test_a_lone_person_needs_the_indoor_preset_to_pass_a_door(preset: Any, passes: bool, side: float) -> None:
+    cells = np.zeros((121, 120), bool)
+    cells[:, 60:63] = True
+    cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025
+    policy = SocialForce(preset=preset)
+    bank, map_id = block(cells)[0].bank, block(cells)[1]
+    policy.bind(bank)
+    place, velocity, goal = (
+        torch.tensor([[[1.0, 3.025 + side]]]),
+        torch.zeros(1, 1, 2),
+        torch.tensor([5.0, 3.025]),
+    )
+    for _ in range(60):
+        way = goal - place
+        desired = 1.3 * way / way.norm(dim=-1, keepdim=True)
+        velocity = policy(observation(place, velocity, desired, int(map_id)))["agents", "action"]
+        place = place + 0.1 * velocity
+        assert bank.signed_distance(place, map_id, identity_pose(1)).min() > 0.2
+    assert (float(place[0, 0, 0]) > 4) == passes
