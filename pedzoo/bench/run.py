@@ -77,6 +77,7 @@ class Run:
             "turns": settings.turns,
             "quick": settings.quick,
             "threads": settings.threads,
+            "sizes": [f"{scenes} x {people}" for scenes, people in settings.sizes],
             "device": "cpu",
             "clock": "processor time" if settings.threads == 1 else "wall time",
             "maps": list(settings.maps),

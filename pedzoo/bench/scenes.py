@@ -10,6 +10,7 @@ import numpy as np
 from torch import Tensor
 
 from pedzoo.bench.peer import Scenes
+from pedzoo.bench.section import Settings
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
@@ -51,6 +52,11 @@ SIZES = (Size(1, 5), Size(64, 5), Size(1024, 5), Size(1, 100), Size(1, 500))
 QUICK = (Size(1, 5), Size(64, 5))
 LARGEST = Size(1024, 5)
 """The size that most bars are about."""
+
+
+def sizes(settings: Settings, usual: Sequence[Size]) -> list[Size]:
+    """Return the sizes that were asked for, or the usual ones."""
+    return [Size(*size) for size in settings.sizes] or list(usual)
 
 
 class Hall(Goals):

@@ -25,6 +25,7 @@ class Settings:
         turns: How often each side is timed.
         quick: Small cases only.
         threads: Of torch, and of peers.
+        sizes: Scenes and people of each, in place of those that a section measures.
         maps: Floor plan files; none for those that need no file.
         peers: Scripts that time other programs, see `pedzoo.bench.peer`.
         peer_python: The interpreter that runs them.
@@ -36,6 +37,7 @@ class Settings:
     turns: int = 5
     quick: bool = False
     threads: int = 1
+    sizes: tuple[tuple[int, int], ...] = ()
     maps: tuple[str, ...] = ()
     peers: tuple[Path, ...] = ()
     peer_python: str = ""
@@ -52,6 +54,8 @@ class Settings:
             raise UserError(
                 f"seconds {self.seconds}, turns {self.turns}, threads {self.threads}: expected above 0"
             )
+        if any(number < 1 for size in self.sizes for number in size):
+            raise UserError(f"sizes {self.sizes}: expected at least one scene and one person in it")
 
     @property
     def clock(self) -> Clock:

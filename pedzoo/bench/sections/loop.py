@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 
 from pedzoo.bench.figures import Measured, Row, Verdict
 from pedzoo.bench.peer import Scenes, running
-from pedzoo.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario
+from pedzoo.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario, sizes
 from pedzoo.bench.section import Section
 from pedzoo.bench.turns import Side, in_turns, ratio, repeated, seconds_of
 from pedzoo.maps.segments import WallSegments
@@ -46,7 +46,7 @@ class Loop(Section):
     def rows(self) -> Iterator[Row]:
         """Measure every size."""
         known: dict[int, tuple[Scenario, Measured]] = {}
-        for size in QUICK if self.settings.quick else SIZES:
+        for size in sizes(self.settings, QUICK if self.settings.quick else SIZES):
             if size.people not in known:
                 begun = self.settings.clock()
                 made = scenario(size.people, self.settings.maps)

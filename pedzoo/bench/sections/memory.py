@@ -13,6 +13,7 @@ from pedzoo.bench.section import NotGivenError, Section
 from pedzoo.errors import UserError
 
 SCENES, STEPS, GOALS = 64, 20, 64
+QUICK = 4, 2, 8
 BAR_MB = 2000.0
 
 
@@ -24,8 +25,8 @@ class Memory(Section):
         if not find_spec("resource"):
             raise NotGivenError("memory is measured with the module resource, which Python lacks here")
         file = max(self.settings.maps, key=cells) if self.settings.maps else "flat"
-        scenes, steps = (4, 2) if self.settings.quick else (SCENES, STEPS)
-        command = [sys.executable, "-m", "pedzoo.bench.peak", file, str(scenes), str(steps), str(GOALS)]
+        scenes, steps, goals = QUICK if self.settings.quick else (SCENES, STEPS, GOALS)
+        command = [sys.executable, "-m", "pedzoo.bench.peak", file, str(scenes), str(steps), str(goals)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise UserError(f"memory: the process that walks on {file} ended: {done.stderr.strip()[-300:]}")

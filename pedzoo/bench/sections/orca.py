@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.bench.figures import Measured, Row
 from pedzoo.bench.peer import running
-from pedzoo.bench.scenes import LARGEST, Size, for_peers, plan
+from pedzoo.bench.scenes import LARGEST, Size, for_peers, plan, sizes
 from pedzoo.bench.section import Section
 from pedzoo.bench.turns import in_turns, ratio, repeated
 from pedzoo.geometry import identity_pose
@@ -38,9 +38,9 @@ class Orca(Section):
 
     def rows(self) -> Iterator[Row]:
         """Measure every size, without walls and with a room full of boxes."""
-        sizes = (LARGEST, Size(64, 20), Size(64, 5), Size(1, 5), Size(1, 100), Size(1, 500))
+        usual = (LARGEST, Size(64, 20), Size(64, 5), Size(1, 5), Size(1, 100), Size(1, 500))
         with running(self.settings) as peers:
-            for size in sizes[2:4] if self.settings.quick else sizes:
+            for size in sizes(self.settings, usual[2:4] if self.settings.quick else usual):
                 for name in BARS:
                     crowd = _Crowd.walking(size, name == "walls")
                     rivals = [case for peer in peers for case in peer.cases([crowd.scenes()])]

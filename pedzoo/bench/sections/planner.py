@@ -42,7 +42,8 @@ class Planner(Section):
     def rows(self) -> Iterator[Row]:
         """Measure on every floor plan, or on a plain one."""
         self.versions["networkx"] = version("networkx")
-        for grid in [cut(OccupancyGrid.load(file)) for file in self.settings.maps] or [plain()]:
+        grids = [cut(OccupancyGrid.load(file)) for file in self.settings.maps]
+        for grid in grids or [plain(0.1 if self.settings.quick else 0.05)]:
             yield from self._on(grid)
 
     def _on(self, grid: OccupancyGrid) -> Iterator[Row]:
@@ -147,12 +148,12 @@ def heuristics(xy: NDArray[np.float64]) -> dict[str, Callable[[int, int], float]
     return {IGIBSON: by_numpy, "math.dist": by_dist}
 
 
-def plain() -> OccupancyGrid:
-    """Return four rooms in a row."""
+def plain(resolution: float) -> OccupancyGrid:
+    """Return four rooms in a row, ``resolution`` metres per cell."""
     walls = room((0, 0), (19.8, 9.8), 0.1)
     for x in (5.0, 10.0, 15.0):
-        walls += wall((x, 0), (x, 9.8), 0.2, doors=[(2.0 if x == 10 else 8.0, 0.9)])
-    return rectangles(walls, resolution=0.05, name="plain")
+        walls += wall((x, 0), (x, 9.8), 0.2, doors=[(2.0 if x == 10 else 8.0, 1.0)])
+    return rectangles(walls, resolution, name="plain")
 
 
 def cut(grid: OccupancyGrid) -> OccupancyGrid:

@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDictBase
 
 from pedzoo.bench.figures import Measured, Row
-from pedzoo.bench.scenes import LARGEST, Size, scenario
+from pedzoo.bench.scenes import LARGEST, Size, scenario, sizes
 from pedzoo.bench.section import Section
 from pedzoo.bench.turns import Clock
 from pedzoo.sim import simulation
@@ -39,8 +39,11 @@ class Profile(Section):
     """The calls themselves are timed. Whatever a reset calls is part of the reset; nothing counts twice."""
 
     def rows(self) -> Iterator[Row]:
-        """Measure at the largest size."""
-        size = Size(16, 5) if self.settings.quick else LARGEST
+        """Measure at the largest size, or those asked for."""
+        for size in sizes(self.settings, [Size(16, 5) if self.settings.quick else LARGEST]):
+            yield from self._size(size)
+
+    def _size(self, size: Size) -> Iterator[Row]:
         env = make_env(scenario(size.people, self.settings.maps), size.scenes)
         policy = load_policy(MODEL)
         policy.bind(env.bank)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -180,7 +181,13 @@ def iterations(
         enable_model_summary=False, callbacks=[turns],
     )  # fmt: skip
     loader = torch.utils.data.DataLoader([b for _, b in batches], batch_size=None, collate_fn=lambda b: b)  # type: ignore[arg-type]
-    trainer.fit(GANModule(*ours, lr=1e-4, warmup=0, final_lr=1.0), loader)
+    logger = logging.getLogger("lightning.pytorch")
+    level = logger.level
+    logger.setLevel(logging.WARNING)  # what devices there are does not belong into a table
+    try:
+        trainer.fit(GANModule(*ours, lr=1e-4, warmup=0, final_lr=1.0), loader)
+    finally:
+        logger.setLevel(level)
     # the first iteration of both is slower: memory is being allocated
     return turns.ours[1:], turns.theirs[1:]
 

@@ -23,6 +23,9 @@ def run(argv: list[str]) -> int:
         "--seconds", type=float, help="least seconds per side and turn (default: 1; quick 0.1)"
     )
     parser.add_argument("--turns", type=int, help="how often each side is timed (default: 5; quick 3)")
+    parser.add_argument(
+        "--size", nargs="+", default=[], metavar="BxA", help="scenes x people in loop, orca, profile: 1024x5"
+    )
     parser.add_argument("--threads", type=int, default=1, help="of torch and of peers (default: 1)")
     parser.add_argument(
         "--map",
@@ -71,6 +74,7 @@ def run(argv: list[str]) -> int:
         turns=options.turns or (3 if options.quick else 5),
         quick=options.quick,
         threads=options.threads,
+        sizes=tuple(map(_size, options.size)),
         maps=tuple(options.map),
         peers=tuple(map(Path, options.peer)),
         peer_python=options.peer_python,
@@ -96,3 +100,13 @@ def run(argv: list[str]) -> int:
         raise
     finish()
     return 0
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Return scenes and people of ``1024x5``."""
+    from pedzoo.errors import UserError
+
+    scenes, _, people = text.partition("x")
+    if not (scenes.isdecimal() and people.isdecimal()):
+        raise UserError(f"--size {text}: expected scenes x people such as 1024x5")
+    return int(scenes), int(people)
