@@ -107,7 +107,7 @@ class _Front:
         return Fields(torch.from_numpy(numbers), torch.from_numpy(length))
 
     def advance(self, goal: NDArray[np.int64], number: NDArray[np.int64]) -> None:
-        """Find the waypoints of open cells (M,), all ways from which lead to where the sweep has been."""
+        """Find the waypoints of open cells (M,), after those of all cells that their ways lead through."""
         cell = self.at[number]
         base = goal * self.size
         here = base + cell

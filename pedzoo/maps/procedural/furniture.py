@@ -148,13 +148,13 @@ def _moved(pieces: Sequence[tuple[str, Rect]], part: Rect, side: int, at: int, o
 
 def _clusters(dice: Dice, box: Rect) -> list[list[Piece]]:
     """Return blocks of desks in rows, as they stand in an open-plan office: as many desks as fit."""
-    aisle, gap, margin = units(dice.uniform(1.7, 2.2)), units(dice.uniform(1.2, 1.6)), units(1.2)
+    aisle, gap = units(dice.uniform(1.7, 2.2)), units(dice.uniform(1.2, 1.6))
     deep, most, best = units(1.6), 0, []
     for side, count in dice.shuffled([(side, count) for side in (0, 2) for count in (2, 3, 4)]):
         length, depth = (box.width, box.height) if side == 0 else (box.height, box.width)
         block = count * units(1.4)
-        across = (length - 2 * margin + gap) // (block + gap)
-        rows = (depth - 2 * margin + aisle) // (deep + aisle)
+        across = (length - 2 * units(1.2) + gap) // (block + gap)
+        rows = (depth - 2 * units(1.0) + aisle) // (deep + aisle)
         if min(across, rows) < 1 or across * rows * count <= most:
             continue
         most = across * rows * count

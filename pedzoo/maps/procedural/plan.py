@@ -56,6 +56,21 @@ class FloorPlan:
         """Square metres of floor without furniture."""
         return float((self.grid.cells == FREE).sum() * self.grid.resolution**2)
 
+    def facts(self) -> dict[str, float]:
+        """Return what a table says about the plan: counts, metres and square metres; halls are rooms, too."""
+        widths = [door.width for door in self.doors]
+        width, height = self.size
+        return {
+            "rooms": len(self.rooms),
+            "doors": len(self.doors),
+            "pieces": len(self.pieces),
+            "width_m": round(width, 3),
+            "height_m": round(height, 3),
+            "narrowest_door_m": round(min(widths), 3),
+            "widest_door_m": round(max(widths), 3),
+            "free_m2": round(self.free_area, 2),
+        }
+
 
 def generate(
     kind: str,
