@@ -99,6 +99,19 @@ def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) 
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 
+def draw_episode(axes: Axes, walked: Walked, episode: int = 0) -> None:
+    """Draw the ways of one episode until its end, with a margin around them.
+
+    Raises:
+        UserError: No such episode.
+    """
+    check_episode(walked, episode)
+    one = _Episode(walked, episode)
+    one.draw(axes, one.length, Normalize(0.0, one.length * TRACE_SECONDS))
+    low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+
+
 def check_plot_path(path: str | Path) -> None:
     """Raise the error that a file name gives which no plot can have."""
     if Path(path).suffix.lower() not in SUFFIXES:
