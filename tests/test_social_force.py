@@ -500,6 +500,8 @@ def test_walls_turn_with_map_and_scene() -> None:
     parts = move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)
     there = policy(observation(*parts, grid.map_id, pose))["agents", "action"]
     assert torch.allclose(there, turn_to_scene(here, pose), atol=1e-3)
+    some = policy(observation(position[3:5], velocity[3:5], desired[3:5], grid.map_id))["agents", "action"]
+    assert torch.equal(some, here[3:5])
     blind = SocialForce(fluctuation=0, walls=False)
     blind.bind(MapBank([grid]))
     free = blind(observation(position, velocity, desired, grid.map_id))["agents", "action"]

@@ -25,8 +25,9 @@ class SocialForce(Policy):
     """People accelerate along the planner's way, away from each other and away from walls.
 
     `SocialForceSettings` has symbols, units and sources of all parameters. Those of 1995, the default, are
-    for open places and wide corridors: their walls push so hard that nobody who walks at 1.3 m/s gets through
-    a door of 0.85 m. The preset ``indoor`` has softer walls.
+    for open places and wide corridors: their walls push so hard that somebody who walks at 1.3 m/s does not
+    get through a door narrower than 1.1 m. The preset ``indoor`` has softer walls. Nothing is remembered from
+    one decision to the next, and forces know no future: where they cancel, people stop.
     """
 
     def __init__(
