@@ -24,6 +24,11 @@ def print_bench(report: dict[str, Any]) -> None:
     for part in ("protocol", "machine", "versions"):
         facts = ", ".join(f"{key} {value}" for key, value in report[part].items() if value not in ([], None))
         console.print(f"{part}: {facts}", highlight=False, markup=False)
+    busy = max(report["machine"][key] or 0.0 for key in ("load_before", "load_after"))
+    if busy > report["protocol"]["threads"] + 0.5:
+        console.print(
+            f"the machine was busy (load {busy:g}): trust the ratios, not the speeds", highlight=False
+        )
     verdicts = [(row, verdict) for row in rows for verdict in row.bars]
     missed = [f"{title(row)}: {verdict}" for row, verdict in verdicts if not verdict.ok]
     console.print(f"\n{len(verdicts) - len(missed)} of {len(verdicts)} bars met", highlight=False)

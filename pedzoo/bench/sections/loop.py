@@ -29,8 +29,8 @@ ORCA = f"orca:dt={STEP_SECONDS}"
 POLICIES_TIMED = (BARE, f"{ORCA},walls=false", ORCA, "orca", "social_force", MODEL)
 """Who walks; the first makes the environment bare."""
 
-EPISODE = 20.0
-"""Simulated seconds of one turn at least, about an episode: every turn has its share of resets."""
+WARM, TURN = 20.0, 10.0
+"""Simulated seconds before the first turn and in each at least, so that all have their share of resets."""
 
 FAST_ENOUGH = 100_000
 """Agent-steps per second at which it does not matter how much faster the network alone would be."""
@@ -109,14 +109,14 @@ class _Walk:
     """An environment and who walks in it, in the middle of episodes."""
 
     def __init__(self, scene: Scenario, size: Size, policy: str, quick: bool) -> None:
-        """Walk for as long as a turn takes, so that not all scenes are reset in the same step."""
+        """Walk for about an episode, so that not all scenes are reset in the same step."""
         self.policy_name, self.title = policy, f"env + {policy}"
         self.policy = load_policy(policy)
         self.env: PedestrianEnv = make_env(scene, size.scenes, decision_dt=self.policy.decision_dt)
         self.policy.bind(self.env.bank)
         self.now: TensorDictBase = self.env.reset()
-        self.least = 1 if quick else round(EPISODE / self.env.decision_dt)
-        for _ in range(max(self.least, 2)):
+        self.least = 1 if quick else round(TURN / self.env.decision_dt)
+        for _ in range(2 if quick else round(WARM / self.env.decision_dt)):
             self.step()
 
     @torch.no_grad()
