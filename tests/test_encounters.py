@@ -128,6 +128,16 @@ def test_who_avoids_nobody_runs_into_somebody(name: str) -> None:
     assert touched(walked(name, 4, "orca:radius=0.3,dt=0.4")) == 0
 
 
+@pytest.mark.parametrize("name", ["room_exit", "circle"])
+def test_both_worlds_see_the_same(name: str) -> None:
+    """With walls and without any."""
+    walks, env = prepare("go_to_goal", made(name), "bullet", 3)
+    bullet, grid = joined(list(walk(walks, env, 3))), walked(name, 3)
+    env.world.close()
+    assert torch.equal(bullet.trace, grid.trace)
+    assert torch.equal(bullet.agent_contact, grid.agent_contact) and bool(grid.agent_contact.any())
+
+
 def test_hallway_is_head_on() -> None:
     env = begun("hallway")
     x = env.state.position[..., 0]

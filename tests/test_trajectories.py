@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import Walked
 from pedzoo.eval.rollout import Rollout, rollout
-from pedzoo.eval.trajectories import _Episode, meeting, plot_rollouts
+from pedzoo.eval.trajectories import _Episode, draw_episode, meeting, plot_rollouts
 from pedzoo.geometry import move_to_scene
 
 
@@ -123,3 +123,15 @@ def test_mistakes(walked: Walked, tmp_path: Path) -> None:
         plot_rollouts([walked], tmp_path / "file" / "a.png")
     with pytest.raises(UserError, match="episode 7: go_to_goal has walked 2, 0 to 1"):
         plot_rollouts([walked], tmp_path / "a.png", 7)
+
+
+def test_an_episode_on_axes_of_ones_own(walked: Walked) -> None:
+    axes = Figure().subplots()
+    draw_episode(axes, walked, 1)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    seen = walked.rollout.trace[1][walked.rollout.present[1]]
+    assert left < float(seen[:, 0].min()) and float(seen[:, 0].max()) < right
+    assert bottom < float(seen[:, 1].min()) and float(seen[:, 1].max()) < top
+    assert axes.get_title().endswith("end")
+    with pytest.raises(UserError, match="episode 2"):
+        draw_episode(axes, walked, 2)

@@ -3,7 +3,8 @@
     python tools/scenario_table.py
 
 Every scenario of the registry with its defaults, and encounters with crowds of 20 and 50 people as far as
-they take them. Policies of one row see the same scenes. The page ends with what fails, and why.
+they take them (of 50 people half as many episodes). Policies of one row see the same scenes. The page ends
+with what fails, and why.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from pedzoo.versions import versions
 
 POLICIES = ("orca:radius=0.3", "social_force", "social_force:preset=indoor")
 CROWDS = (20, 50)
+LARGE = "people=50"
 VARIANTS = ("intersection:people=4", "parallel:opposite=true", "parallel:opposite=true,people=20")
 """Beside the defaults and the crowds."""
 
@@ -88,11 +90,10 @@ def main() -> None:
     workers = ProcessPoolExecutor(options.workers, initializer=torch.set_num_threads, initargs=(1,))
     with workers as pool, progress_bar() as progress:
         for done, (case, data) in enumerate(zip(cases, pool.map(measured, cases), strict=True), start=1):
-            found[case] = pickle.loads(data)
+            one = found[case] = pickle.loads(data)
+            print(case.scenario, case.policy, *(cell(one, key) for key in COLUMNS), sep=" | ", flush=True)
             progress("scenarios x policies", done, len(cases))
-    text = page(options, found)
-    print(text)
-    write_whole(options.out, text.encode())
+    write_whole(options.out, page(options, found).encode())
     write_whole(options.picture, picture(found))
 
 
@@ -153,13 +154,13 @@ def page(options: argparse.Namespace, found: dict[Case, Measured]) -> str:
     rows = []
     for scenario, group in by_scenario(found):
         for number, (case, one) in enumerate(group):
-            name = [f"`{scenario}`", one.people] if number == 0 else ["", ""]
+            name = [f"`{scenario}`", one.people, case.episodes] if number == 0 else [""] * 3
             rows.append([*name, case.policy, *(cell(one, key) for key in COLUMNS)])
-    names = ["scenario", "people", "policy", *(head for head, *_ in COLUMNS.values())]
+    names = ["scenario", "people", "episodes", "policy", *(head for head, *_ in COLUMNS.values())]
     lines = [
         "# Scenarios, walked by ORCA and social force\n",
         f"Made by `python tools/scenario_table.py` with pedzoo {made['pedzoo']}, torch {made['torch']}"
-        f", commit {made.get('commit', 'unknown')}: {options.episodes} episodes of seed 0 per row, world"
+        f", commit {made.get('commit', 'unknown')}: the first episodes of seed 0, world"
         f" `{options.world}`, speeds N(1.3, 0.2) m/s, decisions every {TRACE_SECONDS} s, body radius 0.15 m,"
         " warm start with ORCA (radius 0.2). In brackets 95 % intervals: Wilson's over episodes for shares,"
         " bootstrapped over episodes otherwise.\n",
