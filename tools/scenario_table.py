@@ -84,7 +84,9 @@ def main() -> None:
     options = parser.parse_args()
     scenarios = options.scenarios or every_scenario()
     cases = [
-        Case(one, policy, options.world, options.episodes) for one in scenarios for policy in options.policies
+        Case(one, policy, options.world, options.episodes // (1 + one.endswith(LARGE)))
+        for one in scenarios
+        for policy in options.policies
     ]
     found: dict[Case, Measured] = {}
     workers = ProcessPoolExecutor(options.workers, initializer=torch.set_num_threads, initargs=(1,))
