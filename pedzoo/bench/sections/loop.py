@@ -37,7 +37,7 @@ FAST_ENOUGH = 100_000
 
 
 class Loop(Section):
-    """An agent-step is one decision of one person; notes say how much time is simulated in it.
+    """An agent-step is one decision of one person; ``step_s`` is how much time is simulated in it.
 
     Ours has trace points every 0.1 s with their sub-steps, walls, contacts, goals, the planner's guidance,
     the observation, resets and new goals. Bars compare one agent-step with one of a peer, whatever is in it.
@@ -61,7 +61,7 @@ class Loop(Section):
             for policy in POLICIES_TIMED
             if policy == MODEL or parse(policy).name in POLICIES.names()
         ]
-        resets = [1e3 * seconds_of(walks[0].env.reset, self.settings.clock) for _ in range(3)]
+        resets = [1e3 * seconds_of(walks[0].env.reset, self.settings.clock) for _ in range(5)]
         walks[0].now = walks[0].env.reset()
         yield Row("loop", "reset", where, {"reset_ms": Measured.of(resets), "planner_s": prepared})
 
@@ -77,19 +77,18 @@ class Loop(Section):
             speeds = in_turns(every, self.settings.turns, self.settings.seconds)
 
         for walk in walks:
-            found, note = speeds[walk.title], f"{walk.env.decision_dt:g} s per agent-step"
-            metrics = {"agent_steps_per_s": Measured.of(found)}
+            found = speeds[walk.title]
+            metrics = _metrics(found, walk.env.decision_dt)
             metrics |= {case.metric: ratio(found, speeds[case.title]) for case in rivals}
             if walk.policy_name == MODEL:
                 metrics["times_network"] = ratio(found, speeds[NETWORK])
-            row = Row("loop", walk.title, where, metrics, note=note)
-            yield Row("loop", walk.title, where, metrics, self._bars(row, walk.policy_name, size), note)
-        alone = {"agent_steps_per_s": Measured.of(speeds[NETWORK])}
+            row = Row("loop", walk.title, where, metrics)
+            yield Row("loop", walk.title, where, metrics, self._bars(row, walk.policy_name, size))
+        alone = _metrics(speeds[NETWORK], STEP_SECONDS)
         yield Row("loop", NETWORK, where, alone, note="asked about the same scenes again and again")
         for case in rivals:
-            note = f"{case.step_seconds:g} s per agent-step; {case.note}"
             yield Row(
-                "loop", case.title, where, {"agent_steps_per_s": Measured.of(speeds[case.title])}, (), note
+                "loop", case.title, where, _metrics(speeds[case.title], case.step_seconds), (), case.note
             )
 
     def _bars(self, row: Row, policy: str, size: Size) -> list[Verdict]:
@@ -103,6 +102,11 @@ class Loop(Section):
             fast, half = row.at_least("agent_steps_per_s", FAST_ENOUGH), row.at_least("times_network", 0.5)
             return [Verdict(f"{fast.bar} or {half.bar}", fast.ok or half.ok)]
         return []
+
+
+def _metrics(speeds: list[float], step: float) -> dict[str, Measured]:
+    """Return agent-steps per second and the simulated seconds of one of them."""
+    return {"agent_steps_per_s": Measured.of(speeds), "step_s": Measured.of([step])}
 
 
 class _Walk:
