@@ -21,6 +21,7 @@ from pedzoo.maps.outlines import outlines
 from pedzoo.sim.policies.social_force import SocialForce
 from pedzoo.sim.policy import load_policy
 from pedzoo.sim.social_force import borders
+from pedzoo.sim.social_force.border_table import BorderTable
 from pedzoo.sim.social_force.borders import Borders
 from pedzoo.sim.social_force.forces import (
     driving_force,
@@ -345,7 +346,7 @@ def block(cells: NDArray[np.bool_], cell: float = 0.05, yaw: float = 0.0) -> tup
 def push(walls: tuple[Borders, Tensor], places: Tensor) -> Tensor:
     """Return the paper's wall force (N, 2) at places (N, 2)."""
     found, map_id = walls
-    points = found.near(places, map_id.expand(len(places)))
+    points = found.near(places.T, map_id.expand(len(places)))
     return wall_force(*points, len(places), 10.0, 0.2).T
 
 
@@ -374,7 +375,7 @@ def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(borders, "outlines", cut)
     torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
-    assert len(block(cells)[0].near(at, block(cells)[1].expand(4)).person) == 4
+    assert len(block(cells)[0].near(at.T, block(cells)[1].expand(4)).person) == 4
 
 
 def test_a_wall_across_the_cells_is_one_wall() -> None:
@@ -488,6 +489,26 @@ def test_in_clutter_the_force_changes_no_faster_than_that_of_a_few_walls() -> No
     assert (change / one_wall)[fair].max() < 5
 
 
+def test_people_look_at_the_segments_within_reach() -> None:
+    random = np.random.default_rng(1)
+    maps = [outlines(random.random((40, 60)) < share) for share in (0.2, 0.6)]
+    table = BorderTable.build([[polygon * 0.3 for polygon in one] for one in maps], 1.1)
+    table = table.to(torch.device("cpu"), torch.float64)
+    place = torch.from_numpy(random.random((2, 400))) * torch.tensor([[22.0], [16.0]]) - 2
+    row = torch.from_numpy(random.integers(-1, 2, 400))
+    person, segment = table.look(place, row)
+    assert (person.diff() >= 0).all()
+    found = torch.zeros(400, table.segments.shape[1], dtype=torch.bool)
+    found[person, segment] = True
+    start, end, along = table.segments[:6, None].split(2)
+    off = place[:, :, None] - start
+    t = (off * along).sum(0).clamp_min(0).minimum((end - start).norm(dim=0))
+    near = (off - t * along).norm(dim=0) < 1.1
+    outside = along[0] * off[1] - along[1] * off[0] < 0
+    own = torch.tensor([0] * sum(map(len, maps[0])) + [1] * sum(map(len, maps[1]))) == row[:, None]
+    assert torch.equal(found, near & outside & own)
+
+
 def test_walls_turn_with_map_and_scene() -> None:
     cells = np.random.default_rng(0).random((30, 30)) < 0.1
     policy = SocialForce(fluctuation=0)
@@ -515,10 +536,10 @@ def test_places_on_and_in_walls_give_numbers() -> None:
     at = torch.tensor([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [1.9, 1.9], [math.nan, 0.0], [1e4, -1e4]])
     assert push(block(cells), at).isfinite().all()
     assert push(block(np.zeros((5, 5), bool)), at).abs().sum() == 0
-    nobody = Borders(MapBank(), 1.0).near(torch.zeros(0, 2), torch.zeros(0, dtype=torch.long))
+    nobody = Borders(MapBank(), 1.0).near(torch.zeros(2, 0), torch.zeros(0, dtype=torch.long))
     assert len(nobody.person) == 0
     with pytest.raises(UserError, match="is not of this bank"):
-        block(cells)[0].near(at, torch.full((6,), 7))
+        block(cells)[0].near(at.T, torch.full((6,), 7))
 
 
 def test_actions_are_differentiable() -> None:
@@ -534,7 +555,7 @@ def test_actions_are_differentiable() -> None:
         mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
 
         def force(place: Tensor, rows: Tensor | None) -> Tensor:
-            return wall_force(*walls[0].near(place.T, ids), 4, 10.0, 0.2)
+            return wall_force(*walls[0].near(place, ids), 4, 10.0, 0.2)
 
         return social_force_velocity(
             position, velocity, desired, speed, mask, PAPER, 0.2, identity, walls=force

@@ -142,6 +142,6 @@ class SocialForce(Policy):
         scene = torch.arange(len(mask), device=mask.device).repeat_interleave(slots)
         scene = scene if rows is None else scene[rows]
         pose = poses[scene]
-        points = self._borders.near(move_to_map(place.T, pose), ids.flatten()[scene])
+        points = self._borders.near(move_to_map(place.T, pose).T.contiguous(), ids.flatten()[scene])
         force = wall_force(*points, place.shape[1], self.settings.wall_strength, self.settings.wall_range)
         return turn_to_scene(force.T, pose).T

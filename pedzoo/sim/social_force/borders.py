@@ -28,8 +28,8 @@ from torch import Tensor
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.outlines import outlines
-from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
 from pedzoo.sim.orca.vectors import cross, dot
+from pedzoo.sim.social_force.border_table import BorderTable
 from pedzoo.sim.social_force.forces import direction
 from pedzoo.types import BODY_RADIUS
 
@@ -60,63 +60,56 @@ class Borders:
         """Take the floor plans; nothing is computed before the first look-up."""
         self.bank = bank
         self.reach = reach
-        self._known: dict[tuple[torch.device, torch.dtype], tuple[MapBank, SegmentTable, Tensor]] = {}
+        self._known: dict[tuple[torch.device, torch.dtype], tuple[MapBank, BorderTable]] = {}
 
     def near(self, place: Tensor, map_id: Tensor) -> WallPoints:
         """Return the points of walls that act on people; none without a map.
 
         Args:
-            place: Where people are on their floor plans (N, 2), metres; differentiable.
+            place: Where people are on their floor plans (2, N), metres; differentiable.
             map_id: Floor plan of each (N,) long, -1 for none.
 
         Raises:
             UserError: A ``map_id`` is of another bank.
         """
-        bank, table, before_start = self._look_up(place)
-        with torch.no_grad():
-            reach = place.new_full((len(place),), self.reach)
-            person, segment, _ = table.look(place, bank.index(map_id), reach)
+        bank, table = self._look_up(place)
+        person, segment = table.look(place, bank.index(map_id))
         wall = table.segments.index_select(1, segment)
         start, end, along, before, after = wall[:10].split(2)
-        at = place.T.index_select(1, person)
+        at = place.index_select(1, person)
         off, off_end = at - start, at - end
-        t, past = dot(off, along), dot(off, before)
+        t, t_end, past = dot(off, along), dot(off_end, along), dot(off, before)
         offset = off - along * t.clamp_min(0).minimum(dot(end - start, along))
 
         # A foot inside the segment; or its start, where the segment before has no foot either. A pointed end
-        # is often seen from one side only: then it is the start of no segment that people are outside of.
-        foot = (t > 0) & (dot(off_end, along) < 0)
-        first = (t <= 0) & (past >= 0)
-        last = (dot(off_end, along) >= 0) & (dot(off_end, after) <= 0) & (cross(after, off_end) >= 0)
-        acts = foot | first | last
-        concave = (wall[10] == 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)
-        kept, hollow = acts.nonzero()[:, 0], concave.nonzero()[:, 0]
-        weight = torch.ones_like(t.index_select(0, kept))
-        points = WallPoints(person.index_select(0, kept), offset.index_select(1, kept), weight)
+        # may be seen from one side only: then it is the start of no segment that the person is outside of.
+        foot, first = (t > 0) & (t_end < 0), (t <= 0) & (past >= 0)
+        last = (t_end >= 0) & (dot(off_end, after) <= 0) & (cross(after, off_end) >= 0)
+        kept = (foot | first | last).nonzero()[:, 0]
+        points = WallPoints(
+            person.index_select(0, kept), offset.index_select(1, kept), torch.ones_like(t[: len(kept)])
+        )
+
+        hollow = ((wall[11] > 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)).nonzero()[:, 0]
         if not len(hollow):
             return points
-
-        off, before, nearest, start = (part.index_select(1, hollow) for part in (off, before, offset, start))
-        begin = before_start.index_select(1, segment.index_select(0, hollow))
-        nearest_before = off + before * (-dot(off, before)).minimum(dot(start - begin, before))
+        off, before, nearest = (part.index_select(1, hollow) for part in (off, before, offset))
+        length = wall[10].index_select(0, hollow)
+        nearest_before = off + before * (-dot(off, before)).minimum(length)
         likeness = dot(direction(nearest), direction(nearest_before))
         return WallPoints(
             torch.cat((points.person, person.index_select(0, hollow))),
             torch.cat((points.offset, off), dim=1),
-            torch.cat((weight, -(2 * likeness).clamp(0, 1))),
+            torch.cat((points.weight, -(2 * likeness).clamp(0, 1))),
         )
 
-    def _look_up(self, place: Tensor) -> tuple[MapBank, SegmentTable, Tensor]:
-        """Return bank, segments and where the segment before each starts (2, S + 1) for people like these."""
+    def _look_up(self, place: Tensor) -> tuple[MapBank, BorderTable]:
+        """Return bank and segments for people like these."""
         key = place.device, place.dtype
         if key not in self._known:
-            polygons = [_polygons(grid, self.bank.unknown) for grid in self.bank.grids]
-            segments = [np.concatenate([NOWHERE[:0], *map(edges, some)]) for some in polygons]
-            # all segments within reach: a limit would cut off different ones from step to step
-            table = SegmentTable.build(segments, self.reach, 0).to(*key)
-            starts = [np.roll(polygon, 1, axis=0) for some in polygons for polygon in some]
-            first = torch.as_tensor(np.concatenate([*starts, NOWHERE[:, :2]])).T.contiguous()
-            self._known[key] = self.bank.to(place.device), table, first.to(*key)
+            outlined = [_polygons(grid, self.bank.unknown) for grid in self.bank.grids]
+            table = BorderTable.build(outlined, self.reach).to(*key)
+            self._known[key] = self.bank.to(place.device), table
         return self._known[key]
 
 
