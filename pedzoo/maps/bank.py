@@ -156,3 +156,7 @@ class MapBank:
             pose: Scene poses (N, 4).
         """
         return self._walls.around(self.index(map_id), pose)
+
+    def walls_on_map(self, row: Tensor) -> LocalWalls:
+        """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
+        return self._walls.on_map(row)

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
+
+from pedzoo.maps.planar import Frame
+from pedzoo.maps.tables import Found
+
+_EPSILON = 1e-6
+"""Metres: whoever is so near to a point is on it."""
 
 
 class Look(NamedTuple):
@@ -33,3 +40,29 @@ class Guidance(NamedTuple):
     """As in `Look` (P, 2)."""
     distance: Tensor
     """As in `Look` (P,)."""
+
+
+def segments(home: Tensor, found: Found) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the lengths (P,) of the next two segments of people's ways, and where it goes then (2, P)."""
+    way, second = found.waypoint - home, found.after - found.waypoint
+    length, second_length = torch.hypot(*way), torch.hypot(*second)
+    # beyond the goal the way goes on as it came
+    beyond = torch.where(
+        second_length < _EPSILON,
+        way / length.clamp_min(_EPSILON),
+        second / second_length.clamp_min(_EPSILON),
+    )
+    return length, second_length, beyond
+
+
+def heading(
+    points: Tensor, waypoint: Tensor, frame: Frame, length: Tensor, beyond: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return where people walk (P, 2), unit vectors, and how far it is to their waypoints (P,)."""
+    way = waypoint - points
+    distance = way.norm(dim=1)
+    unit = way / distance.clamp_min(_EPSILON)[:, None]
+    there = length < _EPSILON
+    if there.any():  # on the waypoint the way goes on along the second segment
+        unit = torch.where(there[:, None], frame.turn_to_scene(beyond), unit)
+    return unit, distance

@@ -15,11 +15,9 @@ from pedzoo.maps.carrot import seen_beyond
 from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
 from pedzoo.maps.graph import OpenGraph, as_points, show
-from pedzoo.maps.guidance import Guidance, Look
+from pedzoo.maps.guidance import Guidance, Look, heading, segments
 from pedzoo.maps.planar import Frame
 from pedzoo.maps.tables import Found, Goal, Tables
-
-_EPSILON = 1e-6
 
 
 class Planner:
@@ -205,27 +203,34 @@ class Planner:
         frame, home, found = self._find(points, goal_id, row, pose)
         with torch.no_grad():
             ahead = pref_speed * look_ahead_seconds
-            way, second = found.waypoint - home, found.after - found.waypoint
-            length, second_length = torch.hypot(*way), torch.hypot(*second)
-            there, ends = length < _EPSILON, second_length < _EPSILON
-            # beyond the goal the way goes on as it came
-            beyond = torch.where(
-                ends, way / length.clamp_min(_EPSILON), second / second_length.clamp_min(_EPSILON)
-            )
+            length, second_length, beyond = segments(home, found)
             # a second segment that does not end at the goal is as far as anybody looks
             rest = (ahead - length).clamp_min(0)
             rest = torch.where(found.last, rest, rest.minimum(second_length))
-            rest = seen_beyond(self._prepared().distance, row, home, found.waypoint, beyond, rest)
+            rest = seen_beyond(self.bank.walls_on_map(row), home, found.waypoint, beyond, rest)
             places = torch.stack((found.waypoint, found.goal, found.waypoint + beyond * rest), dim=1)
             waypoint, point, carrot = frame.to_scene(places)
             straight = (length >= ahead)[:, None]
-        way = waypoint - points
-        distance = way.norm(dim=1)
-        unit = way / distance.clamp_min(_EPSILON)[:, None]
-        if there.any():  # on the waypoint the way goes on along the second segment
-            unit = torch.where(there[:, None], frame.turn_to_scene(beyond), unit)
+        unit, distance = heading(points, waypoint, frame, length, beyond)
         goal = torch.where(straight, points + unit * ahead[:, None], carrot)
         return Guidance(goal, unit * pref_speed[:, None], waypoint, point, distance + found.onward)
+
+    def direction(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+        """Return unit vectors (P, 2) of where people are told to walk, as in `guide`, for half the price.
+
+        Zero for people without a goal, or without a way to it.
+
+        Args:
+            points: Scene positions (P, 2), metres.
+            goal_id: As in `look`.
+            map_id: As in `look`.
+            pose: As in `look`.
+        """
+        frame, home, found = self._find(points, goal_id, self._index(map_id), pose)
+        with torch.no_grad():
+            length, _, beyond = segments(home, found)
+            waypoint = frame.to_scene(found.waypoint)
+        return heading(points, waypoint, frame, length, beyond)[0]
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest way in the map's frame: the goal is the last.

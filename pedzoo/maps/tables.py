@@ -12,12 +12,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pedzoo.errors import UserError
-from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.fields import Fields
 from pedzoo.maps.graph import OpenGraph
-
-_FAR = 1.0
-"""Metres at which distances to walls are cut off: lines are not asked to keep away farther."""
 
 
 class Goal(NamedTuple):
@@ -53,7 +49,6 @@ class Tables:
     A field is a run of one entry per open cell of its map and a last one of the goal itself.
 
     Attributes:
-        distance: Distances to the nearest wall; its row -1 is "no map".
         to_cell: Affine from a map's frame in metres to cells by rows (6), last column and last row (2), and
             the square of the metres from the nearest open cell at which people go there first (R + 1, 9).
         begin: Columns, first cell in ``nearest`` and first open cell in ``x`` and ``y`` (R + 1, 3).
@@ -66,7 +61,6 @@ class Tables:
         length: Metres of its way to the goal, float32.
     """
 
-    distance: Atlas
     to_cell: Tensor
     begin: Tensor
     nearest: Tensor
@@ -101,13 +95,12 @@ class Tables:
             cells, opens = cells + len(graph.nearest), opens + len(graph)
         x, y = torch.from_numpy(np.concatenate((*places, np.zeros((1, 2))))).float().t().contiguous()
         return cls(
-            distance=_distances(maps),
-            to_cell=torch.from_numpy(np.stack(to_cell)).float(),
-            begin=torch.tensor(begin),
+            to_cell=torch.from_numpy(np.stack(to_cell, axis=1)).float(),
+            begin=torch.tensor(begin).t().contiguous(),
             nearest=torch.from_numpy(np.concatenate(nearest)),
             x=x,
             y=y,
-            goal=torch.tensor([[0, 0, 0]]),
+            goal=torch.zeros(3, 1, dtype=torch.long),
             waypoint=torch.zeros(1, dtype=torch.int32),
             length=torch.zeros(1),
         )
@@ -117,7 +110,7 @@ class Tables:
         counts = np.array([field.waypoint.shape[1] for field in fields])
         starts = len(self.waypoint) + np.cumsum([0, *(counts + 1)[:-1]])
         device = self.waypoint.device
-        rows = np.stack((starts, counts, [goal.row + 1 for goal in goals]), axis=1)
+        rows = np.stack((starts, counts, [goal.row + 1 for goal in goals]))
         x, y = torch.tensor([goal.point for goal in goals]).to(device, torch.float32).t()
         # the goal's own entry leads to itself
         ways = (F.pad(f.waypoint[0], (0, 1), value=f.waypoint.shape[1]).to(device) for f in fields)
@@ -126,14 +119,14 @@ class Tables:
             self,
             x=torch.cat((self.x, x)),
             y=torch.cat((self.y, y)),
-            goal=torch.cat((self.goal, torch.from_numpy(rows).to(device))),
+            goal=torch.cat((self.goal, torch.from_numpy(rows).to(device)), dim=1),
             waypoint=torch.cat((self.waypoint, *ways)),
             length=torch.cat((self.length, *lengths)),
         )
 
     def with_maps(self, maps: Sequence[OpenGraph | None], clearance: float) -> Tables:
         """Return the tables with these maps and the same goals."""
-        count = len(self.goal) - 1
+        count = self.goal.shape[1] - 1
         built = Tables.build(maps, clearance).to(self.waypoint.device)
         return replace(
             built,
@@ -162,7 +155,7 @@ class Tables:
             UserError: A goal is of another map than the person.
         """
         # index_select is several times faster than indexing with a tensor
-        start, count, of_map = self.goal.index_select(0, goal + 1).unbind(1)
+        start, count, of_map = self.goal.index_select(1, goal + 1)
         someone = goal >= 0
         number = row + 1
         wrong = (of_map != number) & someone
@@ -172,8 +165,8 @@ class Tables:
                 f"goal {int(goal[i])} was added for row {int(of_map[i]) - 1} of the bank, but person {i} is "
                 f"on row {int(row[i])} (-1: no map)"
             )
-        width, cells, opens = self.begin.index_select(0, number).unbind(1)
-        a, b, c, d, e, f, last_column, last_row, reach = self.to_cell.index_select(0, number).unbind(1)
+        width, cells, opens = self.begin.index_select(1, number)
+        a, b, c, d, e, f, last_column, last_row, reach = self.to_cell.index_select(1, number)
         x, y = points
         # half cells belong to the smaller one, as in OpenGraph.locate
         column = (a * x + b * y + (c - 0.5)).ceil().clamp_min(0).minimum(last_column).long()
@@ -185,7 +178,7 @@ class Tables:
         entry = start + first
         second, onward = self.waypoint.index_select(0, entry), self.length.index_select(0, entry)
         is_first, is_last = first == count, second == count
-        final = goal + (len(self.x) - len(self.goal) + 1)
+        final = goal + (len(self.x) - self.goal.shape[1] + 1)
         place = (
             torch.where(is_first, final, first + opens),
             torch.where(is_last, final, second + opens),
@@ -204,12 +197,3 @@ class Tables:
             after = torch.where(away, waypoint, after)
             waypoint = torch.where(away, nearest, waypoint)
         return Found(waypoint, after, end, onward, is_last)
-
-
-def _distances(maps: Sequence[OpenGraph | None]) -> Atlas:
-    far, nowhere = torch.tensor([_FAR]), np.zeros((2, 3))
-    images = [
-        torch.from_numpy(graph.distance).clamp(-far, far)[None] if graph else far.view(1, 1, 1)
-        for graph in maps
-    ]
-    return Atlas.stack(images, [graph.grid.map_to_cell() if graph else nowhere for graph in maps], far)

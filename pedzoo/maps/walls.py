@@ -93,6 +93,16 @@ class Walls:
         parts = {part.name: getattr(self, part.name) for part in fields(self)}
         return Walls(**{key: part if key == "limit" else part.to(device) for key, part in parts.items()})
 
+    def on_map(self, row: Tensor) -> LocalWalls:
+        """Return the walls as they lie on the maps ``row`` (N,) long, -1 for none, in single precision."""
+        row = row % self.place.shape[1]
+        xx, xy, yx, yy, x, y = self.affine
+        frame = torch.stack((xx, yx, xy, yy, x, y, self.side)).float()
+        return LocalWalls(self, frame.index_select(1, row), self._quarters(row))
+
+    def _quarters(self, row: Tensor) -> Quarters:
+        return Quarters(self, self.place.index_select(1, row))
+
     def around(self, row: Tensor, pose: Tensor) -> LocalWalls:
         """Return the walls as N entries see them, to be asked any number of times.
 
@@ -116,7 +126,40 @@ class Walls:
             shift_y - yx * home_x - yy * home_y,
             self.side.index_select(0, row),
         )
-        return LocalWalls(self, torch.stack(frame), self.place.index_select(1, row))
+        return LocalWalls(self, torch.stack(frame), self._quarters(row))
+
+
+@dataclass(frozen=True, eq=False)
+class Quarters:
+    """The quarters of cells that N entries are in, each on its map.
+
+    Attributes:
+        walls: Those of all maps.
+        place: Columns and rows of quarters, and where the map's begin (3, N) int32.
+    """
+
+    walls: Walls
+    place: Tensor
+
+    def rows(self, index: Tensor) -> Quarters:
+        """Return the quarters of some of the entries."""
+        return Quarters(self.walls, self.place.index_select(1, index))
+
+    def number(self, cells: Tensor) -> Tensor:
+        """Return the numbers (K, N) int32 of the quarters of positions (2, K, N) in half cells."""
+        column, row = cells.int().clamp(*self._ends)
+        return torch.addcmul(column.add_(self.place[2]), row, self.place[0])
+
+    def least(self, cells: Tensor) -> Tensor:
+        """Return how far from the nearest wall positions (2, K, N) in half cells are at least (K, N)."""
+        number = self.number(cells)
+        return self.walls.least.index_select(0, number.view(-1)).view(number.shape)
+
+    @cached_property
+    def _ends(self) -> tuple[Tensor, Tensor]:
+        """The first and last column and row, (2, 1, N) each."""
+        last = self.place[:2].unsqueeze(1) - 1
+        return torch.zeros_like(last), last
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +172,16 @@ class LocalWalls:
         walls: Those of all maps.
         frame: Scene positions in metres to half cells of the padded map: where the x axis points, where the
             y axis points, and the shift, two rows each; then the side of half a cell in metres (7, N).
-        place: Columns and rows of quarters, and where the map's begin (3, N) int32.
+        quarters: The map's quarters of cells.
     """
 
     walls: Walls
     frame: Tensor
-    place: Tensor
+    quarters: Quarters
 
     def rows(self, index: Tensor) -> LocalWalls:
         """Return the walls as some of the entries see them."""
-        return LocalWalls(self.walls, self.frame.index_select(1, index), self.place.index_select(1, index))
+        return LocalWalls(self.walls, self.frame.index_select(1, index), self.quarters.rows(index))
 
     def each(self, times: int) -> LocalWalls:
         """Return the walls with so many entries, one after the other, for each of the N."""
@@ -154,8 +197,12 @@ class LocalWalls:
         Args:
             points: Scene positions (2, K, N), metres.
         """
-        place = _placed(self.frame.float(), points)
-        return self.walls.least.index_select(0, self._quarter(place).view(-1)).view(place.shape[1:])
+        return self.quarters.least(self.cells(points))
+
+    def cells(self, points: Tensor) -> Tensor:
+        """Return where on their maps scene positions (2, K, N), metres, are: the same in half cells."""
+        x_axis, y_axis, shift = self.frame[:6].to(points.dtype).view(3, 2, 1, -1)
+        return torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
 
     @torch.no_grad()
     def within(self, path: Tensor, distance: float) -> Tensor:
@@ -205,8 +252,8 @@ class LocalWalls:
         Args:
             points: Scene positions (2, K, N) float64, metres.
         """
-        walls, side, place = self.walls, self.frame[6], _placed(self.frame, points)
-        index = self._quarter(place)
+        walls, side, place = self.walls, self.frame[6], self.cells(points)
+        index = self.quarters.number(place)
         shape = index.shape
         choice = walls.choice.index_select(0, index.view(-1))
         option = walls.option.index_select(1, choice).double()
@@ -228,21 +275,3 @@ class LocalWalls:
         axes = self.frame[:4].view(2, 2, 1, -1)
         away = (axes * (apart * (toward * side / depth))).sum(1)
         return distance.clamp_max(walls.limit) * sign, away
-
-    def _quarter(self, place: Tensor) -> Tensor:
-        """Return the numbers (K, N) of the quarters that positions (2, K, N) in half cells are in."""
-        first, last = self._ends
-        column, row = place.int().clamp(first, last)
-        return torch.addcmul(column.add_(self.place[2]), row, self.place[0])
-
-    @cached_property
-    def _ends(self) -> tuple[Tensor, Tensor]:
-        """Return the first and last column and row, (2, 1, N) each."""
-        last = self.place[:2].unsqueeze(1) - 1
-        return torch.zeros_like(last), last
-
-
-def _placed(frame: Tensor, points: Tensor) -> Tensor:
-    """Return where on their maps positions (2, K, N) are, in half cells."""
-    x_axis, y_axis, shift = frame[:6].view(3, 2, 1, -1)
-    return torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planar import columns
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
@@ -87,7 +88,7 @@ def _along_walls(path: Tensor, start: Tensor, move: Tensor, walls: LocalWalls, b
         least = walls.least((start + half).unsqueeze(1))[0]
         who = (least < torch.hypot(*half) + reach).nonzero()[:, 0]
         some = walls.rows(who)
-        stretches = path.index_select(2, who).unflatten(1, (-1, math.gcd(steps, _STRETCH)))
+        stretches = columns(path, who).unflatten(1, (-1, math.gcd(steps, _STRETCH)))
         touching = some.within(stretches, reach).any(0).nonzero()[:, 0]
         who, some = who[touching], some.rows(touching)
     if not len(who):

@@ -18,7 +18,7 @@ from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.scenario import Layout
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP
-from pedzoo.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 
 WarmStart = Literal["orca", "static", "recorded"]
 
@@ -55,10 +55,8 @@ def rolled(
     map_id, poses = layout.map_id.repeat_interleave(agents), pose.repeat_interleave(agents, 0)
     trace = [position.unsqueeze(2)]
     for _ in range(OBS_LEN - 1):
-        guidance = planner.guide(
-            position.flatten(0, 1), goal.flatten(), map_id, poses, layout.pref_speed.flatten(), AHEAD_SECONDS
-        )
-        wanted = guidance.desired_velocity.view(scenes, agents, 2)
+        direction = planner.direction(position.flatten(0, 1), goal.flatten(), map_id, poses)
+        wanted = direction.view(scenes, agents, 2) * layout.pref_speed.unsqueeze(2)
         near = walls.near(position.flatten(0, 1), map_id, poses, ORCA.wall_reach(top_speed).flatten())
         action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near)
         action = limit_speed(action, top_speed)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planar import columns
 from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.near import farthest, near_pairs
@@ -66,7 +67,7 @@ class GridWorld(World):
         present = people.mask & far.isfinite()
         pairs = near_pairs(middle.t().unflatten(0, far.shape), present, far, 2 * self.body_radius)
         first, second = pairs.places(far.shape[1])
-        apart = planes.index_select(3, first) - planes.index_select(3, second)
+        apart = columns(planes, first) - columns(planes, second)
         hit = (apart.square().sum(0) < (2 * self.body_radius) ** 2).any(1)
         agent = torch.zeros(planes.shape[1::2], dtype=torch.bool, device=path.device)
         point, pair = hit.nonzero(as_tuple=True)
@@ -91,7 +92,7 @@ class GridWorld(World):
             walls = self.bank.walls_around(people.map_id[:, 0], people.pose).each(people.mask.shape[1])
             near = present & (walls.least(middle.unsqueeze(1))[0] < far + self.body_radius)
             who = near.nonzero()[:, 0]
-            hit = walls.rows(who).within(path.index_select(3, who), self.body_radius)
+            hit = walls.rows(who).within(columns(path, who), self.body_radius)
             touching.index_copy_(1, who, hit)
         return touching
 
