@@ -31,7 +31,10 @@ def run(argv: list[str]) -> int:
         "policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model, one row each."
     )
     parser.add_argument(
-        "--scenario", type=str, default="door", help="door:width=0.9,people=4 or goals:map=FILE."
+        "--scenario",
+        type=str,
+        default="door",
+        help="door:width=0.9,people=4 or goals:map=apartment.7 (or a file).",
     )
     parser.add_argument(
         "--world", type=Literal["bullet", "grid"], default="bullet", help="pybullet, or torch alone (faster)."

@@ -101,8 +101,11 @@ def furnish(dice: Dice, room: Room, doors: Sequence[Door], furnished: float) -> 
     area = sum(part.area for part in room.parts)
     for kind in CATALOGUE[room.use]:
         for _ in range(max(1, round(area / kind.every))):
-            if dice.chance(kind.chance * furnished):
-                any(floor.put(group) for group in _places(dice, room, kind))
+            if not dice.chance(kind.chance * furnished):
+                continue
+            for group in _places(dice, room, kind):
+                if floor.put(group):
+                    break
     return floor.pieces
 
 
