@@ -104,7 +104,8 @@ def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
             ring.set(fill=False, edgecolor=color, linewidth=1.1, zorder=4)
             axes.add_patch(ring)
     about = fill(SCENARIOS.describe(parse(name).name), 54, max_lines=2)
-    axes.text(0, 1.19, name, transform=axes.transAxes, va="bottom", fontsize=11, fontweight="bold")
+    size = 11 if len(name) < 20 else 7.5
+    axes.text(0, 1.19, name, transform=axes.transAxes, va="bottom", fontsize=size, fontweight="bold")
     axes.text(
         1, 1.19, crowd(env), transform=axes.transAxes, ha="right", va="bottom", fontsize=8, color="0.35"
     )
@@ -139,15 +140,16 @@ def frame(axes: Axes, low: torch.Tensor, high: torch.Tensor, open_space: bool) -
 
 def legend(episodes: int) -> list[Line2D]:
     """Return what the marks mean."""
-    return [
+    marks = [
         Line2D([], [], color="tab:blue", marker="o", linestyle="none", label="when the episode begins"),
         Line2D([], [], color="tab:blue", linewidth=2, label="2.8 s before"),
         Line2D([], [], color="tab:blue", linewidth=0.8, linestyle=(0, (3, 2)), label="way to the goal"),
         Line2D([], [], color="tab:blue", marker="o", markersize=9, markerfacecolor="none", linestyle="none",
                label="goal (0.3 m)"),
-        Line2D([], [], color="tab:blue", alpha=0.25, linewidth=2, label=f"{episodes - 1} more episodes"),
         Line2D([], [], color="0.45", marker="s", markersize=8, linestyle="none", label="wall"),
+        Line2D([], [], color="tab:blue", alpha=0.25, linewidth=2, label=f"{episodes - 1} more episodes"),
     ]  # fmt: skip
+    return marks if episodes > 1 else marks[:-1]
 
 
 if __name__ == "__main__":
