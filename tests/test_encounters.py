@@ -172,7 +172,7 @@ def test_the_fast_overtake_the_slow(people: int) -> None:
     assert (slowest >= 1.5 * fastest - 1e-5).all()
     front = x.masked_fill(slow, -99).amax(1)
     assert (x.masked_fill(~slow, 99).amin(1) > front + 0.5).all()
-    result = walked(f"overtaking:people={people},speed_ratio=1.5", policy="orca:radius=0.2")
+    result = walked(f"overtaking:people={people},speed_ratio=1.5", policy="orca:radius=0.2,dt=0.4")
     seconds = finish_seconds(result.reached, result.goals)
     assert (seconds.masked_fill(slow, 0).mean(1) < seconds.masked_fill(~slow, 0).mean(1)).all()
 

@@ -66,7 +66,13 @@ def main() -> None:
         grid.append(figure.add_axes(place))
     for axes, name in zip(grid, names, strict=False):
         panel(axes, name, make_env(name, num_envs=options.episodes, seed=options.seed))
-    figure.legend(handles=legend(options.episodes), loc="lower center", ncols=6, frameon=False, fontsize=9)
+    figure.legend(
+        handles=legend(options.episodes),
+        loc="lower center",
+        ncols=6,
+        frameon=False,
+        fontsize=min(9, 3 * columns),
+    )
     data = BytesIO()
     figure.savefig(data, format=options.out.suffix[1:] or "png", dpi=110)
     write_whole(options.out, data.getvalue())

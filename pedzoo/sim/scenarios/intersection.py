@@ -61,9 +61,8 @@ class Intersection(Encounter):
         self.lanes = []
         for arm in range(min(arms, people)):
             mine = people // arms + (arm < people % arms)
-            self.lanes += [
-                _turning(lane) for lane in abreast(mine, HEADINGS[arm], lanes_in(width), self._beyond)
-            ]
+            straight = abreast(mine, HEADINGS[arm], lanes_in(width), self._beyond)
+            self.lanes += [_turning(lane) for lane in straight] if turn else straight
 
     @property
     def _beyond(self) -> float:
