@@ -128,6 +128,7 @@ def report(*rows: Row, **changes: Any) -> dict[str, Any]:
         "protocol": {"threads": 1, "device": "cpu", "clock": "processor time", "quick": False},
         "machine": {"cpu": "fast", "cores": 2, "system": "Linux"},
         "versions": {"pedzoo": "0.1.0", "commit": "a", "torch": "2.13"},
+        "yardstick_ms": {"loop": 10.0},
         "rows": [row.as_json() for row in rows],
     } | changes
 
@@ -164,15 +165,25 @@ def test_only_ratios_are_compared_between_machines(part: str, key: str, value: A
 
 
 def test_other_versions_and_protocols_are_told() -> None:
-    new = report(made(1.5), versions={"torch": "2.14", "pyrvo": "0.4.3"})
+    new = report(made(1.5), versions={"torch": "2.14", "pyrvo": "0.4.3"})  # a peer that was not there before
     new["protocol"] = new["protocol"] | {"quick": True}
     found = compare(report(made(1.5)), new)
     assert found.warnings == [
         "measured with quick False then, True now",
-        "another pyrvo: absent then, 0.4.3 now",
         "another torch: 2.13 then, 2.14 now",
     ]
     assert len(found.changes) == 3
+
+
+def test_what_the_machine_did_itself_is_not_marked() -> None:
+    """A fixed job took 1.4 times as long: so do all times, and only what is slower than that has changed."""
+    old = report(made(1.5, 10.0), made(1.5, 10.0, name="jump"))
+    new = report(made(1.5, 14.4), made(1.2, 16.0, name="jump"), yardstick_ms={"loop": 14.0})
+    found = compare(old, new)
+    assert "loop: the machine itself was 1.40 times as slow now" in found.warnings[-1]
+    marks = [change.mark for change in found.changes]
+    assert marks == ["", "", "more", "slower", "slower", "more"]
+    assert not compare(report(made(1.5)), report(made(1.5), yardstick_ms={"orca": 99.0})).warnings
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"rows": [{}]}', '{"command": "forecast", "rows": []}'])

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from pedzoo.bench.figures import Row
-from pedzoo.bench.machine import load, machine
+from pedzoo.bench.machine import load, machine, yardstick
 from pedzoo.bench.section import NotGivenError, Section, Settings
 from pedzoo.errors import UserError
 from pedzoo.registry import BENCHMARKS
@@ -41,6 +41,7 @@ class Run:
         self.rows: list[Row] = []
         self.skipped: dict[str, str] = {}
         self._load = [load()]
+        self._yardstick: dict[str, float] = {}
 
     def go(self, tell: Callable[[Row], None]) -> None:
         """Measure everything; ``tell`` gets every row when it is known.
@@ -53,10 +54,12 @@ class Run:
         torch.set_num_threads(self.settings.threads)
         try:
             for name, section in self._sections.items():
+                before_it = yardstick(self.settings.clock)
                 try:
                     for row in section.rows():
                         self.rows.append(row)
                         tell(row)
+                    self._yardstick[name] = (before_it + yardstick(self.settings.clock)) / 2
                 except NotGivenError as error:
                     if self._asked:
                         raise
@@ -87,6 +90,7 @@ class Run:
             "protocol": protocol,
             "machine": machine() | {"load_before": self._load[0], "load_after": self._load[-1]},
             "versions": versions() | peers,
+            "yardstick_ms": self._yardstick,
             "skipped": self.skipped,
             "rows": [row.as_json() for row in self.rows],
         }
