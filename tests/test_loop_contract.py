@@ -175,7 +175,9 @@ def test_deadlines_lie_between_decisions_too(deadline: float, late: bool) -> Non
     now: Any = env.reset()
     goal = env.state.goal_point
     past = (goal - torch.tensor([GOAL_RADIUS + 0.2 * 1.3 - 0.02, 0.0])).unsqueeze(2).expand(1, 1, 29, 2)
-    env._state = env.state._replace(past=past, deadline=torch.tensor([[deadline]]))
+    begun = env.state._replace(past=past, deadline=torch.tensor([[deadline]]))
+    assert env._scenes is not None
+    env._scenes = env._scenes._replace(state=begun)
     now["agents", "action"] = torch.tensor([[[1.3, 0.0]]])
     after = env.step(now)["next"]
     assert after["agents", "info", "reached"][0, 0].tolist() == [0, 1, 1, 1]

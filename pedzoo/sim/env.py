@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -23,6 +23,23 @@ from pedzoo.sim.state import State
 from pedzoo.sim.warm_start import WarmStart
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+
+
+class _Scenes(NamedTuple):
+    """What B scenes are like, and what the planner says in them."""
+
+    state: State
+    guidance: Guidance
+
+    def rows(self, index: Tensor) -> _Scenes:
+        """Return some of the scenes."""
+        return _Scenes(self.state.rows(index), Guidance(*(value[index] for value in self.guidance)))
+
+    def with_rows(self, index: Tensor, other: _Scenes) -> _Scenes:
+        """Return the scenes with those at ``index`` replaced."""
+        told = zip(self.guidance, other.guidance, strict=True)
+        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in told))
+        return _Scenes(self.state.with_rows(index, other.state), guidance)
 
 
 class PedestrianEnv(EnvBase):
@@ -87,8 +104,7 @@ class PedestrianEnv(EnvBase):
         self._episodes = Episodes(scenario, warm_start, fine, body_radius)
         self._simulation = Simulation(scenario, world, trace_points, fine, body_radius)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
-        self._state: State | None = None
-        self._guidance: Guidance
+        self._scenes: _Scenes | None = None
         self._set_seed(seed)
         self.observation_spec = specs.observation(num_envs, agents, trace_points)
         self.action_spec = specs.action(num_envs, agents)
@@ -107,41 +123,37 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: `reset` was never called.
         """
-        if self._state is None:
+        if self._scenes is None:
             raise UserError("the environment has no scenes yet: call reset() first")
-        return self._state
+        return self._scenes.state
 
     def _set_seed(self, seed: int | None) -> None:
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
-        self._ahead: State | None = None
+        self._ahead: _Scenes | None = None
         self._used = torch.ones(self.batch_size[0], dtype=torch.bool)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
         everybody = torch.arange(self.batch_size[0])
-        if flags is None or self._state is None or bool(flags.all()):
-            self._state = self._next(everybody)
-            self._guidance = self._simulation.guide(self._state)
+        if flags is None or self._scenes is None or bool(flags.all()):
+            self._scenes = self._next(everybody)
         elif bool(flags.any()):
             rows = flags.view(-1).nonzero().view(-1)
-            fresh = self._next(rows)
-            told = zip(self._guidance, self._simulation.guide(fresh), strict=True)
-            self._guidance = Guidance(*(old.index_copy(0, rows, new) for old, new in told))
-            self._state = self._state.with_rows(rows, fresh)
-        return self._observation(self._state, self._guidance)
+            self._scenes = self._scenes.with_rows(rows, self._next(rows))
+        return self._observation(*self._scenes)
 
     def _reset_proc_data(
         self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        """Take what `_reset` returns as it is: all rows are there, and TorchRL would pick some, key by key."""
+        """Take what `_reset` returns as it is: all rows are in it; TorchRL would pick some, key by key."""
         if tensordict is None:
             return super()._reset_proc_data(tensordict, tensordict_reset)
         self._complete_done(self.full_done_spec, tensordict_reset)
         self._reset_check_done(tensordict, tensordict_reset)
         return tensordict.exclude("_reset", inplace=True).update(tensordict_reset)
 
-    def _next(self, rows: Tensor) -> State:
+    def _next(self, rows: Tensor) -> _Scenes:
         """Return the next episodes of some rows.
 
         A warm start costs as much for one scene as for a hundred. So when a row asks for an episode that is
@@ -157,17 +169,18 @@ class PedestrianEnv(EnvBase):
         self._used = self._used.index_fill(0, rows, True)
         return self._ahead.rows(rows)
 
-    def _begin(self, rows: Tensor) -> State:
+    def _begin(self, rows: Tensor) -> _Scenes:
         key = Draws.of(self._seed, self._number[rows]).key
         self._number = self._number.index_add(0, rows, torch.full_like(rows, self._stride))
-        return self._episodes.begin(key)
+        state = self._episodes.begin(key)
+        return _Scenes(state, self._simulation.guide(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state
         after, guidance, outcome = self._simulation.step(before, tensordict["agents", "action"])
         if bool((after.failed & ~before.failed).any()):
             self._warn(tensordict["agents", "action"], before, after)
-        self._state, self._guidance = after, guidance
+        self._scenes = _Scenes(after, guidance)
         result = self._observation(after, guidance, outcome)
         result["agents", "reward"] = outcome.reward.unsqueeze(-1)
         result["terminated"] = outcome.terminated.unsqueeze(1)
