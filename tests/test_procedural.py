@@ -187,6 +187,12 @@ def test_furniture_and_resolution_leave_the_rooms_as_they_are(kind: str) -> None
     assert fine.size == full.size and is_connected(fine.grid, 0.25)
 
 
+def test_a_grid_that_is_too_fine_for_a_plan_is_refused() -> None:
+    # two of its 1 cm cells keep 0.25 m from what is all around them
+    with pytest.raises(UserError, match=r"apartment.105: at resolution 0.01 some cells are cut off"):
+        generate("apartment", 105, resolution=0.01)
+
+
 @pytest.mark.parametrize(
     ("kind", "size"),
     [
@@ -212,7 +218,7 @@ def test_sizes_and_narrow_and_wide_doors(kind: str, size: tuple[float, float]) -
     [
         ("apartmnt", {}, "unknown kind of floor plan 'apartmnt': did you mean 'apartment'"),
         ("office", {"seed": -1}, "seed -1: expected a whole number"),
-        ("office", {"seed": 1.5}, r"seed 1.5: expected a whole number"),
+        ("office", {"seed": 1.5}, "seed 1.5: expected a whole number"),
         ("apartment", {"size": (6, 9)}, r"size \(6, 9\): expected width and height from 7 to 16 m"),
         ("office", {"size": (20,)}, "expected width and height from 12 to 60"),
         ("office", {"furnished": 1.5}, r"furnished 1.5: expected 0 \(bare\) to 1"),

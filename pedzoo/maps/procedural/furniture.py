@@ -12,9 +12,12 @@ from pedzoo.maps.procedural.catalogue import CATALOGUE, Kind, desks
 from pedzoo.maps.procedural.dice import Dice
 from pedzoo.maps.procedural.shapes import Door, Rect, Room, units
 
-CLEARANCES = (units(0.25), units(0.3))
-"""Units from walls at which the free space of a room is one piece: the planner's clearance, and a little
-more, so that grids of other resolutions agree."""
+CLEARANCE = 0.25
+"""Metres from walls at which the free space of a room is one piece: the planner's."""
+
+_LAYERS = ((1, CLEARANCE), (1, 0.3), (2, CLEARANCE))
+"""Grids on which that is looked at: cells per unit, and metres from walls. A finer grid has cells whose
+centres keep a clearance where the coarser one has none: places that might be cut off."""
 
 BEFORE_DOORS = units(0.9)
 """Units that are kept free on both sides of a door."""
@@ -44,10 +47,12 @@ class RoomFloor:
         self._keep = [door.ahead(BEFORE_DOORS) for door in doors]
         around = room.box.grown(_BEYOND + 4, _BEYOND + 4)
         self._low = around.x0, around.y0
-        solid = np.ones((around.height, around.width), dtype=np.uint8)
-        for rect in (*room.parts, *(door.ahead(_BEYOND) for door in doors)):
-            solid[self._slices(rect)] = 0
-        self._open = [_eroded(solid, clearance) for clearance in CLEARANCES]
+        self._open: list[NDArray[np.uint8]] = []
+        for fine, clearance in _LAYERS:
+            solid = np.ones((around.height * fine, around.width * fine), dtype=np.uint8)
+            for rect in (*room.parts, *(door.ahead(_BEYOND) for door in doors)):
+                solid[self._slices(rect, fine)] = 0
+            self._open.append(_eroded(solid, fine * units(clearance)))
 
     def connected(self) -> bool:
         """Whether the open space is one piece, its doors included."""
@@ -63,23 +68,24 @@ class RoomFloor:
             if any(rect.overlaps(piece.rect) for piece in self.pieces):
                 return False
         after = [part.copy() for part in self._open]
-        for _, rect in pieces:
-            for part, clearance in zip(after, CLEARANCES, strict=True):
-                self._close(part, rect, clearance)
+        for part, (fine, clearance) in zip(after, _LAYERS, strict=True):
+            cells = units(clearance)
+            for _, rect in pieces:
+                # the rectangle grown by the clearance, with rounded corners
+                region = part[self._slices(rect.grown(cells, cells), fine)]
+                region &= _outside(rect.width * fine, rect.height * fine, cells * fine)
         if not all(_is_one(part) for part in after):
             return False
         self._open = after
         self.pieces += pieces
         return True
 
-    def _slices(self, rect: Rect) -> tuple[slice, slice]:
+    def _slices(self, rect: Rect, fine: int) -> tuple[slice, slice]:
         x, y = self._low
-        return slice(rect.y0 - y, rect.y1 - y), slice(rect.x0 - x, rect.x1 - x)
-
-    def _close(self, part: NDArray[np.uint8], rect: Rect, clearance: int) -> None:
-        """Close what is nearer than ``clearance`` to a rectangle: the rectangle with rounded corners."""
-        region = part[self._slices(rect.grown(clearance, clearance))]
-        region &= _outside(rect.width, rect.height, clearance)
+        return (
+            slice((rect.y0 - y) * fine, (rect.y1 - y) * fine),
+            slice((rect.x0 - x) * fine, (rect.x1 - x) * fine),
+        )
 
 
 def furnish(dice: Dice, room: Room, doors: Sequence[Door], furnished: float) -> list[Piece] | None:

@@ -13,7 +13,7 @@ from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.maps.procedural import apartment, office
 from pedzoo.maps.procedural.dice import Dice
 from pedzoo.maps.procedural.doors import draw_doors
-from pedzoo.maps.procedural.furniture import CLEARANCES, Piece, furnish
+from pedzoo.maps.procedural.furniture import CLEARANCE, Piece, furnish
 from pedzoo.maps.procedural.shapes import UNIT, Door, Rect, Room, placed, units
 
 KINDS: dict[str, ModuleType] = {"apartment": apartment, "office": office}
@@ -96,11 +96,13 @@ def generate(
         doors: Least and largest width of a door, metres, within 0.7 to 1.5.
 
     Raises:
-        UserError: A setting is out of range, or no plan was found for the size.
+        UserError: A setting is out of range, no plan was found for the size, or at a fine resolution some
+            cells are cut off from all others.
     """
     if kind not in KINDS:
         raise unknown("kind of floor plan", kind, KINDS)
     refine = _checked(kind, seed, size, resolution, furnished, doors)
+    seed = int(seed)
     width, height = (units(side) for side in size or KINDS[kind].draw_size(Dice(seed, kind, "size")))
     for attempt in range(_ATTEMPTS):
         found = _attempt(kind, (seed, kind, attempt), (width, height), furnished, doors)
@@ -113,9 +115,17 @@ def generate(
         for _, rect in pieces:
             cells[rect.y0 : rect.y1, rect.x0 : rect.x1] = OCCUPIED
         name = f"{kind}.{seed}" if furnished else f"{kind}.{seed}.bare"
-        grid = OccupancyGrid(cells.repeat(refine, 0).repeat(refine, 1), resolution, name=name)
-        if is_connected(grid, CLEARANCES[0] * UNIT):
-            return FloorPlan(kind, seed, grid, tuple(rooms), tuple(openings), tuple(pieces))
+        grid = OccupancyGrid(cells, UNIT, name=name)
+        if not is_connected(grid, CLEARANCE):
+            continue
+        if refine > 1:
+            grid = OccupancyGrid(cells.repeat(refine, 0).repeat(refine, 1), resolution, name=name)
+            if not is_connected(grid, CLEARANCE):
+                raise UserError(
+                    f"{name}: at resolution {resolution:g} some cells are cut off from all others: give "
+                    f"another seed, or resolution {UNIT:g}"
+                )
+        return FloorPlan(kind, seed, grid, tuple(rooms), tuple(openings), tuple(pieces))
     raise UserError(
         f"{kind} {seed} of {width * UNIT:g} x {height * UNIT:g} m: no plan found in {_ATTEMPTS} attempts: "
         "give another seed, or another size"
@@ -175,7 +185,7 @@ def _checked(
     Raises:
         UserError: A setting is out of range.
     """
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise UserError(f"{kind}: seed {seed!r}: expected a whole number of at least 0")
     low, high = KINDS[kind].SIDES
     if size is not None and (len(size) != 2 or not all(low <= side <= high for side in size)):
