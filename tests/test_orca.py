@@ -276,7 +276,7 @@ def test_a_wall_by_hand() -> None:
     position = torch.tensor([[[10.0, 2.0]], [[10.0, 1.1]], [[10.0, 3.5]]])
     preferred = torch.tensor([1.0, -1.0]).expand(3, 1, 2)
     near = walls.near(position[:, 0], ids.expand(3), identity_pose(3), 3.6)
-    lines = wall_lines(near, position[:, 0].T, torch.zeros(2, 3), SETTINGS)
+    lines = wall_lines(near, torch.zeros(2, 3), SETTINGS)
     # 0.8 m to the disk's edge in 2 s: at most 0.4 m/s towards the wall; in touch: none
     assert lines[1:, 0, 0].tolist() == pytest.approx([-0.4, 1, 0], abs=1e-5)
     assert lines[:, 0, 1].tolist() == pytest.approx([0, 0, 1, 0], abs=1e-5)

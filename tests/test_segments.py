@@ -100,10 +100,20 @@ def brute_force(walls: WallSegments, grid: OccupancyGrid, point: Tensor, pose: T
     return sorted(found, key=lambda one: one[0])
 
 
-def distances(near: Segments, points: Tensor) -> Tensor:
-    way, off = near.end - near.start, points.T[:, None] - near.start
-    t = ((off * way).sum(0) / (way * way).sum(0)).clamp(0, 1)
-    return (off - t * way).norm(dim=0)
+def turned_left(direction: Tensor) -> Tensor:
+    return torch.stack((-direction[1], direction[0]))
+
+
+def ends(near: Segments, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where segments start and end (2, K, N), as the bank's polygons do where nothing is mirrored."""
+    ahead = near.side * turned_left(near.direction)
+    start = points.T[:, None] - near.along * near.direction + near.apart * ahead
+    return start, start + near.length * near.direction
+
+
+def distances(near: Segments) -> Tensor:
+    beyond = near.along - near.along.minimum(near.length).clamp_min(0)
+    return torch.hypot(beyond, near.apart)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0])
@@ -122,17 +132,18 @@ def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(tolerance: 
     reach = 0.5 + 2 * torch.rand(count)
     ids = torch.tensor([grid.map_id for grid in grids])[which]
     near = walls.near(points, ids, pose, reach)
-    assert near.valid.any(0).float().mean() > 0.5
+    assert near.valid.amax(0).mean() > 0.5
     for i in range(count):
         expected = brute_force(walls, grids[int(which[i])], points[i], pose[i], float(reach[i]))[:6]
-        valid = near.valid[:, i]
+        valid = near.valid[:, i] > 0
         assert valid.tolist() == [True] * len(expected) + [False] * (len(valid) - len(expected))
-        found = distances(near, points)[valid, i]
+        found = distances(near)[valid, i]
         assert found.tolist() == pytest.approx([one[0] for one in expected], abs=1e-5)
-        ends = {tuple(torch.cat(one[1:]).mul(100).round().int().tolist()) for one in expected[:-1]}
-        mine = torch.cat((near.start, near.end))[:, valid, i].T.mul(100).round().int()
+        wanted = {tuple(torch.cat(one[1:]).mul(100).round().int().tolist()) for one in expected[:-1]}
+        both = ends(near, points)
+        mine = torch.cat(both if pose[i, 1] > 0 else both[::-1])[:, valid, i].T.mul(100).round().int()
         # the last one may be one of several at the same distance
-        assert len(ends - {tuple(one) for one in mine.tolist()}) <= 1
+        assert len(wanted - {tuple(one) for one in mine.tolist()}) <= 1
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
@@ -144,17 +155,21 @@ def test_walls_are_on_the_left_and_neighbours_fit(mirror: float) -> None:
     near = WallSegments(bank, 0.0, most=500).near(
         move_to_scene(middle, pose), torch.tensor([grid.map_id]), pose, 30.0
     )
-    start, end, direction, before, after, convex, valid = (part[..., 0] for part in near)
+    start, end = (part[..., 0] for part in ends(near, move_to_scene(middle, pose)))
+    direction, valid = near.direction[..., 0], near.valid[..., 0]
     assert valid.sum() > 50
     torch.testing.assert_close(direction, (end - start) / (end - start).norm(dim=0))
-    left = torch.stack((-direction[1], direction[0]))
+    wall = mirror * turned_left(direction)
     ids, poses = torch.full((len(valid),), grid.map_id), pose.expand(len(valid), 4)
-    for side, sign in ((left, -1), (-left, 1)):
+    for side, sign in ((wall, -1), (-wall, 1)):
         beside = start + 0.25 * direction + 0.2 * side
         assert (sign * bank.signed_distance(beside.T, ids, poses) > 0).all()
-    for corner, turn in ((0, (before, direction)), (1, (direction, after))):
-        a, b = turn
-        assert torch.equal(a[0] * b[1] - a[1] * b[0] > 0, convex[corner])
+    for corner, place, along in ((0, start, direction), (1, end, -direction)):
+        x, y = near.neighbor[:, corner, :, 0]
+        beside = place + 0.25 * (x * along + y * wall)
+        on_border = bank.signed_distance(beside.T, ids, poses).abs() < 1e-4
+        assert on_border.float().mean() > 0.9  # all but those along the border of the map
+        assert torch.equal(near.convex[corner, :, 0] > 0, y >= 0)
 
 
 def test_only_so_many_and_only_in_reach() -> None:
@@ -162,9 +177,9 @@ def test_only_so_many_and_only_in_reach() -> None:
     walls = WallSegments(MapBank([grid]), most=3)
     at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
     assert walls.near(*at, 5.0).valid.sum() == 3
-    assert walls.near(*at, 1e-3).start.shape[1] == 0
+    assert walls.near(*at, 1e-3).valid.shape == (0, 1)
     everything = WallSegments(MapBank([grid]), most=100).near(*at, 5.0)
-    assert torch.equal(walls.near(*at, 5.0).start, everything.nearest(3).start)
+    assert torch.equal(walls.near(*at, 5.0).along, everything.nearest(3).along)
 
 
 def test_a_longer_reach_than_before_finds_what_a_new_look_up_finds() -> None:
@@ -173,7 +188,7 @@ def test_a_longer_reach_than_before_finds_what_a_new_look_up_finds() -> None:
     used = WallSegments(MapBank([grid]), most=100)
     used.near(*at, 0.5)
     fresh = WallSegments(MapBank([grid]), most=100)
-    assert torch.equal(used.near(*at, 6.0).start, fresh.near(*at, 6.0).start)
+    assert torch.equal(used.near(*at, 6.0).along, fresh.near(*at, 6.0).along)
 
 
 def test_people_without_walls() -> None:
@@ -183,12 +198,12 @@ def test_people_without_walls() -> None:
     points = torch.tensor([[6.0, 3.0], [6.0, 3.0], [1e4, -1e4], [math.nan, 0.0], [6.0, 3.0]])
     ids = torch.tensor([-1, empty.map_id, grid.map_id, grid.map_id, grid.map_id])
     near = walls.near(points, ids, identity_pose(5), 2.0)
-    assert near.valid.any(0).tolist() == [False, False, False, False, True]
+    assert (near.valid > 0).any(0).tolist() == [False, False, False, False, True]
     for bank in (MapBank(), MapBank([grid])):
         alone = WallSegments(bank).near(points[:1], torch.tensor([-1]), identity_pose(1), 2.0)
-        assert alone.start.shape == (2, 0, 1)
+        assert alone.direction.shape == (2, 0, 1)
         nobody = WallSegments(bank).near(points[:0], ids[:0], identity_pose(0), 2.0)
-        assert nobody.start.shape == (2, 0, 0)
+        assert nobody.direction.shape == (2, 0, 0)
 
 
 def test_a_map_of_another_bank_is_an_error() -> None:
@@ -201,5 +216,5 @@ def test_people_selected_keep_their_segments() -> None:
     points = torch.tensor([[6.0, 3.0], [5.0, 2.0], [7.0, 1.0]])
     near = WallSegments(MapBank([grid])).near(points, torch.full((3,), grid.map_id), identity_pose(3), 2.0)
     some = near.select(torch.tensor([2, 0]))
-    assert torch.equal(some.start, near.start[..., [2, 0]])
+    assert torch.equal(some.direction, near.direction[..., [2, 0]])
     assert torch.equal(some.valid, near.valid[:, [2, 0]])

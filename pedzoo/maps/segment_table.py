@@ -23,28 +23,41 @@ NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1]])
 """Stands for no segment; it could be one, so that whoever computes with it gets numbers."""
 
 
+_PLACE = (1 << 31) - 1
+"""The bits of a key that tell which candidate it is of."""
+
+_ROUNDED = -1 << 7
+"""The bits of a distance that count."""
+
+_AT_ONCE = 1 << 21
+"""Candidates, of all people together, that are looked at at once: about 100 MB."""
+
+_FAR = 1e30
+"""Squared metres: nobody comes so far."""
+
+
 @dataclass(frozen=True, eq=False)
 class SegmentTable:
     """All segments of R maps, and which of them can matter in each bucket; row -1 means "no map".
 
+    What is seen from a segment is in its own frame: x along it, y to its left, where the wall is.
+
     Attributes:
-        segments: In the maps' frames (12, S + 1): start, end, unit direction, directions of the segments
-            before and after, and whether the corners at start and end are convex (1 or 0). The last one
-            stands for none.
-        candidates: Numbers of segments, bucket after bucket (C,) long.
-        offset: Where each bucket's candidates begin (buckets + 1,) long.
-        first: Number of each map's first bucket (R + 1,) long.
-        low: Smallest x and y of each map's buckets (R + 1, 2), metres.
-        size: How many buckets lie along x and y (R + 1, 2) long.
+        segments: Of each (11, S + 1): start and unit direction in the map's frame; length; unit direction of
+            the segment before, backwards, and of the one after, their x turned round so that both lead away
+            from it to the left; whether its corners are convex (1 or 0). The last one stands for none.
+        candidates: Numbers of segments, bucket after bucket, and as many more as a bucket has at most.
+        offset: Where each bucket's candidates begin (buckets + 2,) long; the last bucket is empty.
+        corner: Smallest x and y of each map's buckets (2, R + 1), metres.
+        buckets: Number of each map's first bucket, and how many lie along x and y (3, R + 1) long.
         reach: Metres up to which the candidates are complete.
     """
 
     segments: Tensor
     candidates: Tensor
     offset: Tensor
-    first: Tensor
-    low: Tensor
-    size: Tensor
+    corner: Tensor
+    buckets: Tensor
     reach: float
 
     @classmethod
@@ -52,86 +65,120 @@ class SegmentTable:
         """Return the table of the segments of each map.
 
         Args:
-            maps: For each map its segments (S, 12), in its frame.
+            maps: For each map its segments (S, 12), in its frame: start, end, unit direction, directions of
+                the segments before and after, whether the corners at start and end are convex.
             reach: Metres up to which people ask for segments.
             most: How many segments one person gets.
         """
-        lists, counts, lows, sizes = [], [], [], []
-        for own in maps:
+        lists, counts, lows, sizes = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [], []
+        for number, own in enumerate(maps):
             low = own[:, :2].min(0, initial=math.inf) - reach if len(own) else np.zeros(2)
             high = own[:, :2].max(0, initial=-math.inf) + reach if len(own) else np.zeros(2)
             size = np.ceil((high - low) / BUCKET).astype(np.int64)
             found, count = _bucket_lists(own, low, size, reach, most)
-            lists.append(found + sum(map(len, maps[: len(lists)])))
+            lists.append(found + sum(map(len, maps[:number])))
             counts.append(count)
             lows.append(low)
             sizes.append(size)
-        first = np.cumsum([0, *(len(count) for count in counts)])
-        offset = np.cumsum(np.concatenate([[0], *counts]))
+        count = np.concatenate(counts)
+        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
+        spare = np.full(count.max(initial=0), segments.shape[1] - 1)
+        first = np.cumsum([0, *(len(count) for count in counts[1:])])
         return cls(
-            segments=torch.as_tensor(np.concatenate([*maps, NOWHERE]).T.copy()),
-            candidates=torch.as_tensor(np.concatenate([np.zeros(0, np.int64), *lists]), dtype=torch.long),
-            offset=torch.as_tensor(offset, dtype=torch.long),
-            first=torch.as_tensor(first),
-            low=torch.as_tensor(np.array([*lows, np.zeros(2)])),
-            size=torch.as_tensor(np.array([*sizes, np.zeros(2)]), dtype=torch.long),
+            segments=torch.as_tensor(segments),
+            candidates=torch.as_tensor(np.concatenate([*lists, spare]), dtype=torch.long),
+            offset=torch.as_tensor(np.cumsum(np.concatenate([[0], count, [0]])), dtype=torch.long),
+            corner=torch.as_tensor(np.array([*lows, np.zeros(2)]).T.copy()),
+            buckets=torch.as_tensor(np.column_stack((first, [*sizes, np.zeros(2)])).T.copy()).long(),
             reach=reach,
         )
 
-    @property
-    def none(self) -> int:
-        """Number of the segment that stands for none."""
-        return self.segments.shape[1] - 1
-
     def to(self, device: torch.device, dtype: torch.dtype) -> SegmentTable:
         """Return the table for people on a device whose positions are of a dtype."""
-        whole = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "first", "size")}
+        whole = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "buckets")}
         return replace(
-            self, **whole, segments=self.segments.to(device, dtype), low=self.low.to(device, dtype)
+            self, **whole, segments=self.segments.to(device, dtype), corner=self.corner.to(device, dtype)
         )
 
-    def look(self, place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return pairs (M,) of people and segments that they are outside of and within reach of.
+    def nearest(self, place: Tensor, row: Tensor, reach: Tensor, most: int) -> tuple[Tensor, Tensor]:
+        """Return the nearest segments that people are outside of and within reach of, nearest first.
 
         Args:
-            place: Positions in the maps' frames (N, 2), metres.
+            place: Positions in the maps' frames (2, N), metres.
             row: Which map (N,) long, -1 for none.
             reach: Metres (N,), at most the table's.
+            most: So many at most.
 
         Returns:
-            Numbers of people, ascending, of segments, and their squared distances.
+            The segments (11, K, N), and which of the K there are (K, N), 1 or 0; the others are any.
         """
-        cell = ((place - self.low[row]) / BUCKET).floor()
-        size = self.size[row]
-        inside = ((cell >= 0) & (cell < size)).all(1)
-        x, y = cell.where(inside[:, None], 0).long().unbind(1)
-        bucket = torch.where(inside, self.first[row] + y * size[:, 0] + x, 0)
-        begin = self.offset[bucket]
-        count = torch.where(inside, self.offset[bucket + 1] - begin, 0) if len(self.offset) > 1 else begin
-        person = torch.arange(len(place), device=place.device).repeat_interleave(count)
-        skipped = (begin - (count.cumsum(0) - count)).index_select(0, person)
-        segment = self.candidates[torch.arange(len(person), device=place.device) + skipped]
+        begin, count = self._bucket(place, row)
+        candidates = int(count.max()) if len(row) else 0
+        if not candidates:
+            return self.segments.new_zeros(len(self.segments), 0, len(row)), place.new_zeros(0, len(row))
+        chunk = max(1, _AT_ONCE // candidates)
+        parts = zip(place.split(chunk, 1), begin.split(chunk), count.split(chunk), strict=True)
+        keys = [self._keys(*part, candidates)[:most] for part in parts]
+        key = torch.cat(keys, dim=1)
+        distance2 = (key >> 31).int().view(torch.float32)
+        valid = torch.lt(distance2, (reach * reach).float(), out=place.new_empty(0))
+        used = int(valid.amax(1).sum())
+        chosen = self.candidates.index_select(0, (begin + (key[:used] & _PLACE)).flatten())
+        return self.segments.index_select(1, chosen).view(len(self.segments), used, len(row)), valid[:used]
 
-        x, y = place.T.contiguous().index_select(1, person)
-        start_x, start_y, end_x, end_y = self.segments[:4].index_select(1, segment)
-        along_x, along_y = end_x - start_x, end_y - start_y
-        from_x, from_y = x - start_x, y - start_y
-        length2 = along_x * along_x + along_y * along_y
-        t = ((from_x * along_x + from_y * along_y) / length2).clamp(0, 1)
-        away_x, away_y = from_x - t * along_x, from_y - t * along_y
-        distance2 = away_x * away_x + away_y * away_y
-        outside = along_x * from_y - along_y * from_x < 0
-        kept = (outside & (distance2 < (reach * reach).index_select(0, person))).nonzero()[:, 0]
-        return person.index_select(0, kept), segment.index_select(0, kept), distance2.index_select(0, kept)
+    def _keys(self, place: Tensor, begin: Tensor, count: Tensor, candidates: int) -> Tensor:
+        """Return numbers (C, N) in the order of the distances of people's candidates, ascending.
+
+        The lower bits tell the candidate's place in the bucket, the upper ones the squared distance: floats
+        that are not negative are ordered as their bits are. The last of these are left out, so that rounding
+        does not choose between two segments of which the common corner is nearest.
+        """
+        number = torch.arange(candidates, device=place.device)[:, None]
+        distance2 = self._distance2(place, (begin + number).flatten()).view(-1, len(count)).float()
+        distance2 = distance2.add_(torch.ge(number, count, out=torch.empty_like(distance2)), alpha=_FAR)
+        bits = distance2.view(torch.int32).bitwise_and_(_ROUNDED)
+        return (bits.long().bitwise_left_shift_(31).add_(number)).T.contiguous().sort(dim=1)[0].T
+
+    def _bucket(self, place: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where the candidates of people's buckets begin, and how many there are, both (N,)."""
+        first, columns, rows = self.buckets[:, row]
+        cell = ((place - self.corner[:, row]) / BUCKET).floor()
+        x, y = cell
+        inside = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
+        x, y = torch.where(inside, cell, 0).long()
+        bucket = torch.where(inside, first + y * columns + x, len(self.offset) - 2)
+        begin = self.offset.index_select(0, bucket)
+        return begin, self.offset.index_select(0, bucket + 1) - begin
+
+    def _distance2(self, place: Tensor, candidate: Tensor) -> Tensor:
+        """Return squared distances (C, N) of C candidates each to people; far where they are not outside."""
+        segment = self.candidates.index_select(0, candidate)
+        x, y, dx, dy, length = self.segments[:5].index_select(1, segment).view(5, -1, place.shape[1])
+        from_x, from_y = place[0] - x, place[1] - y
+        along, apart = from_x * dx + from_y * dy, from_x * dy - from_y * dx
+        beyond = along - along.minimum(length).clamp_min_(0)
+        inside = torch.le(apart, 0, out=torch.empty_like(apart))
+        return (beyond * beyond + apart * apart).add_(inside, alpha=_FAR)
 
 
 def edges(polygon: Floats) -> Floats:
-    """Return the segments (V, 12) of a polygon as the table keeps them."""
+    """Return the segments (V, 12) of a polygon as `SegmentTable.build` takes them."""
     end = np.roll(polygon, -1, axis=0)
     direction = (end - polygon) / np.linalg.norm(end - polygon, axis=1, keepdims=True)
     before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
     convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
     return np.column_stack((polygon, end, direction, before, after, convex, np.roll(convex, -1)))
+
+
+def _seen_from_themselves(segments: Floats) -> Floats:
+    """Return segments (S, 12) in the form of the table (11, S)."""
+    start, end, direction, before, after = (segments[:, at : at + 2] for at in range(0, 10, 2))
+    left = np.column_stack((-direction[:, 1], direction[:, 0]))
+    legs = [(way * axis).sum(1) for way in (before, after) for axis in (direction, left)]
+    back_x, back_y, ahead_x, ahead_y = legs
+    length = np.linalg.norm(end - start, axis=1)
+    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:])
+    return np.column_stack(columns).T.copy()
 
 
 def _bucket_lists(

@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.outlines import outlines
@@ -18,25 +17,29 @@ from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
 
 
 class Segments(NamedTuple):
-    """Up to K segments of walls near each of N people, nearest first, in the frame of everybody's scene.
+    """Up to K segments of walls near each of N people, nearest first, seen from the person.
 
-    Walls lie to the left of a segment, people to its right.
+    Each has a frame of its own around the person: x along the segment, y towards the wall, so that both
+    corners are at y = ``apart``. What belongs to a corner comes twice: for the left one, at x = -``along``,
+    and for the right one with x turned round, at x = ``along`` - ``length``, so that both are treated alike.
 
     Attributes:
-        start: Where it starts (2, K, N), metres.
-        end: Where it ends (2, K, N).
-        direction: Unit vector from start to end (2, K, N).
-        before: Unit direction of the segment that ends where this one starts (2, K, N).
-        after: Unit direction of the segment that starts where this one ends (2, K, N).
-        convex: Whether the wall's corners at start and end are convex (2, K, N) bool.
-        valid: Which of the K there are (K, N) bool; the others hold any segment.
+        along: How far the person is past the left corner (K, N), metres.
+        apart: How far the person is from the segment's line (K, N), more than 0.
+        length: Of the segment (K, N).
+        direction: Unit vector from the left to the right corner, in the scene (2, K, N).
+        side: 1 where the wall is to the left of ``direction``, -1 in mirrored scenes (1, N).
+        neighbor: Unit vectors along the neighbouring segments, away from each corner (x and y, corner, K, N).
+        convex: Whether the corners are convex, 1 or 0 (corner, K, N).
+        valid: Which of the K there are (K, N), 1 or 0; the others hold any segment.
     """
 
-    start: Tensor
-    end: Tensor
+    along: Tensor
+    apart: Tensor
+    length: Tensor
     direction: Tensor
-    before: Tensor
-    after: Tensor
+    side: Tensor
+    neighbor: Tensor
     convex: Tensor
     valid: Tensor
 
@@ -82,17 +85,23 @@ class WallSegments:
         """
         reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
         bank, table = self._look_up(float(reach.max()) if len(points) else 0.0, points)
-        person, segment, distance2 = table.look(move_to_map(points, pose), bank.index(map_id), reach)
-        order, rank = _ranked(person, distance2)
-        kept = rank < self.most
-        order, rank = order[kept], rank[kept]
-        slots = int(rank.max()) + 1 if len(rank) else 0
-        # the last segment of the table stands for none
-        chosen = person.new_full((slots * len(points),), table.none)
-        chosen[rank * len(points) + person[order]] = segment[order]
-        parts = table.segments.index_select(1, chosen).view(12, slots, len(points))
-        valid = (chosen < table.none).view(slots, len(points))
-        return _in_scene(parts, pose, valid)
+        cos, sin, mirror, shift = pose[:, 0].cos(), pose[:, 0].sin(), pose[:, 1], pose[:, 2:]
+        x, y = (points - shift).unbind(1)
+        place = torch.stack((cos * x + sin * y, (cos * y - sin * x) * mirror))
+        parts, valid = table.nearest(place, bank.index(map_id), reach, self.most)
+        start, along, length, legs, convex = parts.split((2, 2, 1, 4, 2))
+        from_x, from_y = place[:, None] - start
+        x, y = along[0], along[1] * mirror
+        return Segments(
+            along=from_x * along[0] + from_y * along[1],
+            apart=from_x * along[1] - from_y * along[0],
+            length=length[0],
+            direction=torch.stack((cos * x - sin * y, sin * x + cos * y)),
+            side=mirror[None],
+            neighbor=legs.unflatten(0, (2, 2)).transpose(0, 1),
+            convex=convex,
+            valid=valid,
+        )
 
     def polygons(self, grid: OccupancyGrid) -> list[NDArray[np.float64]]:
         """Return the outlines (V, 2) of a floor plan's walls in its frame, metres, walls to the left."""
@@ -113,33 +122,3 @@ class WallSegments:
             table = SegmentTable.build(segments, whole, self.most).to(*key)
             self._known[key] = bank, table
         return bank, table
-
-
-def _ranked(person: Tensor, distance2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the order (M,) of pairs by person, then distance, and each ordered pair's rank in its person."""
-    # Floats that are not negative are ordered as their bits are.
-    key = (person << 32) | distance2.float().view(torch.int32)
-    order = key.argsort(stable=True)
-    number = torch.arange(len(person), device=person.device)
-    # people are in order before and after
-    fresh = torch.ones_like(person, dtype=torch.bool)
-    fresh[1:] = person[1:] != person[:-1]
-    first = torch.where(fresh, number, 0).cummax(0).values
-    return order, number - first
-
-
-def _in_scene(parts: Tensor, pose: Tensor, valid: Tensor) -> Segments:
-    """Return segments (12, K, N) of the maps' frames in those of the scenes of ``pose`` (N, 4)."""
-    (cos, sin), mirror, shift = (pose[:, 0].cos(), pose[:, 0].sin()), pose[:, 1], pose[:, 2:].T[:, None]
-
-    def turned(vector: Tensor) -> Tensor:
-        x, y = vector[0], vector[1] * mirror
-        return torch.stack((cos * x - sin * y, sin * x + cos * y))
-
-    start, end, direction, before, after = (turned(vector) for vector in parts[:10].split(2))
-    there = Segments(start + shift, end + shift, direction, before, after, parts[10:] > 0, valid)
-    if (mirror > 0).all():
-        return there
-    # in a mirror everything runs the other way round, so that walls stay on the left
-    back = Segments(there.end, there.start, -direction, -after, -before, there.convex.flip(0), valid)
-    return Segments(*(torch.where(mirror > 0, one, other) for one, other in zip(there, back, strict=True)))

@@ -42,4 +42,4 @@ def at_least(a: Tensor, b: Tensor | float) -> Tensor:
 
 def pick(share: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """Return ``a`` where the share is 1, ``b`` where it is 0; both finite."""
-    return torch.lerp(b, a, share.to(b.dtype))
+    return torch.lerp(b, a, share)

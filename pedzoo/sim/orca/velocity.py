@@ -50,7 +50,7 @@ def orca_velocity(
     obstacles = 0
     if walls is not None:
         walls = walls if rows is None else walls.select(rows)
-        beside_walls = wall_lines(walls, people[:2], people[2:4], settings)
+        beside_walls = wall_lines(walls, people[2:4], settings)
         obstacles, lines = beside_walls.shape[1], torch.cat((beside_walls, lines), dim=1)
     chosen = solve(lines, obstacles, people[4:6], people[6]).T
     if rows is None:

@@ -2,6 +2,10 @@
 
 RVO2's static obstacles: section 6 of van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision
 avoidance" (ISRR 2009), in the form of the library, where a segment knows its corners and neighbours.
+
+All is computed in the frame of each segment (see `Segments`), where its wall lies ahead and across. What
+concerns the right corner is computed in the mirror, as if it were the left one, together with what concerns
+the left one in tensors (2, K, N); a line found in the mirror is turned back at the end.
 """
 
 from __future__ import annotations
@@ -12,105 +16,109 @@ from torch import Tensor
 from pedzoo.maps.segments import Segments
 from pedzoo.sim.orca.programs import EPSILON
 from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.vectors import cross, dot, left, pick, unit
+from pedzoo.sim.orca.vectors import above, at_least, cross, dot, left, pick
+
+_FAR = 1e30
+"""More than any square of a speed."""
 
 
-def wall_lines(walls: Segments, position: Tensor, velocity: Tensor, settings: OrcaSettings) -> Tensor:
+def wall_lines(walls: Segments, velocity: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
     Args:
         walls: K segments of each person, nearest first.
-        position: Positions (2, N), metres.
         velocity: Velocities (2, N), m/s.
         settings: Radius, horizon and how many segments are heeded.
     """
     walls = walls.nearest(settings.max_obstacles)
-    to_start, to_end = walls.start - position[:, None], walls.end - position[:, None]
-    lines = _lines(walls, to_start, to_end, velocity[:, None], settings)
+    right, ahead = walls.direction, walls.side * left(walls.direction)
+    own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
+    x, y, dx, dy, counts = _lines(walls, own_x, own_y, settings)
+    # a mirror changes which side of a line is left
+    lines = torch.cat((x * right + y * ahead, dx * walls.side * right + dy * left(right)))
+    return lines * _uncovered(walls, lines, counts, settings)
 
-    # A segment whose velocity obstacle lies behind the line of a nearer one adds nothing.
+
+def _uncovered(walls: Segments, lines: Tensor, counts: Tensor, settings: OrcaSettings) -> Tensor:
+    """Return which lines count (K, N), 1 or 0: not those of what lies behind the line of a nearer segment."""
     scale = 1 / settings.time_horizon_obst
     margin = max(settings.radius * scale - EPSILON, torch.finfo(lines.dtype).tiny)
-    to_start, to_end = scale * to_start, scale * to_end
+    ahead = walls.side * left(walls.direction)
+    one = scale * (walls.apart * ahead - walls.along * walls.direction)
+    other = one + scale * walls.length * walls.direction
+    x, y = torch.stack((one, other), dim=1)  # (2 corners, K, N)
+    bound = cross(lines[:2], lines[2:]) + margin
     for k in range(lines.shape[1] - 1):
-        point, direction = lines[:, k].view(2, 2, 1, -1)
-        behind = (cross(corner[:, k + 1 :] - point, direction) for corner in (to_start, to_end))
-        covered = torch.minimum(*behind) >= margin
-        lines[:, k + 1 :] *= ~covered
-    return lines
+        dx, dy = lines[2:, k] * counts[k]
+        behind = (x[:, k + 1 :] * dy - y[:, k + 1 :] * dx).amin(0)
+        counts[k + 1 :] *= above(bound[k], behind)
+    return counts
 
 
-def _lines(
-    walls: Segments, to_start: Tensor, to_end: Tensor, velocity: Tensor, settings: OrcaSettings
-) -> Tensor:
-    """Return a constraint (4, K, N) for each segment and person by themselves; zeros where there is none."""
-    _, _, direction, before, after, (convex_start, convex_end), valid = walls
-    radius2, along = settings.radius * settings.radius, walls.end - walls.start
-    start2, end2 = dot(to_start, to_start), dot(to_end, to_end)
-    share = -dot(to_start, along) / dot(along, along)
-    off = -to_start - share * along
-    in_line = dot(off, off) <= radius2
-    left_of, right_of = share < 0, share > 1
+def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings) -> tuple[Tensor, ...]:
+    """Return each segment's line by itself, in its frame, and whether there is one, 1 or 0; all (K, N).
 
-    # Whoever touches the wall moves away from it: from a corner, or from the segment.
-    touch_start, touch_end = left_of & (start2 <= radius2), right_of & (end2 <= radius2)
-    touch_corner = touch_start | touch_end
-    touch = touch_corner | (in_line & ~left_of & ~right_of)
-    retreat = pick(touch_corner, unit(left(pick(touch_start, to_start, to_end))), -direction)
-    # not from inner corners, nor where the next segment sees to it
-    ignored = (touch_start & ~convex_start) | (touch_end & ~(convex_end & (cross(to_end, after) >= 0)))
+    In order: x and y of a point of the line, x and y of its direction, whether it counts.
+    """
+    radius, scale = settings.radius, 1 / settings.time_horizon_obst
+    corner = torch.stack((-walls.along, walls.along - walls.length))
+    apart2 = walls.apart * walls.apart
 
-    # Seen from nearly its own line, only the nearer corner of a segment counts.
-    only_start, only_end = in_line & left_of, in_line & right_of
-    single = only_start | only_end
-    ignored = ignored | (~touch & ((only_start & ~convex_start) | (only_end & ~convex_end)))
-    left_corner, right_corner = pick(only_end, to_end, to_start), pick(only_start, to_start, to_end)
-    before, after = pick(only_end, direction, before), pick(only_start, direction, after)
-    convex_left = (only_end & convex_end) | (~only_end & convex_start)
-    convex_right = (only_start & convex_start) | (~only_start & convex_end)
-    left_leg = pick(convex_left, _tangent(left_corner, settings.radius), -direction)
-    right_leg = pick(convex_right, _tangent(right_corner, -settings.radius), direction)
+    # Whoever touches the wall moves away from its nearest point.
+    beyond = corner.amax(0).clamp_min(0)
+    gap2 = beyond * beyond + apart2
+    touch = at_least(-gap2, -radius * radius)
+    away = gap2.sqrt().reciprocal()
 
-    # Legs do not point into the wall beyond a corner: there the neighbouring segment makes the constraint.
-    foreign_left = convex_left & (cross(left_leg, -before) >= 0)
-    foreign_right = convex_right & (cross(right_leg, after) <= 0)
-    left_leg, right_leg = pick(foreign_left, -before, left_leg), pick(foreign_right, after, right_leg)
+    # Seen from nearly its own line, only the nearer corner of a segment counts; an inner one does not.
+    only = above(corner, 0) * at_least(-walls.apart, -radius)
+    single = only[0] + only[1]
+    inner = (only - only * walls.convex).sum(0)
+    # nor does a right corner that is touched where the next segment sees to it
+    next_x, next_y = walls.neighbor[:, 1]
+    served = touch * only[1] * above(corner[1] * next_y - walls.apart * next_x, 0)
+    instead = only.flip(0)
+    corner = pick(instead, -corner.flip(0), corner)
+    convex = pick(instead, walls.convex.flip(0), walls.convex)
+    next_x = walls.neighbor[0] - instead * (walls.neighbor[0] + 1)  # along the segment itself: (-1, 0)
+    next_y = walls.neighbor[1] - instead * walls.neighbor[1]
+
+    # Legs pass corners that stick out; others are those of the segment's line.
+    distance2 = corner * corner + apart2
+    leg = (distance2 - radius * radius).clamp_min(0).sqrt()
+    share = convex / distance2
+    leg_x = (corner * leg - walls.apart * radius) * share + (convex - 1)
+    leg_y = (corner * radius + walls.apart * leg) * share
+    # They do not point into the wall beyond a corner: there the neighbouring segment makes the constraint.
+    foreign = convex * at_least(leg_x * next_y - leg_y * next_x, 0)
+    leg_x, leg_y = pick(foreign, next_x, leg_x), pick(foreign, next_y, leg_y)
 
     # The border of the velocity obstacle: a cut-off segment with round ends, and two legs.
-    scale = 1 / settings.time_horizon_obst
-    left_corner, right_corner = scale * left_corner, scale * right_corner
-    from_left, from_right = velocity - left_corner, velocity - right_corner
-    cutoff = right_corner - left_corner
-    t = dot(from_left, cutoff) / dot(cutoff, cutoff).clamp_min(torch.finfo(cutoff.dtype).tiny)
-    t_left, t_right = dot(from_left, left_leg), dot(from_right, right_leg)
-    past_left, past_right = t_left < 0, t_right < 0
-    round_left = past_left & ((single & past_right) | (~single & (t < 0)))
-    round_right = ~single & (t > 1) & past_right
-    on_round = round_left | round_right
+    from_x, from_y = torch.stack((own_x, -own_x)) - scale * corner, own_y - scale * walls.apart
+    past = above(-(from_x * leg_x + from_y * leg_y), 0)
+    outside = above(-from_x, 0)
+    rounded = past * outside
+    both_past = past[0] * past[1]
+    left_round = pick(single, both_past, rounded[0])
+    right_round = rounded[1] - rounded[1] * single
+    on_round = left_round + right_round
 
-    to_cutoff = _squared(from_left - t * cutoff, forbidden=(t < 0) | (t > 1) | single)
-    to_left = _squared(from_left - t_left * left_leg, forbidden=past_left)
-    to_right = _squared(from_right - t_right * right_leg, forbidden=past_right)
-    on_cutoff = (to_cutoff <= to_left) & (to_cutoff <= to_right)
-    on_left = (to_left <= to_right) & ~on_cutoff
-    on_right = ~on_left & ~on_cutoff
-    ignored = ignored | (~touch & ~on_round & ((on_left & foreign_left) | (on_right & foreign_right)))
+    off = from_x * leg_y - from_y * leg_x
+    to_leg = (off * off).add_(past, alpha=_FAR)
+    nowhere = outside[0] + outside[1] + single
+    to_cutoff = (from_y * from_y).add_(nowhere, alpha=_FAR)
+    on_cutoff = at_least(to_leg.amin(0), to_cutoff)
+    right = pick(on_round, right_round, above(to_leg[0], to_leg[1]))
 
-    at_right = (on_round & round_right) | (~on_round & on_right)
-    chosen = pick(on_cutoff, -direction, pick(on_left, left_leg, -right_leg))
-    chosen = pick(on_round, -left(unit(pick(at_right, from_right, from_left))), chosen)
-    point = pick(at_right, right_corner, left_corner) + settings.radius * scale * left(chosen)
-    lines = torch.cat((point * ~touch, pick(touch, retreat, chosen)))
-    return lines * (valid & ~ignored)
-
-
-def _tangent(corner: Tensor, radius: float) -> Tensor:
-    """Return the direction (2, ...) past the left (radius > 0) or right side of a disk around ``corner``."""
-    distance2 = dot(corner, corner)
-    leg = (distance2 - radius * radius).clamp_min(0).sqrt()
-    return (corner * leg + radius * left(corner)) * (1 / distance2)
-
-
-def _squared(gap: Tensor, forbidden: Tensor) -> Tensor:
-    """Return the squared lengths (...), or more than any of them."""
-    return dot(gap, gap) + 1e30 * forbidden
+    from_x, leg_x, leg_y = (pick(right, part[1], part[0]) for part in (from_x, leg_x, leg_y))
+    corner, foreign = (pick(right, part[1], part[0]) for part in (corner, foreign))
+    ignored = foreign * (1 - on_cutoff) * (1 - on_round) * (1 - touch) + inner + served
+    speed = (from_x * from_x + from_y * from_y).sqrt().clamp_min(torch.finfo(off.dtype).tiny).reciprocal()
+    dx = pick(on_round, from_y * speed, leg_x - on_cutoff * (leg_x + 1))
+    dy = pick(on_round, -from_x * speed, leg_y - on_cutoff * leg_y)
+    x = scale * (corner - radius * dy) * (1 - touch)
+    y = scale * (walls.apart + radius * dx) * (1 - touch)
+    dx, dy = pick(touch, -walls.apart * away, dx), pick(touch, beyond * away, dy)
+    right = pick(touch, above(walls.along, walls.length), right)
+    turn = 1 - 2 * right
+    return x * turn, y, dx, dy * turn, walls.valid * above(1 - ignored, 0)
