@@ -1,6 +1,6 @@
 """VMAS' scenario ``navigation`` as a peer of `pedzoo bench`: with lidar and collisions, and without both.
 
-    python -m venv ../venv_peers && ../venv_peers/bin/pip install torch vmas
+    python -m venv ../venv_peers && ../venv_peers/bin/pip install torch vmas pyrvo
     pedzoo bench loop --peer tools/peers/vmas_navigation.py --peer_python ../venv_peers/bin/python
 
 Everybody gets random forces, drawn beforehand; observations and rewards are computed in each step of 0.1 s

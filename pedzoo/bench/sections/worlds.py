@@ -85,8 +85,8 @@ def walks(world: World, people: People) -> Tensor:
     """Return where they go in a decision (B, A, S, M, 2)."""
     angle = torch.rand(people.mask.shape, generator=torch.Generator().manual_seed(0)) * 2 * math.pi
     velocity = SPEED * torch.stack((angle.cos(), angle.sin()), dim=-1)
-    ids = people.map_id[:, 0]
-    path = walk(people.position, velocity, STEP_SECONDS, TRACE * STEPS, world.bank, ids, people.pose)
+    walls = world.bank.walls_of_people(people.map_id[:, 0], people.pose, people.mask.shape[1])
+    path = walk(people.position, velocity, STEP_SECONDS, TRACE * STEPS, walls)
     return path.unflatten(2, (TRACE, STEPS))
 
 
