@@ -373,6 +373,7 @@ def test_every_section_runs(name: str) -> None:
     run.go(lambda row: None)
     content = run.report()
     assert json.loads(json.dumps(content, allow_nan=False))["rows"]
+    assert content["yardstick_ms"][name] > 0
     assert len({row.key for row in run.rows}) == len(run.rows)
     for row in run.rows:
         assert row.section == name and row.metrics

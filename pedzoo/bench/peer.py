@@ -120,12 +120,14 @@ class Peer:
             self._complaints.close()
             raise UserError(f"--peer_python {python!r} does not start: {error.strerror}") from error
         self._lines: queue.Queue[str | None] = queue.Queue()
-        threading.Thread(target=self._listen, daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     def close(self) -> None:
         """End it, whatever it is doing."""
         self._process.kill()
         self._process.wait()
+        self._listener.join(timeout=5.0)
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe:
                 try:

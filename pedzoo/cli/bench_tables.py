@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from pedzoo.bench.compare import Comparison, title
@@ -44,7 +45,7 @@ def print_comparison(comparison: Comparison, file: str) -> None:
     table = Table("figure", "metric", "old", "new", "new / old", "", title=f"since {file}")
     for change in comparison.changes:
         values = text(change.old), text(change.new), f"{change.ratio:.3g}", change.mark
-        table.add_row(title(change.row), change.metric, *values)
+        table.add_row(escape(title(change.row)), change.metric, *values)
     console.print(table)
     for name, titles in (("only then", comparison.gone), ("only now", comparison.added)):
         if titles:
@@ -80,7 +81,9 @@ def _print_section(console: Console, section: str, rows: Sequence[Row]) -> None:
         for row in block:
             values = [text(row.metrics[metric]) if metric in row.metrics else "" for metric in metrics]
             bars = ["\n".join(map(str, row.bars))] if _barred(rows) else []
-            table.add_row(row.name, *(str(row.case.get(key, "")) for key in cases), *values, *bars)
+            table.add_row(
+                escape(row.name), *(escape(str(row.case.get(key, ""))) for key in cases), *values, *bars
+            )
         table.add_section()
     console.print(table)
     notes = {
