@@ -9,13 +9,27 @@ from torch import Tensor
 from pedzoo.geometry import identity_pose, limit_speed, move_to_map, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.sim.dynamics import SKIN, substeps, walk
+from pedzoo.sim import dynamics
+from pedzoo.sim.dynamics import SKIN, substeps
 from pedzoo.types import BODY_RADIUS
 
 BANK = MapBank([rectangles(room((0, 0), (4, 3), 0.1) + wall((2.05, 0), (2.05, 3), 0.1), 0.05)], "wall")
 """Two rooms and no door: free for x from 0 to 2 and from 2.1 to 4, for y from 0 to 3."""
 
 NEAREST = BODY_RADIUS - SKIN
+
+
+def walk(
+    position: Tensor,
+    velocity: Tensor,
+    seconds: float,
+    steps: int,
+    bank: MapBank,
+    map_id: Tensor,
+    pose: Tensor,
+) -> Tensor:
+    walls = bank.walls_of_people(map_id, pose, position.shape[1])
+    return dynamics.walk(position, velocity, seconds, steps, walls)
 
 
 def moved(start: list[float], velocity: list[float], seconds: float = 0.4, steps: int = 16) -> Tensor:

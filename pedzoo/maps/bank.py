@@ -157,6 +157,16 @@ class MapBank:
         """
         return self._walls.around(self.index(map_id), pose)
 
+    def walls_of_people(self, map_id: Tensor, pose: Tensor, agents: int) -> LocalWalls | None:
+        """Return the walls as the people of scenes see them, B * A entries; None where there are no maps.
+
+        Args:
+            map_id: Floor plan of each scene (B,) long, -1 for none.
+            pose: Scene poses (B, 4).
+            agents: A.
+        """
+        return self.walls_around(map_id, pose).each(agents) if self.grids else None
+
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
         return self._walls.on_map(row)

@@ -17,6 +17,9 @@ _SPACING = 0.3
 _PARTS = (1.0, 0.5, 0.25)
 """How much of the way beyond the waypoint is tried."""
 
+_ROUGH = torch.tensor([1 / 8, 3 / 8, 5 / 8, 7 / 8])
+"""Points of a line; no other one is farther than an eighth of it from the nearest of these."""
+
 
 def seen_beyond(walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor) -> Tensor:
     """Return how far beyond the waypoint people see their carrot (P,): ``rest``, a half, a quarter, or not.
@@ -37,10 +40,17 @@ def seen_beyond(walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tenso
     begin, corner = (of.index_select(1, who) for of in (home, waypoint))
     end = corner + beyond.index_select(1, who) * rest.index_select(0, who)
     # points are a fixed way apart, however far others look: an answer is the same whoever else asks
-    spacing = _SPACING / torch.hypot(*(end - begin)).clamp_min(_SPACING)
+    length = torch.hypot(*(end - begin))
+    spacing = _SPACING / length.clamp_min(_SPACING)
     line = walls.cells(torch.stack((begin, corner, end), dim=1))
     quarters = walls.quarters
+    # where there is much room a few points answer
+    rough = torch.addcmul(line[:, :1], _ROUGH.to(line).unsqueeze(1), line[:, 2:] - line[:, :1])
+    narrow = (quarters.least(rough).amin(0) < length / (2 * len(_ROUGH)) + BODY_CLEARANCE).nonzero()[:, 0]
+    who, spacing, quarters, line = who[narrow], spacing[narrow], quarters.rows(narrow), columns(line, narrow)
     for part in _PARTS:
+        if not len(who):
+            return rest
         samples = int((1 / spacing.min()).ceil())
         steps = torch.arange(1, samples + 1, device=who.device).unsqueeze(1) * spacing
         begin, corner, end = line.split(1, dim=1)
@@ -50,8 +60,6 @@ def seen_beyond(walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tenso
             seen = who[~hidden]
             rest[seen] = rest[seen] * part
         still = hidden.nonzero()[:, 0]
-        if not len(still):
-            return rest
         who, spacing, quarters = who[still], spacing[still], quarters.rows(still)
         line = columns(line, still)
     rest[who] = 0

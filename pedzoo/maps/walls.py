@@ -201,7 +201,8 @@ class LocalWalls:
 
     def cells(self, points: Tensor) -> Tensor:
         """Return where on their maps scene positions (2, K, N), metres, are: the same in half cells."""
-        x_axis, y_axis, shift = self.frame[:6].to(points.dtype).view(3, 2, 1, -1)
+        frame = self._single if points.dtype == torch.float32 else self.frame
+        x_axis, y_axis, shift = frame[:6].view(3, 2, 1, -1)
         return torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
 
     @torch.no_grad()
@@ -226,6 +227,10 @@ class LocalWalls:
             gap, _ = self.rows(entry).look(asked.double())
             close = close.index_put((stretch, entry), (gap < distance).any(0))
         return close
+
+    @cached_property
+    def _single(self) -> Tensor:
+        return self.frame.float()
 
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distance (N, ...) to the nearest wall and the direction (N, ..., 2) in which it grows.

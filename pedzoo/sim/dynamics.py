@@ -11,7 +11,6 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planar import columns
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
@@ -43,9 +42,7 @@ def walk(
     velocity: Tensor,
     seconds: float,
     steps: int,
-    bank: MapBank,
-    map_id: Tensor,
-    pose: Tensor,
+    walls: LocalWalls | None,
     body_radius: float = BODY_RADIUS,
 ) -> Tensor:
     """Return where people are (B, A, N, 2) after each of N equal sub-steps.
@@ -57,17 +54,14 @@ def walk(
         velocity: What they want (B, A, 2), m/s, their top speed respected already.
         seconds: Duration of all sub-steps together.
         steps: N.
-        bank: The floor plans.
-        map_id: Floor plan of each scene (B,) long, -1 for none.
-        pose: Scene poses (B, 4).
+        walls: As people see them (`MapBank.walls_of_people`), None for none.
         body_radius: Of a person, metres.
     """
     time = torch.linspace(seconds / steps, seconds, steps, device=position.device, dtype=position.dtype)
     # coordinates first, people last, (2, N, B * A): on the CPU several times faster than pairs
     start, wanted = (values.flatten(0, 1).t().contiguous() for values in (position, velocity))
     path = torch.addcmul(start.unsqueeze(1), wanted.unsqueeze(1), time.unsqueeze(1))
-    if bank.grids:
-        walls = bank.walls_around(map_id, pose).each(position.shape[1])
+    if walls is not None:
         path = _along_walls(path, start, wanted * (seconds / steps), walls, body_radius)
     return path.permute(2, 1, 0).unflatten(0, position.shape[:2])
 

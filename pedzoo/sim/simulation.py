@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.guidance import Guidance
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.arrival import arrived, deadline, renewed
 from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario
@@ -85,9 +86,11 @@ class Simulation:
         broken = state.failed | (~action.isfinite().all(-1) & state.mask).any(1)
         moving = state.mask & ~broken.unsqueeze(1)
         velocity = torch.where(moving.unsqueeze(-1), action, 0.0)
-        path = self._path(state, limit_speed(velocity, TOP_SPEED_RATIO * state.pref_speed))
+        velocity = limit_speed(velocity, TOP_SPEED_RATIO * state.pref_speed)
+        walls = self.scenario.bank.walls_of_people(state.map_id, state.pose, state.mask.shape[1])
+        path = self._path(state, velocity, walls)
         people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose)
-        contacts = self.world.contacts(path.detach(), people)
+        contacts = self.world.contacts(path.detach(), people, walls)
         trace = path[:, :, :, -1]
 
         hits = arrived(path.detach(), state.goal_point, state.mask & (state.goal_id >= 0))
@@ -134,16 +137,14 @@ class Simulation:
         had_all = state.reached >= self.scenario.goals
         return (clock.unsqueeze(1) > state.deadline + _ROUNDING) & ~in_time & ~had_all
 
-    def _path(self, state: State, velocity: Tensor) -> Tensor:
+    def _path(self, state: State, velocity: Tensor, walls: LocalWalls | None) -> Tensor:
         """Return everybody's sub-steps (B, A, S, M, 2)."""
         path = walk(
             state.position,
             velocity,
             self.trace_points * TRACE_SECONDS,
             self.trace_points * self.substeps,
-            self.scenario.bank,
-            state.map_id,
-            state.pose,
+            walls,
             self.body_radius,
         )
         return path.unflatten(2, (self.trace_points, self.substeps))

@@ -53,6 +53,7 @@ def rolled(
     top_speed = layout.pref_speed * TOP_SPEED_RATIO
     scenes, agents = goal.shape
     map_id, poses = layout.map_id.repeat_interleave(agents), pose.repeat_interleave(agents, 0)
+    surroundings = planner.bank.walls_of_people(layout.map_id, pose, agents)
     trace = [position.unsqueeze(2)]
     for _ in range(OBS_LEN - 1):
         direction = planner.direction(position.flatten(0, 1), goal.flatten(), map_id, poses)
@@ -61,7 +62,7 @@ def rolled(
         action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near)
         action = limit_speed(action, top_speed)
         steps = TRACE_PER_STEP * substeps
-        path = walk(position, action, STEP_SECONDS, steps, planner.bank, layout.map_id, pose, body_radius)
+        path = walk(position, action, STEP_SECONDS, steps, surroundings, body_radius)
         path = path[:, :, substeps - 1 :: substeps]
         velocity, position = (path[:, :, -1] - position) / STEP_SECONDS, path[:, :, -1]
         goal = renew(path, goal)

@@ -14,6 +14,7 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.types import BODY_RADIUS
 
@@ -96,7 +97,7 @@ class World(ABC):
         """
 
     @abstractmethod
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: People, walls: LocalWalls | None = None) -> Contacts:
         """Return who touches somebody or a wall on the way.
 
         People touch when their centres are closer than two body radii, a wall is touched by a centre closer
@@ -105,6 +106,7 @@ class World(ABC):
         Args:
             path: Positions after ``people.position`` (B, A, S, M, 2): M sub-steps up to each trace point.
             people: Where everybody starts, and who is present.
+            walls: As people see them (`MapBank.walls_of_people`), from those who have them at hand.
         """
 
     @abstractmethod

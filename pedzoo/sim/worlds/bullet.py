@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
 from pedzoo.sim.worlds.bullet_scene import BulletScene
 from pedzoo.sim.worlds.camera import Camera
@@ -142,7 +143,7 @@ class BulletWorld(World):
         return best, away
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: People, walls: LocalWalls | None = None) -> Contacts:
         """See `World.contacts`."""
         far = farthest(path.flatten(2, 3).permute(3, 2, 0, 1), people.position.movedim(-1, 0))
         present = people.mask & far.isfinite()

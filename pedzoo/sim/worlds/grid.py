@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planar import columns
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.near import farthest, near_pairs
@@ -57,7 +58,7 @@ class GridWorld(World):
         )
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: People, walls: LocalWalls | None = None) -> Contacts:
         """See `World.contacts`: bounds first, and the exact question only for the few whom they leave."""
         # coordinates first, people last, (2, S, M, B * A): as `dynamics.walk` has them in memory
         planes = path.permute(4, 2, 3, 0, 1).contiguous().flatten(3)
@@ -72,11 +73,13 @@ class GridWorld(World):
         agent = torch.zeros(planes.shape[1::2], dtype=torch.bool, device=path.device)
         point, pair = hit.nonzero(as_tuple=True)
         agent[point.repeat(2), torch.cat((first[pair], second[pair]))] = True
-        wall = self._wall_contacts(planes, middle, far.flatten(), present.flatten(), people)
+        if walls is None:
+            walls = self.bank.walls_of_people(people.map_id[:, 0], people.pose, far.shape[1])
+        wall = self._wall_contacts(planes, middle, far.flatten(), present.flatten(), walls)
         return Contacts(*(touch.t().unflatten(0, far.shape) for touch in (agent, wall)))
 
     def _wall_contacts(
-        self, path: Tensor, middle: Tensor, far: Tensor, present: Tensor, people: People
+        self, path: Tensor, middle: Tensor, far: Tensor, present: Tensor, walls: LocalWalls | None
     ) -> Tensor:
         """Return when who touches a wall (S, P) bool.
 
@@ -85,11 +88,10 @@ class GridWorld(World):
             middle: A point of each path (2, P).
             far: What no point of it is farther away (P,).
             present: Whom to ask about (P,) bool.
-            people: Their scenes.
+            walls: As they see them.
         """
         touching = torch.zeros(path.shape[1::2], dtype=torch.bool, device=path.device)
-        if self.bank.grids:
-            walls = self.bank.walls_around(people.map_id[:, 0], people.pose).each(people.mask.shape[1])
+        if walls is not None:
             near = present & (walls.least(middle.unsqueeze(1))[0] < far + self.body_radius)
             who = near.nonzero()[:, 0]
             hit = walls.rows(who).within(columns(path, who), self.body_radius)
