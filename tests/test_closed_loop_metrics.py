@@ -11,7 +11,7 @@ from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import Rollout
 from pedzoo.geometry import identity_pose
 from pedzoo.metrics.intervals import bootstrap, wilson
-from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
+from pedzoo.metrics.navigation import deadlocked, episode_seconds, finish_seconds, success
 from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
 
 INF = float("inf")
@@ -150,3 +150,18 @@ def test_nobody_who_fails_at_once_has_rates() -> None:
     metrics = row("broken", walked, 0.4)["metrics"]
     assert metrics["failed"] == 1.0 and metrics["success"] == metrics["episode_success"] == 0.0
     assert not {"time_s", "least_distance_m", "agent_contacts_per_min"} & set(metrics)
+
+
+def test_who_stands_still_for_5_s_away_from_the_goal_is_deadlocked() -> None:
+    steps = torch.arange(60.0)
+    x = torch.zeros(1, 5, 60)
+    x[0, 0] = (0.3 * steps).clamp_max(2.4)  # walks until point 8, then stands for 5.1 s
+    x[0, 1] = (0.3 * steps).clamp_max(3.0)  # stands for 4.9 s only
+    x[0, 2] = 0.003 * steps  # creeps: 0.15 m in 5 s
+    trace = torch.stack((x, torch.zeros_like(x)), dim=-1)
+    goal = torch.tensor([4.0, 0.0]).expand(1, 5, 60, 2).clone()
+    goal[0, 3] = torch.tensor([0.4, 0.0])  # stands before its goal
+    present = torch.ones(1, 5, 60, dtype=torch.bool)
+    present[0, 4, 50:] = False  # stands, but leaves before 5 s are over
+    assert deadlocked(trace, goal, present).tolist() == [[True, False, False, False, False]]
+    assert not deadlocked(trace[:, :, 9:59], goal[:, :, 9:59], present[:, :, 9:59]).any()
