@@ -35,9 +35,9 @@ class Controller(Section):
     """Everybody walks where the controller says, to goals of their own."""
 
     def rows(self) -> Iterator[Row]:
-        """Measure in open space and on the floor plans, with few people and with many."""
+        """Measure in open space and on the first floor plan, with few people and with many."""
         model, now = load(MODEL), self.settings.clock
-        for plan in (None, *map(OccupancyGrid.load, self.settings.maps)):
+        for plan in (None, *map(OccupancyGrid.load, self.settings.maps[:1])):
             for people in CROWDS[:2] if self.settings.quick else CROWDS:
                 turns = []
                 for _ in range(self.settings.turns):
