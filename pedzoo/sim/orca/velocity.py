@@ -6,10 +6,13 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.segments import Segments
+from pedzoo.sim.memory import keep_freed_memory
 from pedzoo.sim.orca.agent_lines import agent_lines
 from pedzoo.sim.orca.programs import solve
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.wall_lines import wall_lines
+
+keep_freed_memory()
 
 
 @torch.no_grad()
