@@ -11,7 +11,8 @@ from torch import Tensor
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.walls import LocalWalls, Walls
+from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.maps.walls import Walls
 
 MAX_DISTANCE = 5.0
 """Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
@@ -155,7 +156,7 @@ class MapBank:
             map_id: Floor plan of each entry (N,) long, -1 for none.
             pose: Scene poses (N, 4).
         """
-        return self._walls.around(self.index(map_id), pose)
+        return LocalWalls.around(self._walls, self.index(map_id), pose)
 
     def walls_of_people(self, map_id: Tensor, pose: Tensor, agents: int) -> LocalWalls | None:
         """Return the walls as the people of scenes see them, B * A entries; None where there are no maps.
@@ -169,4 +170,4 @@ class MapBank:
 
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
-        return self._walls.on_map(row)
+        return LocalWalls.on_map(self._walls, row)

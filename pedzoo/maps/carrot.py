@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.planar import columns
-from pedzoo.maps.walls import LocalWalls
 
 BODY_CLEARANCE = 0.15
 """Metres that the line to the carrot keeps from walls: a body's radius."""

@@ -11,8 +11,8 @@ import math
 import torch
 from torch import Tensor
 
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.planar import columns
-from pedzoo.maps.walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
 SKIN = 0.01

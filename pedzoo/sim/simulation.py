@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.guidance import Guidance
-from pedzoo.maps.walls import LocalWalls
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.sim.arrival import arrived, deadline, renewed
 from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario

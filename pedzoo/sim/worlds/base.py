@@ -14,7 +14,7 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.walls import LocalWalls
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.types import BODY_RADIUS
 

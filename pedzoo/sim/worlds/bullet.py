@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.walls import LocalWalls
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
 from pedzoo.sim.worlds.bullet_scene import BulletScene
 from pedzoo.sim.worlds.camera import Camera

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.planar import columns
-from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.near import farthest, near_pairs
