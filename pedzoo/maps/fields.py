@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
+from tqdm import tqdm
 
 from pedzoo.maps.graph import STEPS, OpenGraph
 
@@ -59,7 +60,8 @@ def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: NDArray[np.float6
     reach = dijkstra(graph.matrix, indices=cells).ravel()
     order, ends = _bands(reach / graph.grid.resolution)
     front = _Front(graph, cells, points)
-    for first, last in pairwise(ends.tolist()):
+    bands, what = pairwise(ends.tolist()), f"ways on {graph.grid.name}"
+    for first, last in tqdm(bands, what, len(ends) - 1, delay=2.0, leave=False, disable=None):
         front.advance(*np.divmod(order[first:last], len(graph)))
     return front.fields()
 
