@@ -8,8 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
 from pedzoo.sim import neighbors
 from pedzoo.sim.neighbors import nearest, pairs_within
+from pedzoo.sim.orca.settings import OrcaSettings
+from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.sim.worlds.base import People
+from pedzoo.sim.worlds.grid import GridWorld
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
 
@@ -149,3 +155,25 @@ def test_a_crowd_is_searched_in_little_memory() -> None:
     assert near is not None
     assert near.sum() == pytest.approx(20_000 * 20_000 * math.pi * 9 / 160_000, rel=0.05)
     assert len(pairs_within(position, mask, 3.0).scene) * 2 == pytest.approx(int(near.sum()), rel=0.01)
+
+
+def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = torch.Generator().manual_seed(0)
+    shape = (1, 500, 2)
+    position = 25 * torch.rand(shape, generator=random)
+    velocity, wish = (torch.randn(shape, generator=random) for _ in range(2))
+    mask = torch.rand(1, 500, generator=random) < 0.9
+    speed = torch.full((1, 500), 1.7)
+    people = People(position, mask, torch.full((1, 1), -1), identity_pose(1))
+    steps = torch.arange(1, 9).view(2, 4, 1) / 20
+    path = position[:, :, None, None] + velocity[:, :, None, None] * steps
+    found = []
+    for all_pairs in (10_000, 0):
+        monkeypatch.setattr(neighbors, "ALL_PAIRS", all_pairs)
+        for most in (10, None):
+            settings = OrcaSettings(max_neighbors=most)
+            found.append(orca_velocity(position, velocity, wish, speed, mask, settings))
+        found.append(GridWorld(MapBank()).contacts(path, people).agent)
+    for one, other in zip(found[:3], found[3:], strict=True):
+        assert torch.equal(one, other)
+    assert 50 < found[2].any(-1).sum() < 450
