@@ -21,6 +21,9 @@ from pedzoo.sim.orca.vectors import above, at_least, cross, dot, left, pick
 _FAR = 1e30
 """More than any square of a speed."""
 
+_TOUCHING = 1e-6
+"""Metres: nearer to a wall nobody is. Those who stand for no wall may be anywhere."""
+
 
 def wall_lines(walls: Segments, velocity: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
@@ -61,8 +64,9 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     In order: x and y of a point of the line, x and y of its direction, whether it counts.
     """
     radius, scale = settings.radius, 1 / settings.time_horizon_obst
+    apart = walls.apart.clamp_min(_TOUCHING)
     corner = torch.stack((-walls.along, walls.along - walls.length))
-    apart2 = walls.apart * walls.apart
+    apart2 = apart * apart
 
     # Whoever touches the wall moves away from its nearest point.
     beyond = corner.amax(0).clamp_min(0)
@@ -71,12 +75,12 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     away = gap2.sqrt().reciprocal()
 
     # Seen from nearly its own line, only the nearer corner of a segment counts; an inner one does not.
-    only = above(corner, 0) * at_least(-walls.apart, -radius)
+    only = above(corner, 0) * at_least(-apart, -radius)
     single = only[0] + only[1]
     inner = (only - only * walls.convex).sum(0)
     # nor does a right corner that is touched where the next segment sees to it
     next_x, next_y = walls.neighbor[:, 1]
-    served = touch * only[1] * above(corner[1] * next_y - walls.apart * next_x, 0)
+    served = touch * only[1] * above(corner[1] * next_y - apart * next_x, 0)
     instead = only.flip(0)
     corner = pick(instead, -corner.flip(0), corner)
     convex = pick(instead, walls.convex.flip(0), walls.convex)
@@ -87,14 +91,14 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     distance2 = corner * corner + apart2
     leg = (distance2 - radius * radius).clamp_min(0).sqrt()
     share = convex / distance2
-    leg_x = (corner * leg - walls.apart * radius) * share + (convex - 1)
-    leg_y = (corner * radius + walls.apart * leg) * share
+    leg_x = (corner * leg - apart * radius) * share + (convex - 1)
+    leg_y = (corner * radius + apart * leg) * share
     # They do not point into the wall beyond a corner: there the neighbouring segment makes the constraint.
     foreign = convex * at_least(leg_x * next_y - leg_y * next_x, 0)
     leg_x, leg_y = pick(foreign, next_x, leg_x), pick(foreign, next_y, leg_y)
 
     # The border of the velocity obstacle: a cut-off segment with round ends, and two legs.
-    from_x, from_y = torch.stack((own_x, -own_x)) - scale * corner, own_y - scale * walls.apart
+    from_x, from_y = torch.stack((own_x, -own_x)) - scale * corner, own_y - scale * apart
     past = above(-(from_x * leg_x + from_y * leg_y), 0)
     outside = above(-from_x, 0)
     rounded = past * outside
@@ -117,8 +121,8 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     dx = pick(on_round, from_y * speed, leg_x - on_cutoff * (leg_x + 1))
     dy = pick(on_round, -from_x * speed, leg_y - on_cutoff * leg_y)
     x = scale * (corner - radius * dy) * (1 - touch)
-    y = scale * (walls.apart + radius * dx) * (1 - touch)
-    dx, dy = pick(touch, -walls.apart * away, dx), pick(touch, beyond * away, dy)
+    y = scale * (apart + radius * dx) * (1 - touch)
+    dx, dy = pick(touch, -apart * away, dx), pick(touch, beyond * away, dy)
     right = pick(touch, above(walls.along, walls.length), right)
     turn = 1 - 2 * right
     return x * turn, y, dx, dy * turn, walls.valid * above(1 - ignored, 0)
