@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.sim.neighbors import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.vectors import above, at_least, cross, dot, left, pick
+from pedzoo.sim.orca.vectors import above, at_most, cross, dot, left, pick
 
 
 def agent_lines(
@@ -33,7 +33,7 @@ def agent_lines(
 
     combined = 2 * settings.radius
     distance2 = dot(place, place)
-    overlap = at_least(-distance2, -combined * combined)
+    overlap = at_most(distance2, combined * combined)
     # Those who overlap are to be apart after one step, the others for the whole horizon.
     rates = distance2.new_tensor([1 / settings.time_step, 1 / settings.time_horizon])
     rate = pick(overlap, rates[0], rates[1])

@@ -18,7 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.sim.orca.vectors import above, at_least, pick
+from pedzoo.sim.orca.vectors import above, at_least, at_most, pick
 
 EPSILON = 1e-5
 """RVO2's: lines whose directions have a smaller cross product count as parallel."""
@@ -149,9 +149,9 @@ def _best_on(
     px, py, qx, qy = lines
     across = (dx * qy - dy * qx) * before
     ahead = (qx * (y - py) - qy * (x - px)) * before
-    parallel = at_least(-across.abs(), -EPSILON)
+    parallel = at_most(across.abs(), EPSILON)
     cut = ahead / (across + parallel)
-    high = cut.add(at_least(-across, -EPSILON), alpha=_FAR).amin(0).minimum(half - along)
+    high = cut.add(at_most(across, EPSILON), alpha=_FAR).amin(0).minimum(half - along)
     low = cut.sub(at_least(across, -EPSILON), alpha=_FAR).amax(0).maximum(-along - half)
     behind = (parallel * ahead).amin(0)
     feasible = at_least(inside, 0) * at_least(high, low) * at_least(behind, 0)
@@ -200,7 +200,7 @@ def _equally_violated(lines: Tensor, chosen: Tensor, before: Tensor, walls: int)
     px, py, qx, qy = people
     x, y, dx, dy = chosen
     across = dx * qy - dy * qx
-    parallel = at_least(-across.abs(), -EPSILON)
+    parallel = at_most(across.abs(), EPSILON)
     t = (qx * (y - py) - qy * (x - px)) / (across + parallel)
     crossing = torch.stack((x + t * dx, y + t * dy))
     point = pick(parallel, 0.5 * (chosen[:2] + people[:2]), crossing)

@@ -40,6 +40,16 @@ def at_least(a: Tensor, b: Tensor | float) -> Tensor:
     return torch.ge(a, b, out=a.new_empty(0))
 
 
+def below(a: Tensor, b: Tensor | float) -> Tensor:
+    """Return the share 1 where ``a`` < ``b``, else 0. No gradient flows."""
+    return torch.lt(a, b, out=a.new_empty(0))
+
+
+def at_most(a: Tensor, b: Tensor | float) -> Tensor:
+    """Return the share 1 where ``a`` <= ``b``, else 0. No gradient flows."""
+    return torch.le(a, b, out=a.new_empty(0))
+
+
 def pick(share: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """Return ``a`` where the share is 1, ``b`` where it is 0; both finite."""
     return torch.lerp(b, a, share)

@@ -16,7 +16,7 @@ from torch import Tensor
 from pedzoo.maps.segments import Segments
 from pedzoo.sim.orca.programs import EPSILON
 from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.vectors import above, at_least, cross, dot, left, pick
+from pedzoo.sim.orca.vectors import above, at_least, at_most, below, cross, dot, left, pick
 
 _FAR = 1e30
 """More than any square of a speed."""
@@ -51,10 +51,9 @@ def _uncovered(walls: Segments, lines: Tensor, counts: Tensor, settings: OrcaSet
     other = one + scale * walls.length * walls.direction
     x, y = torch.stack((one, other), dim=1)  # (2 corners, K, N)
     bound = cross(lines[:2], lines[2:]) + margin
-    for k in range(lines.shape[1] - 1):
-        dx, dy = lines[2:, k] * counts[k]
-        behind = (x[:, k + 1 :] * dy - y[:, k + 1 :] * dx).amin(0)
-        counts[k + 1 :] *= above(bound[k], behind)
+    for k, (dx, dy, enough, count) in enumerate(zip(*lines[2:], bound, counts, strict=True), start=1):
+        behind = (x[:, k:] * (dy * count)).sub_(y[:, k:] * (dx * count)).amin(0)
+        counts[k:].mul_(below(behind, enough))
     return counts
 
 
@@ -71,44 +70,43 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     # Whoever touches the wall moves away from its nearest point.
     beyond = corner.amax(0).clamp_min(0)
     gap2 = beyond * beyond + apart2
-    touch = at_least(-gap2, -radius * radius)
+    touch = at_most(gap2, radius * radius)
     away = gap2.sqrt().reciprocal()
 
     # Seen from nearly its own line, only the nearer corner of a segment counts; an inner one does not.
-    only = above(corner, 0) * at_least(-apart, -radius)
+    only = above(corner, 0).mul_(at_most(apart, radius))
     single = only[0] + only[1]
     inner = (only - only * walls.convex).sum(0)
     # nor does a right corner that is touched where the next segment sees to it
     next_x, next_y = walls.neighbor[:, 1]
     served = touch * only[1] * above(corner[1] * next_y - apart * next_x, 0)
     instead = only.flip(0)
-    corner = pick(instead, -corner.flip(0), corner)
+    corner = pick(instead, corner.flip(0).neg_(), corner)
     convex = pick(instead, walls.convex.flip(0), walls.convex)
-    next_x = walls.neighbor[0] - instead * (walls.neighbor[0] + 1)  # along the segment itself: (-1, 0)
-    next_y = walls.neighbor[1] - instead * walls.neighbor[1]
+    next_x, next_y = walls.neighbor.unbind()  # beyond an only corner lies the segment itself: (-1, 0)
+    next_x, next_y = next_x - (next_x + 1).mul_(instead), next_y - next_y * instead
 
     # Legs pass corners that stick out; others are those of the segment's line.
-    distance2 = corner * corner + apart2
-    leg = (distance2 - radius * radius).clamp_min(0).sqrt()
+    distance2 = (corner * corner).add_(apart2)
+    leg = (distance2 - radius * radius).clamp_min_(0).sqrt_()
     share = convex / distance2
-    leg_x = (corner * leg - apart * radius) * share + (convex - 1)
-    leg_y = (corner * radius + apart * leg) * share
+    leg_x = (corner * leg).sub_(apart * radius).mul_(share).add_(convex - 1)
+    leg_y = (corner * radius).add_(apart * leg).mul_(share)
     # They do not point into the wall beyond a corner: there the neighbouring segment makes the constraint.
-    foreign = convex * at_least(leg_x * next_y - leg_y * next_x, 0)
-    leg_x, leg_y = pick(foreign, next_x, leg_x), pick(foreign, next_y, leg_y)
+    foreign = at_least((leg_x * next_y).sub_(leg_y * next_x), 0).mul_(convex)
+    leg_x, leg_y = leg_x.lerp_(next_x, foreign), leg_y.lerp_(next_y, foreign)
 
     # The border of the velocity obstacle: a cut-off segment with round ends, and two legs.
-    from_x, from_y = torch.stack((own_x, -own_x)) - scale * corner, own_y - scale * apart
-    past = above(-(from_x * leg_x + from_y * leg_y), 0)
-    outside = above(-from_x, 0)
+    from_x, from_y = torch.stack((own_x, -own_x)).sub_(scale * corner), own_y - scale * apart
+    past = below((from_x * leg_x).add_(from_y * leg_y), 0)
+    outside = below(from_x, 0)
     rounded = past * outside
     both_past = past[0] * past[1]
     left_round = pick(single, both_past, rounded[0])
     right_round = rounded[1] - rounded[1] * single
     on_round = left_round + right_round
 
-    off = from_x * leg_y - from_y * leg_x
-    to_leg = (off * off).add_(past, alpha=_FAR)
+    to_leg = (from_x * leg_y).sub_(from_y * leg_x).square_().add_(past, alpha=_FAR)
     nowhere = outside[0] + outside[1] + single
     to_cutoff = (from_y * from_y).add_(nowhere, alpha=_FAR)
     on_cutoff = at_least(to_leg.amin(0), to_cutoff)
@@ -117,7 +115,7 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     from_x, leg_x, leg_y = (pick(right, part[1], part[0]) for part in (from_x, leg_x, leg_y))
     corner, foreign = (pick(right, part[1], part[0]) for part in (corner, foreign))
     ignored = foreign * (1 - on_cutoff) * (1 - on_round) * (1 - touch) + inner + served
-    speed = (from_x * from_x + from_y * from_y).sqrt().clamp_min(torch.finfo(off.dtype).tiny).reciprocal()
+    speed = (from_x * from_x + from_y * from_y).sqrt().clamp_min(torch.finfo(from_x.dtype).tiny).reciprocal()
     dx = pick(on_round, from_y * speed, leg_x - on_cutoff * (leg_x + 1))
     dy = pick(on_round, -from_x * speed, leg_y - on_cutoff * leg_y)
     x = scale * (corner - radius * dy) * (1 - touch)
