@@ -20,14 +20,22 @@ from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.policy import load_policy
 from pedzoo.sim.scenario import Scenario
 from pedzoo.spec import parse
-from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 MODEL = "sgan_goal_map.zara1"
 NETWORK = f"{MODEL} alone"
 BARE = "go_to_goal"
 ORCA = f"orca:dt={STEP_SECONDS}"
-POLICIES_TIMED = (BARE, f"{ORCA},walls=false", ORCA, "orca", "social_force", MODEL)
-"""Who walks; the first makes the environment bare."""
+POLICIES_TIMED = (
+    BARE,
+    f"{BARE}:dt={TRACE_SECONDS}",
+    f"{ORCA},walls=false",
+    ORCA,
+    "orca",
+    "social_force",
+    MODEL,
+)
+"""Who walks; the first makes the environment bare. Some decide every 0.1 s, as VMAS does."""
 
 WARM, TURN = 20.0, 10.0
 """Simulated seconds before the first turn and in each at least, so that all have their share of resets."""
