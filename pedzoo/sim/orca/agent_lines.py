@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.sim.neighbors import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.vectors import above, at_most, cross, dot, left, pick
+from pedzoo.sim.orca.vectors import above, at_most, below, cross, dot, left, pick, right
 
 
 def agent_lines(
@@ -28,7 +28,7 @@ def agent_lines(
     neighbor, near = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
     everybody = torch.cat((position.flatten(0, 1).T, velocity.flatten(0, 1).T))
     own = everybody if rows is None else everybody.index_select(1, rows)
-    relative = everybody.index_select(1, neighbor.flatten()).view(4, *neighbor.shape) - own[:, None]
+    relative = everybody.index_select(1, neighbor.flatten()).view(4, *neighbor.shape).sub_(own[:, None])
     place, current = relative[:2], -relative[2:]
 
     combined = 2 * settings.radius
@@ -40,20 +40,20 @@ def agent_lines(
     w = current - rate * place
     w2, ahead = dot(w, w), dot(w, place)
     # the projection is on the round end where w points away from its centre by more than the legs' angle
-    on_circle = above(-ahead * ahead.abs(), combined * combined * w2).maximum(overlap)
+    on_circle = below(ahead * ahead.abs(), -combined * combined * w2).maximum(overlap)
 
     # The nearest point of the velocity obstacle's border is on its round end, ...
     length = w2.sqrt()
     tiny = torch.finfo(length.dtype).tiny
-    outward = w * length.clamp_min(tiny).reciprocal()  # w = 0: no direction is better than another
-    to_circle = (rate * combined - length) * outward
+    outward = w * length.clamp_min(tiny).reciprocal_()  # w = 0: no direction is better than another
+    to_circle = (rate * combined).sub_(length) * outward
     # ... or on its left or right leg.
-    leg = (distance2 - combined * combined).clamp_min(0).sqrt()
-    leg = leg * (above(cross(place, w), 0) * 2 - 1)
-    side = (place * leg + combined * left(place)) * distance2.clamp_min(tiny).reciprocal()
-    to_leg = dot(current, side) * side - current
+    leg = (distance2 - combined * combined).clamp_min_(0).sqrt_()
+    leg.mul_(above(cross(place, w), 0).mul_(2).sub_(1))
+    side = (place * leg).add_(left(combined * place)).mul_(distance2.clamp_min(tiny).reciprocal_())
+    to_leg = (dot(current, side) * side).sub_(current)
 
     # Everybody does half of what is needed.
-    point = own[2:, None] + 0.5 * pick(on_circle, to_circle, to_leg)
-    lines = torch.cat((point, pick(on_circle, -left(outward), side)))
-    return lines if near is None else lines * near.to(lines.dtype)
+    point = pick(on_circle, to_circle, to_leg).mul_(0.5).add_(own[2:, None])
+    lines = torch.cat((point, pick(on_circle, right(outward), side)))
+    return lines if near is None else lines.mul_(near.to(lines.dtype))

@@ -12,12 +12,12 @@ from torch import Tensor
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Return the scalar products (...)."""
-    return a[0] * b[0] + a[1] * b[1]
+    return (a[0] * b[0]).add_(a[1] * b[1])
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Return the cross products (...): positive where ``b`` is to the left of ``a``."""
-    return a[0] * b[1] - a[1] * b[0]
+    return (a[0] * b[1]).sub_(a[1] * b[0])
 
 
 def left(a: Tensor) -> Tensor:
@@ -25,9 +25,9 @@ def left(a: Tensor) -> Tensor:
     return torch.stack((-a[1], a[0]))
 
 
-def unit(a: Tensor) -> Tensor:
-    """Return the directions (2, ...); that of a zero vector is zero."""
-    return a * (1 / dot(a, a).sqrt().clamp_min(torch.finfo(a.dtype).tiny))
+def right(a: Tensor) -> Tensor:
+    """Return the vectors (2, ...) a quarter turn to the right."""
+    return torch.stack((a[1], -a[0]))
 
 
 def above(a: Tensor, b: Tensor | float) -> Tensor:
