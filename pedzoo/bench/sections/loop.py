@@ -25,10 +25,11 @@ from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 MODEL = "sgan_goal_map.zara1"
 NETWORK = f"{MODEL} alone"
 BARE = "go_to_goal"
+SHORT = f"go_to_goal:dt={TRACE_SECONDS}"
 ORCA = f"orca:dt={STEP_SECONDS}"
 POLICIES_TIMED = (
     BARE,
-    f"{BARE}:dt={TRACE_SECONDS}",
+    SHORT,
     f"{ORCA},walls=false",
     ORCA,
     "orca",
@@ -103,7 +104,8 @@ class Loop(Section):
         """Return what is asked of a row; of peers that are absent nothing is."""
         if size != LARGEST:
             return []
-        wanted = {BARE: ("times_vmas_lidar", 3.0), ORCA: ("times_pyrvo_from_python", 1.0)}
+        lidar = ("times_vmas_lidar", 3.0)
+        wanted = {BARE: lidar, SHORT: lidar, ORCA: ("times_pyrvo_from_python", 1.0)}
         if policy in wanted and wanted[policy][0] in row.metrics:
             return [row.at_least(*wanted[policy])]
         if policy == MODEL:
