@@ -49,7 +49,7 @@ def rolled(
             passed already is replaced.
     """
     position, goal = layout.start, layout.goal
-    velocity = torch.zeros_like(position)
+    velocity: Tensor | None = None
     top_speed = layout.pref_speed * TOP_SPEED_RATIO
     scenes, agents = goal.shape
     map_id, poses = layout.map_id.repeat_interleave(agents), pose.repeat_interleave(agents, 0)
@@ -58,6 +58,8 @@ def rolled(
     for _ in range(OBS_LEN - 1):
         direction = planner.direction(position.flatten(0, 1), goal.flatten(), map_id, poses)
         wanted = direction.view(scenes, agents, 2) * layout.pref_speed.unsqueeze(2)
+        if velocity is None:  # people are on their way already
+            velocity = wanted
         near = walls.near(position.flatten(0, 1), map_id, poses, ORCA.wall_reach(top_speed).flatten())
         action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near)
         action = limit_speed(action, top_speed)
