@@ -45,8 +45,9 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
     result, failed = nearest(lines, start, preferred, max_speed, towards=False)
     rows = (failed < lines.shape[1]).nonzero()[:, 0]
     if len(rows):
-        packed = _of(lines, rows), result[:, rows], failed[rows], max_speed[rows]
-        result[:, rows] = least_violating(*packed, walls)
+        failed = failed.index_select(0, rows)
+        packed = _of(lines, rows), _of(result, rows), failed, max_speed.index_select(0, rows)
+        result.index_copy_(1, rows, least_violating(*packed, walls))
     return result
 
 
@@ -80,17 +81,18 @@ def nearest(
         still = (line < count).nonzero()[:, 0]
         if not len(still):
             return result, failed
-        rows, line, lines, own = rows[still], line[still], _of(lines, still), own[:, still]
-        optimum, max_speed = optimum[:, still], max_speed[still]
+        rows, line, max_speed = (part.index_select(0, still) for part in (rows, line, max_speed))
+        lines, own, optimum = (_of(part, still) for part in (lines, own, optimum))
         if _few(lines):
-            result[:, rows], failed[rows] = _at_once(lines, own, line - 1, optimum, max_speed, towards)
-            return result, failed
+            own, line = _at_once(lines, own, line - 1, optimum, max_speed, towards)
+            return result.index_copy_(1, rows, own), failed.index_copy_(0, rows, line)
         chosen = lines.gather(1, line.long().expand(4, 1, -1))[:, 0]
         found, feasible = _best_on(chosen, lines, above(line, number), optimum, max_speed, towards)
         own = pick(feasible, found, own)
         end = torch.full_like(line, count)
         last = pick(feasible, line, end)  # who is stuck has no further lines
-        result[:, rows], failed[rows] = own, pick(feasible, end, line).long()
+        result.index_copy_(1, rows, own)
+        failed.index_copy_(0, rows, pick(feasible, end, line).long())
 
 
 def _few(lines: Tensor) -> bool:
@@ -178,20 +180,21 @@ def least_violating(lines: Tensor, result: Tensor, first: Tensor, max_speed: Ten
     always = above(torch.full_like(number, walls), number)
     answer, rows = result.clone(), torch.arange(lines.shape[2], device=lines.device)
     line, own = first.to(lines.dtype), result
-    while len(rows):
+    while True:
         chosen = lines.gather(1, line.long().expand(4, 1, -1))
         inward = torch.stack((-chosen[3, 0], chosen[2, 0]))
         projected = _equally_violated(lines, chosen, above(line, number).maximum(always), walls)
         moved, failed = nearest(projected, inward * max_speed, inward, max_speed, towards=True)
         # it fails by rounding only: the current velocity is feasible by construction
         own = torch.where(failed == count, moved, own)
-        answer[:, rows] = own
+        answer.index_copy_(1, rows, own)
         wrong = above(violation(lines, own), violation(chosen, own))
         following = _first(wrong.mul_(above(number, line)))
         still = (following < count).nonzero()[:, 0]
-        rows, line, lines, own = rows[still], following[still], _of(lines, still), own[:, still]
-        max_speed = max_speed[still]
-    return answer
+        if not len(still):
+            return answer
+        rows, line, max_speed = (part.index_select(0, still) for part in (rows, following, max_speed))
+        lines, own = _of(lines, still), _of(own, still)
 
 
 def _equally_violated(lines: Tensor, chosen: Tensor, before: Tensor, walls: int) -> Tensor:
@@ -218,10 +221,10 @@ def violation(lines: Tensor, velocity: Tensor) -> Tensor:
     return dx * (py - velocity[1]) - dy * (px - velocity[0])
 
 
-def _of(lines: Tensor, rows: Tensor) -> Tensor:
-    """Return the constraints (4, L, M) of some people (M,)."""
+def _of(everybody: Tensor, rows: Tensor) -> Tensor:
+    """Return what belongs to some people (..., M) of all (..., N)."""
     # selecting from a matrix is several times faster than from three dimensions
-    return lines.flatten(0, 1).index_select(1, rows).unflatten(0, lines.shape[:2])
+    return everybody.flatten(0, -2).index_select(1, rows).view(*everybody.shape[:-1], -1)
 
 
 def _first(wrong: Tensor) -> Tensor:

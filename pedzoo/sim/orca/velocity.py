@@ -48,8 +48,9 @@ def orca_velocity(
     if rows is not None:  # whatever stands in for absent people
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
     lines = agent_lines(position, velocity, mask, rows, settings)
-    people = torch.cat((position, velocity, pref_velocity, max_speed[..., None]), -1).flatten(0, 1).T
-    people = people.contiguous() if rows is None else people.index_select(1, rows)
+    state = position, velocity, pref_velocity, max_speed[..., None]
+    people = torch.cat([part.flatten(0, 1).T for part in state])
+    people = people if rows is None else people.index_select(1, rows)
     obstacles = 0
     if walls is not None:
         walls = walls if rows is None else walls.select(rows)
