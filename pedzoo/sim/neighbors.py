@@ -140,15 +140,16 @@ def _keys_of_all(position: Tensor, mask: Tensor, reach: float) -> Tensor:
     """Return the keys (B * A, A) of everybody with everybody."""
     agents = mask.shape[1]
     slot = torch.arange(agents, device=position.device)
-    present = mask & _finite(position)
+    present = mask if position.sum().isfinite() else mask & _finite(position)
     if not present.all():  # absent people are far from everybody, and from each other
         position = torch.where(present[..., None], position, (1e18 * (1.0 + slot))[:, None].to(position))
     place = position.permute(2, 1, 0).contiguous()  # scenes last: long runs of numbers, in small scenes, too
     apart = place[:, None] - place[:, :, None]
-    distance2 = apart[0] * apart[0] + apart[1] * apart[1]
+    distance2 = (apart[0] * apart[0]).add_(apart[1] * apart[1])
     ignored = torch.ge(distance2, reach * reach, out=torch.empty_like(distance2))
     ignored.diagonal().fill_(1)
-    return _key(distance2.add_(ignored, alpha=_FAR).permute(2, 0, 1).reshape(-1, agents), slot)
+    keys = _key(distance2.add_(ignored, alpha=_FAR), slot[:, None])
+    return keys.permute(2, 0, 1).reshape(-1, agents)
 
 
 class _Cells(NamedTuple):
