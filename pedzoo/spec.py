@@ -84,8 +84,13 @@ def _value(where: str, text: str, hint: Any) -> Any:
     try:
         return parser.parse_args([f"--value={text}"]).value
     except ArgumentError as error:
-        expected = hint.__name__ if isinstance(hint, type) else str(hint).replace("typing.", "")
+        expected = hint.__name__ if isinstance(hint, type) else _short(hint)
         raise UserError(f"{where}={text}: expected {expected}") from error
+
+
+def _short(hint: Any) -> str:
+    """Return a type as people write it: without the modules of its parts."""
+    return str(hint).replace("typing.", "").replace("collections.abc.", "")
 
 
 def _parts(text: str) -> list[str]:

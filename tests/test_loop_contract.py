@@ -448,7 +448,7 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
     )
     env = make_env(f"{tmp_path}/mine.py:Wide:width=1.5")
     assert isinstance(env.scenario, Door)
-    assert env.scenario.width == 1.5
+    assert env.scenario.variants.values["width"] == (1.5,)
 
 
 def test_a_different_number_of_people_per_scene() -> None:

@@ -1,8 +1,9 @@
 """Draw every scenario as one contact sheet: python tools/scenario_sheet.py [SCENARIO...] [--out PICTURE].
 
 Floor plan, who is where when the episode begins, the 2.8 s that they have walked until then, and their ways
-to their first goals. One episode is drawn strongly and others of the same seed faintly. All panels have the
-same scale, unless a scene is too large for it. Without names it draws all that the registry knows, so that
+to their first goals. One episode is drawn strongly and others of the same seed faintly; where these have
+other floor plans, the outlines of their walls are dotted. All panels have the same scale, unless a scene
+is too large for it. Without names it draws all that the registry knows, so that
 a new scenario appears by itself.
 """
 
@@ -17,10 +18,13 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
+from matplotlib.transforms import Affine2D
 
 from pedzoo.eval.plots import draw_floor_plan
 from pedzoo.geometry import move_to_map
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.outlines import outlines
 from pedzoo.paths import write_whole
 from pedzoo.registry import SCENARIOS
 from pedzoo.sim.encounter import Encounter
@@ -69,7 +73,7 @@ def main() -> None:
     figure.legend(
         handles=legend(options.episodes),
         loc="lower center",
-        ncols=6,
+        ncols=7,
         frameon=False,
         fontsize=min(9, 3 * columns),
     )
@@ -80,20 +84,21 @@ def main() -> None:
 
 
 def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
-    """Draw the first episodes of a scenario, on the floor plan of the first."""
+    """Draw the first episodes of a scenario, on the floor plan of the first and outlines of the others."""
     env.reset()
     state = env.state
     grids = {grid.map_id: (row, grid) for row, grid in enumerate(env.bank.grids)}
-    row, plan = grids.get(int(state.map_id[0]), (-1, None))
+    _, plan = grids.get(int(state.map_id[0]), (-1, None))
     past, goal = move_to_map(state.past, state.pose), move_to_map(state.goal_point, state.pose)
     ways = {}
     for episode, person in state.mask.nonzero().tolist():
-        if state.map_id[episode] == state.map_id[0]:
-            here = past[episode, person, -1]
-            way = env.scenario.planner.path(here, goal[episode, person], row)
-            ways[episode, person] = torch.cat((here[None], torch.from_numpy(way).to(here)))
+        here, row = past[episode, person, -1], grids.get(int(state.map_id[episode]), (-1, None))[0]
+        way = env.scenario.planner.path(here, goal[episode, person], row)
+        ways[episode, person] = torch.cat((here[None], torch.from_numpy(way).to(here)))
     if plan is not None:
         draw_floor_plan(axes, plan)
+    for identity in {*state.map_id.tolist()} - {int(state.map_id[0])}:
+        outline(axes, grids[identity][1])
     reached = torch.cat([*ways.values()])
     frame(axes, reached.amin(0) - MARGIN, reached.amax(0) + MARGIN, open_space=plan is None)
     for (episode, person), way in ways.items():
@@ -116,6 +121,17 @@ def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
         1, 1.19, crowd(env), transform=axes.transAxes, ha="right", va="bottom", fontsize=8, color="0.35"
     )
     axes.text(0, 1.165, about, transform=axes.transAxes, va="top", fontsize=7.5, color="0.35")
+
+
+def outline(axes: Axes, plan: OccupancyGrid) -> None:
+    """Draw the borders of the walls as thin lines, without the outer one of the whole plan."""
+    x, y, yaw = plan.origin
+    pose = Affine2D().scale(plan.resolution).rotate(yaw).translate(x, y)
+    for corners in outlines(plan.occupied("wall")):
+        if corners.min() > 0:
+            border = Polygon(corners.tolist(), fill=False, edgecolor="0.25", linewidth=0.6, zorder=1)
+            border.set(transform=pose + axes.transData, linestyle=(0, (1.5, 1.5)))
+            axes.add_patch(border)
 
 
 def crowd(env: PedestrianEnv) -> str:
@@ -155,7 +171,9 @@ def legend(episodes: int) -> list[Line2D]:
         Line2D([], [], color="0.45", marker="s", markersize=8, linestyle="none", label="wall"),
         Line2D([], [], color="tab:blue", alpha=0.25, linewidth=2, label=f"{episodes - 1} more episodes"),
     ]  # fmt: skip
-    return marks if episodes > 1 else marks[:-1]
+    dots = {"color": "0.25", "linewidth": 0.6, "linestyle": (0, (1.5, 1.5))}
+    marks.insert(-1, Line2D([], [], label="walls in other episodes", **dots))
+    return marks if episodes > 1 else marks[:-2]
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.eval.closed_loop import Comparison
     from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
     from pedzoo.eval.video import check_video_path, film
+    from pedzoo.registry import SCENARIOS
     from pedzoo.sim.make import CLEARANCE
     from pedzoo.sim.warm_start import WarmStart
     from pedzoo.versions import versions
@@ -34,7 +35,8 @@ def run(argv: list[str]) -> int:
         "--scenario",
         type=str,
         default="door",
-        help="door:width=0.9,people=4 or goals:map=apartment.7 (or a file).",
+        help=f"{', '.join(SCENARIOS.names())}, or file.py:Class, with settings: door:width=0.9,people=4, "
+        "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file).",
     )
     parser.add_argument(
         "--world", type=Literal["bullet", "grid"], default="bullet", help="pybullet, or torch alone (faster)."

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import check_lengths, rectangles, room
-from pedzoo.sim.encounter import (
-    BEHIND,
-    BEYOND,
-    CELL,
-    WALL,
-    Encounter,
-    Lane,
-    abreast,
-    lanes_in,
-    whole_cells,
-)
+from pedzoo.maps.plain import Rectangle, room
+from pedzoo.sim.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.lanes import BEYOND, Lane, abreast, beside, lanes_in
+from pedzoo.sim.variants import Numbers, Variant
 
 
 class BlindCorner(Encounter):
@@ -22,51 +13,62 @@ class BlindCorner(Encounter):
 
     *Blind corner* of Francis et al. 2023 (Fig. 7, Table 3). Nobody sees those from the other end when the
     episode begins, and the first ones are at the corner at the same time. The two groups are mirror images
-    of each other in the diagonal where they are of the same size and speed and have no jitter.
+    of each other in the diagonal where they are of the same size and speed, and ``jitter``, ``aside`` and
+    ``delay`` are 0.
     """
 
     most = 20
 
     def __init__(
         self,
-        width: float = 1.5,
+        width: Numbers = (1.2, 1.5, 2.0),
         people: int = 2,
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 0.5,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
         Args:
-            width: Of the corridor, metres, a multiple of 0.05.
+            width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
             people: 2 to 20, half of them from the left, the others from below.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, along and across.
+            aside: Metres that all from one side start to the left or right of their lanes at most, less where
+                walls are near; their goals stay.
+            delay: Seconds that the first of each lane comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, meet=3.0)
-        check_lengths(self.name, CELL, width=width)
-        self.width = width
-        fit, beyond = lanes_in(width), BEYOND + width / 2
-        right = [lane.middle[1] for lane in abreast(people - people // 2, (1.0, 0.0), fit)]
-        # two who are so far from the corner have the inner corner between them
-        unseen = width + max(right) + jitter + 0.1
-        before = max(0.0, unseen - self.meet * self.slowest)
-        across = abreast(people - people // 2, (1.0, 0.0), fit, before=before)
-        down = abreast(people // 2, (1.0, 0.0), fit, before=before)
-        # whoever keeps to the outer wall before the corner does so behind it
-        self.lanes = [lane._replace(goals=((lane.middle[1], -beyond),)) for lane in across]
-        self.lanes += [_mirrored(lane._replace(goals=((lane.middle[1], -beyond),))) for lane in down]
+        super().__init__(people, speed, speed_std, jitter, aside, delay, meet=3.0, width=width)
+        self.variants.check_lengths(CELL, "width")
 
-    def plans(self) -> list[OccupancyGrid]:
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return lanes from the left and from below."""
+        width = variant["width"]
+        fit, beyond = lanes_in(width), BEYOND + width / 2
+        lanes = []
+        for side, people in enumerate((self.people - self.people // 2, self.people // 2)):
+            straight = abreast(people, (1.0, 0.0), fit)
+            mine = self.varied(side, straight, beside(straight, width))
+            # two who are so far from the corner have the inner corner between them
+            unseen = width + max(lane.middle[1] + lane.aside for lane in mine) + self.jitter + 0.1
+            before = max(0.0, unseen - self.meet * self.slowest)
+            for lane in mine:
+                # whoever keeps to the outer wall before the corner does so behind it
+                bent = lane._replace(before=before, goals=((lane.middle[1], -beyond),))
+                lanes.append(_mirrored(bent) if side else bent)
+        return lanes
+
+    def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the corridor: a square without all but its upper and its right side."""
-        far = whole_cells(max(self.reach, BEYOND + self.width / 2) + BEHIND)
-        side = self.width / 2
-        walls = [*room((-far, -far), (side, side), WALL), (-far, -far, -side, -side)]
-        return [rectangles(walls, CELL, name=self.name)]
+        side = variant["width"] / 2
+        far = whole_cells(max(reach, BEYOND + side) + BEHIND)
+        return [*room((-far, -far), (side, side), WALL), (-far, -far, -side, -side)]
 
 
 def _mirrored(lane: Lane) -> Lane:

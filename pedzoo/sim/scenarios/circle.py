@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from pedzoo.errors import UserError
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.encounter import Encounter, Lane
+from pedzoo.sim.encounter import Encounter
+from pedzoo.sim.lanes import APART, Lane
+from pedzoo.sim.variants import Numbers, Variant
 
 CHORD = 1.0
 """Metres between neighbours, at least."""
 
-USUAL_RADIUS, LEAST_RADIUS = 4.0, 2.0
+USUAL_RADII, LEAST_RADIUS = (3.0, 4.0, 5.0), 2.0
 """Metres."""
 
 
@@ -25,42 +27,58 @@ class Circle(Encounter):
 
     def __init__(
         self,
-        radius: float | None = None,
+        radius: Numbers | None = None,
         people: int = 4,
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 1.0,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
         Args:
-            radius: Of the circle, metres; None: 4, or more where neighbours would be closer than 1 m.
+            radius: Of the circle, metres; a list: one per scene; None: 3, 4 and 5, without those at which
+                neighbours would be closer than 1 m, or the least at which they are not.
             people: 2 to 50.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, in x and in y.
+            aside: Metres that people start to the left or right of the line to the middle at most, less where
+                neighbours are near; their goals stay.
+            delay: Seconds that everybody comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
         # neighbours are a chord apart
-        half_chord = math.sin(math.pi / max(people, 2))
-        room = CHORD / (2 * half_chord)
-        if radius is not None and not radius >= max(room, LEAST_RADIUS):
-            raise UserError(
-                f"circle: radius {radius} for {people} people: expected at least "
-                f"{max(room, LEAST_RADIUS):.2f} m, which puts them {CHORD} m apart or more"
-            )
-        self.radius = max(room, USUAL_RADIUS) if radius is None else radius
-        most_jitter = min(1.0, self.radius * half_chord - 0.25)
-        super().__init__(people, speed, speed_std, jitter, meet=0.0, most_jitter=most_jitter)
-        self.lanes = []
-        for number in range(people):
-            angle = 2 * math.pi * number / people
-            x, y = math.cos(angle), math.sin(angle)
-            goal = (-self.radius * x, -self.radius * y)
-            self.lanes.append(Lane(1, (-x, -y), (0.0, 0.0), (goal,), self.radius))
+        self.half_chord = math.sin(math.pi / max(people, 2))
+        room = CHORD / (2 * self.half_chord)
+        if radius is None:
+            radius = [usual for usual in USUAL_RADII if usual >= room] or [room]
+        for given in radius if isinstance(radius, Sequence) else [radius]:
+            if not given >= max(room, LEAST_RADIUS):
+                raise UserError(
+                    f"circle: radius {given} for {people} people: expected at least "
+                    f"{max(room, LEAST_RADIUS):.2f} m, which puts them {CHORD} m apart or more"
+                )
+        super().__init__(people, speed, speed_std, jitter, aside, delay, meet=0.0, radius=radius)
 
-    def plans(self) -> list[OccupancyGrid]:
-        """Return none: there are no walls."""
-        return []
+    @property
+    def most_jitter(self) -> float:
+        """Metres with which nobody touches anybody at the start."""
+        return min(1.0, max(0.0, self._room(min(self.variants.values["radius"]))))
+
+    def _room(self, radius: float) -> float:
+        """Return the metres beside everybody on the circle that are theirs."""
+        return radius * self.half_chord - APART / 2
+
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return a lane for everybody, from their place on the circle through its middle."""
+        radius, lanes = variant["radius"], []
+        for number in range(self.people):
+            angle = 2 * math.pi * number / self.people
+            x, y = math.cos(angle), math.sin(angle)
+            lane = Lane(1, (-x, -y), (0.0, 0.0), ((-radius * x, -radius * y),), radius)
+            lanes += self.varied(number, [lane], self._room(radius))
+        return lanes

@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 from pedzoo.errors import UserError
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import Point, check_lengths, rectangles, room
-from pedzoo.sim.encounter import (
-    BEHIND,
-    BEYOND,
-    CELL,
-    WALL,
-    Encounter,
-    Lane,
-    abreast,
-    lanes_in,
-    whole_cells,
-)
+from pedzoo.maps.plain import Point, Rectangle, room
+from pedzoo.sim.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.lanes import BEYOND, Lane, abreast, beside, lanes_in
+from pedzoo.sim.variants import Numbers, Variant
 
 HEADINGS: tuple[Point, ...] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 """Of those from the left, from below, from the right and from above."""
@@ -30,52 +21,59 @@ class Intersection(Encounter):
 
     def __init__(
         self,
-        width: float = 2.0,
+        width: Numbers = (1.5, 2.5),
         arms: int = 4,
         turn: float = 0.0,
         people: int = 2,
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 0.5,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
         Args:
-            width: Of both corridors, metres, a multiple of 0.05.
+            width: Of both corridors, metres, a multiple of 0.05; a list: one per scene.
             arms: From how many arms people come, 2 (from the left and from below) to 4.
             turn: Share of people who turn left or right there; all others go straight on.
             people: 2 to 50, shared out evenly over the arms.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, along and across.
+            aside: Metres that all from one side start to the left or right of their lanes at most, less where
+                walls are near; their goals stay.
+            delay: Seconds that the first of each lane comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter)
-        check_lengths(self.name, CELL, width=width)
+        super().__init__(people, speed, speed_std, jitter, aside, delay, width=width)
+        self.variants.check_lengths(CELL, "width")
         self.check_share("turn", turn)
         if not 2 <= arms <= 4:
             raise UserError(f"intersection: arms {arms}: expected 2 to 4")
-        self.width, self.stray = width, turn
-        self.lanes = []
-        for arm in range(min(arms, people)):
-            mine = people // arms + (arm < people % arms)
-            straight = abreast(mine, HEADINGS[arm], lanes_in(width), self._beyond)
-            self.lanes += [_turning(lane) for lane in straight] if turn else straight
+        self.arms, self.stray = arms, turn
 
-    @property
-    def _beyond(self) -> float:
-        return BEYOND + self.width / 2
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return lanes from the arms."""
+        width = variant["width"]
+        lanes = []
+        for arm in range(min(self.arms, self.people)):
+            people = self.people // self.arms + (arm < self.people % self.arms)
+            straight = abreast(people, HEADINGS[arm], lanes_in(width), BEYOND + width / 2)
+            mine = self.varied(arm, straight, beside(straight, width))
+            lanes += [_turning(lane) for lane in mine] if self.stray else mine
+        return lanes
 
-    def plans(self) -> list[OccupancyGrid]:
+    def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the corridors: a square without its four corners."""
-        far = whole_cells(max(self.reach, self._beyond) + BEHIND)
-        side, ends = self.width / 2, far + self.width / 2
+        side = variant["width"] / 2
+        ends = whole_cells(max(reach, BEYOND + side) + BEHIND) + side
         walls = room((-ends, -ends), (ends, ends), WALL)
         for x0, x1 in ((-ends, -side), (side, ends)):
             walls += [(x0, y0, x1, y1) for y0, y1 in ((-ends, -side), (side, ends))]
-        return [rectangles(walls, CELL, name=self.name)]
+        return walls
 
 
 def _turning(lane: Lane) -> Lane:

@@ -6,12 +6,16 @@ from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import check_lengths, rectangles, room
-from pedzoo.sim.encounter import BEHIND, CELL, SPACING, WALL, Encounter, abreast, lanes_in, whole_cells
+from pedzoo.maps.plain import Rectangle, room
+from pedzoo.sim.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.lanes import SPACING, Lane, abreast, beside, lanes_in
+from pedzoo.sim.variants import Numbers, Variant
 
 AHEAD = 8.0
 """Metres of the goals behind the place at which the slow are caught up with."""
+
+SLOW, FAST = 0, 1
+"""Numbers of the two sides."""
 
 
 class Overtaking(Encounter):
@@ -25,55 +29,64 @@ class Overtaking(Encounter):
 
     def __init__(
         self,
-        width: float = 2.4,
+        width: Numbers = (1.8, 2.4, 3.0),
         speed_ratio: float = 1.6,
         people: int = 2,
         slow: int | None = None,
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 0.35,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
         Args:
-            width: Of the corridor, metres, a multiple of 0.05.
+            width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
             speed_ratio: By how much each of the fast is faster than each of the slow, at least; above 1.2.
             people: 2 to 20.
             slow: How many of them are slow; None: half of them.
             speed: Mean preferred speed of the fast, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, along and across.
+            aside: Metres that all from one side start to the left or right of their lanes at most, less where
+                walls are near; their goals stay.
+            delay: Seconds that the first of each of the fast lanes comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, meet=3.0)
-        check_lengths(self.name, CELL, width=width)
+        super().__init__(people, speed, speed_std, jitter, aside, delay, meet=3.0, width=width)
+        self.variants.check_lengths(CELL, "width")
         slow = people // 2 if slow is None else slow
         if not 1 <= slow < people:
             raise UserError(f"overtaking: slow {slow} of {people} people: expected 1 to {people - 1}")
         if not speed_ratio >= 1.2:
             raise UserError(f"overtaking: speed_ratio {speed_ratio}: expected at least 1.2")
-        self.width, self.speed_ratio = width, speed_ratio
-        fit = lanes_in(width)
-        # the last of the slow are at x = 0 when the first of the fast are
-        queue = (-(-slow // fit) - 1) * SPACING
-        self.ahead = AHEAD + 2 * queue
-        self._slow_lanes = min(fit, slow)
-        self.lanes = [
-            *abreast(slow, (1.0, 0.0), fit, self.ahead, before=-queue),
-            *abreast(people - slow, (1.0, 0.0), fit, self.ahead),
-        ]
+        self.slow, self.speed_ratio = slow, speed_ratio
 
-    def plans(self) -> list[OccupancyGrid]:
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return lanes of the slow and of the fast."""
+        width = variant["width"]
+        fit, queue = lanes_in(width), self._queue(variant)
+        beyond, ahead = AHEAD + 2 * queue, (1.0, 0.0)
+        slow = abreast(self.slow, ahead, fit, beyond, before=-queue)
+        fast = abreast(self.people - self.slow, ahead, fit, beyond)
+        slow = self.varied(SLOW, slow, beside(slow, width))
+        return [*(lane._replace(delay=0.0) for lane in slow), *self.varied(FAST, fast, beside(fast, width))]
+
+    def _queue(self, variant: Variant) -> float:
+        """Return how far the last of the slow are behind the first, metres: they are at x = 0."""
+        return (-(-self.slow // lanes_in(variant["width"])) - 1) * SPACING
+
+    def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the corridor."""
-        left, right = whole_cells(self.reach + BEHIND), whole_cells(self.ahead + BEHIND)
-        walls = room((-left, -self.width / 2), (right, self.width / 2), WALL)
-        return [rectangles(walls, CELL, name=self.name)]
+        beyond, y = AHEAD + 2 * self._queue(variant), variant["width"] / 2
+        return room((-whole_cells(reach + BEHIND), -y), (whole_cells(beyond + BEHIND), y), WALL)
 
     def speeds(self, draws: Draws) -> Tensor:
         """Return everybody's preferred speed (B, A), m/s: the slow keep a distance from the slowest fast."""
         speed = super().speeds(draws)
-        slow = self.lane.to(speed.device) < self._slow_lanes
+        slow = self.places.of_scenes(self.variants.drawn(draws)).side == SLOW
         limit = speed.masked_fill(slow, float("inf")).amin(1, keepdim=True)
         return speed.where(~slow, speed.minimum(limit) / self.speed_ratio)

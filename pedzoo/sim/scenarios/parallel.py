@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pedzoo.errors import UserError
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.encounter import ABREAST, Encounter, Lane, abreast, block
+from pedzoo.sim.encounter import Encounter
+from pedzoo.sim.lanes import ABREAST, APART, Lane, abreast, block
+from pedzoo.sim.variants import Numbers, Variant
 
 BEYOND = 6.0
 """Metres of the goals behind the line on which those in front are at the same time."""
@@ -20,43 +21,49 @@ class Parallel(Encounter):
     def __init__(
         self,
         opposite: bool = False,
-        gap: float = 0.8,
+        gap: Numbers = (0.8, 1.2, 1.6),
         change: float = 0.3,
         people: int = 6,
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 0.5,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
         Args:
             opposite: The second stream walks the other way.
-            gap: Metres between the nearest lanes of the two streams.
+            gap: Metres between the nearest lanes of the two streams; a list: one per scene.
             change: Share of people whose goal is in a lane of the other stream's, in their own direction.
             people: 2 to 50, half of them in each stream, five abreast at most.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, along and across.
+            aside: Metres that all from one side start to the left or right of their lanes at most, less where
+                walls are near; their goals stay.
+            delay: Seconds that the first of each lane comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter)
+        super().__init__(people, speed, speed_std, jitter, aside, delay, gap=gap)
         self.check_share("change", change)
-        if not gap >= ABREAST:
-            raise UserError(f"parallel: gap {gap}: expected at least {ABREAST} m, as between lanes")
-        self.stray = change
-        right = people - people // 2
-        most = block(right)
-        aside = (gap + (most - 1) * ABREAST) / 2
-        first = abreast(right, (1.0, 0.0), most, BEYOND, right=aside)
-        heading, side = ((-1.0, 0.0), aside) if opposite else ((1.0, 0.0), -aside)
-        second = abreast(people // 2, heading, most, BEYOND, right=side)
-        self.lanes = [_changing(lane, second) for lane in first] + [_changing(lane, first) for lane in second]
+        for least in self.variants.values["gap"]:
+            if not least >= ABREAST:
+                raise UserError(f"parallel: gap {least}: expected at least {ABREAST} m, as between lanes")
+        self.opposite, self.stray = opposite, change
 
-    def plans(self) -> list[OccupancyGrid]:
-        """Return none: there are no walls."""
-        return []
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return the lanes of both streams."""
+        right = self.people - self.people // 2
+        most = block(right)
+        aside = (variant["gap"] + (most - 1) * ABREAST) / 2
+        room = (variant["gap"] - APART) / 2
+        first = self.varied(0, abreast(right, (1.0, 0.0), most, BEYOND, right=aside), room)
+        heading, keeps = ((-1.0, 0.0), aside) if self.opposite else ((1.0, 0.0), -aside)
+        second = self.varied(1, abreast(self.people // 2, heading, most, BEYOND, right=keeps), room)
+        return [_changing(lane, second) for lane in first] + [_changing(lane, first) for lane in second]
 
 
 def _changing(lane: Lane, others: list[Lane]) -> Lane:

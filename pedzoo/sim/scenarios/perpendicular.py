@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.encounter import ABREAST, BEYOND, Encounter, abreast, block
+from pedzoo.sim.encounter import Encounter
+from pedzoo.sim.lanes import ABREAST, BEYOND, Lane, abreast, block
+from pedzoo.sim.variants import Variant
 
 
 class Perpendicular(Encounter):
@@ -18,6 +19,8 @@ class Perpendicular(Encounter):
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 1.0,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
@@ -26,18 +29,19 @@ class Perpendicular(Encounter):
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, along and across.
+            aside: Metres that all from one side start to the left or right of their lanes at most, less where
+                walls are near; their goals stay.
+            delay: Seconds that the first of each lane comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter)
-        most = block(people - people // 2)
-        beyond = BEYOND + (most - 1) * ABREAST / 2
-        self.lanes = [
-            *abreast(people - people // 2, (1.0, 0.0), most, beyond),
-            *abreast(people // 2, (0.0, 1.0), most, beyond),
-        ]
+        super().__init__(people, speed, speed_std, jitter, aside, delay)
 
-    def plans(self) -> list[OccupancyGrid]:
-        """Return none: there are no walls."""
-        return []
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return lanes from the left and from below."""
+        most = block(self.people - self.people // 2)
+        beyond = BEYOND + (most - 1) * ABREAST / 2
+        across = abreast(self.people - self.people // 2, (1.0, 0.0), most, beyond)
+        up = abreast(self.people // 2, (0.0, 1.0), most, beyond)
+        return [*self.varied(0, across), *self.varied(1, up)]

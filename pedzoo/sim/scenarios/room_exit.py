@@ -5,19 +5,10 @@ from __future__ import annotations
 import math
 
 from pedzoo.errors import UserError
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import check_lengths, rectangles, room, wall
-from pedzoo.sim.encounter import (
-    BEHIND,
-    BEYOND,
-    CELL,
-    WALL,
-    Encounter,
-    Lane,
-    abreast,
-    lanes_in,
-    whole_cells,
-)
+from pedzoo.maps.plain import Rectangle, room, wall
+from pedzoo.sim.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.lanes import BEYOND, Lane, abreast, beside, lanes_in
+from pedzoo.sim.variants import Numbers, Variant
 
 THICKNESS = 0.1
 """Metres of the wall with the door."""
@@ -27,6 +18,9 @@ RAYS = 5
 
 BETWEEN = math.radians(18)
 """Angle between two of them."""
+
+BESIDE_RAYS = 0.3
+"""Metres on each side of a direction that belong to it."""
 
 
 class RoomExit(Encounter):
@@ -39,69 +33,79 @@ class RoomExit(Encounter):
 
     def __init__(
         self,
-        width: float = 0.9,
-        corridor: float = 2.4,
+        width: Numbers = (0.9, 1.2),
+        corridor: Numbers = 2.4,
         people: int = 4,
         entering: int = 1,
         speed: float = 1.3,
         speed_std: float = 0.2,
         jitter: float = 0.1,
+        aside: float = 0.5,
+        delay: float = 0.5,
     ) -> None:
         """Set the scene.
 
         Args:
-            width: Of the door, metres, a multiple of 0.05.
-            corridor: Its width, metres, a multiple of 0.05.
+            width: Of the door, metres, a multiple of 0.05; a list: one per scene.
+            corridor: Its width, metres, a multiple of 0.05; a list: one per scene.
             people: 2 to 50.
             entering: How many of them come in while the others leave.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             jitter: Metres that starts are off their places at most, along and across.
+            aside: Metres that all from one side start to the left or right of their lanes at most, less where
+                walls are near; their goals stay.
+            delay: Seconds that the first of each lane comes late at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter)
-        check_lengths(self.name, CELL, width=width, corridor=corridor)
+        super().__init__(people, speed, speed_std, jitter, aside, delay, width=width, corridor=corridor)
+        self.variants.check_lengths(CELL, "width", "corridor")
         if not 0 <= entering < people:
             raise UserError(f"room_exit: entering {entering} of {people} people: expected 0 to {people - 1}")
-        self.width, self.corridor, self.stray = width, corridor, 0.5
-        self.lanes = [*self._leaving(people - entering), *self._entering(entering)]
+        self.entering, self.stray = entering, 0.5
 
-    def _leaving(self, people: int) -> list[Lane]:
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return lanes of those who leave and of those who enter."""
+        return [*self._leaving(variant["corridor"]), *self._entering(variant["corridor"])]
+
+    def _leaving(self, corridor: float) -> list[Lane]:
         """Return lanes that all end at the door."""
-        middle = (THICKNESS + self.corridor) / 2
+        middle, people = (THICKNESS + corridor) / 2, self.people - self.entering
         lanes = []
         count = min(RAYS, people)
         for number in range(count):
             angle = (number - (count - 1) / 2) * BETWEEN
             heading = (math.cos(angle), math.sin(angle))
             mine = people // count + (number < people % count)
-            lanes.append(Lane(mine, heading, (0.0, 0.0), ((middle, BEYOND), (middle, -BEYOND))))
+            ray = Lane(mine, heading, (0.0, 0.0), ((middle, BEYOND), (middle, -BEYOND)))
+            lanes += self.varied(number, [ray], BESIDE_RAYS)
         return lanes
 
-    def _entering(self, people: int) -> list[Lane]:
+    def _entering(self, corridor: float) -> list[Lane]:
         """Return lanes along the corridor to the place before the door."""
-        place = (THICKNESS + self.corridor) / 2
+        place = (THICKNESS + corridor) / 2
         inside = ((-BEYOND, 1.0), (-BEYOND, -1.0))
         lanes = []
         for number, heading in enumerate(((0.0, -1.0), (0.0, 1.0))):
-            mine = (people + 1 - number) // 2
-            for lane in abreast(mine, heading, lanes_in(self.corridor)):
+            people = (self.entering + 1 - number) // 2
+            mine = abreast(people, heading, lanes_in(corridor))
+            for lane in self.varied(RAYS + number, mine, beside(mine, corridor)):
                 x, y = lane.middle
                 lanes.append(lane._replace(middle=(place + x, y), goals=inside))
         return lanes
 
-    def plans(self) -> list[OccupancyGrid]:
+    def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the room, the corridor and the wall between them, symmetric about y = 0."""
-        half = THICKNESS / 2
-        deep = half + whole_cells(max(self.reach, BEYOND) + BEHIND)
-        widest = math.sin((min(RAYS, self.people) - 1) / 2 * BETWEEN) * self.reach
-        high = self.width / 2 + whole_cells(max(widest, 2.0) + BEHIND)
-        ends = high + whole_cells(max(0.0, max(self.reach, BEYOND) + BEHIND - high))
-        right = half + self.corridor
-        walls = room((-deep, -ends), (right, ends), WALL)
-        walls += wall((0.0, -ends), (0.0, ends), THICKNESS, doors=[(ends, self.width)])
+        half, width = THICKNESS / 2, variant["width"]
+        length = max(reach, BEYOND) + BEHIND
+        deep = half + whole_cells(length)
+        widest = math.sin((min(RAYS, self.people) - 1) / 2 * BETWEEN) * reach + self.aside
+        high = width / 2 + whole_cells(max(widest, 2.0) + BEHIND)
+        ends = high + whole_cells(max(0.0, length - high))
+        walls = room((-deep, -ends), (half + variant["corridor"], ends), WALL)
+        walls += wall((0.0, -ends), (0.0, ends), THICKNESS, doors=[(ends, width)])
         if ends > high:
             walls += [(-deep, high, -half, ends), (-deep, -ends, -half, -high)]
-        return [rectangles(walls, CELL, name=self.name)]
+        return walls

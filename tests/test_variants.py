@@ -1,0 +1,167 @@
+"""Scenes of one scenario differ: which floor plan they have, where people start, and who comes first."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.eval.rollout import rollout
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.registry import SCENARIOS
+from pedzoo.sim.encounter import Encounter
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.variants import Variants
+from pedzoo.types import BODY_RADIUS
+
+EXACT = "speed_std=0,jitter=0,aside=0,delay=0"
+
+DEFAULTS = ("blind_corner", "hallway", "overtaking")
+"""Scenarios with several floor plans, beside those of `LISTS`."""
+
+LISTS = (
+    "door:width=[0.7,1.2],thickness=[0.15,0.25],offset=[0,0.6]",
+    "hallway:width=[1.2,2.5],offset=[-0.2,0,0.2],people=7",
+    "room_exit:corridor=[1.5,3],people=9",
+    "intersection:people=9,turn=0.5",
+)
+
+ENCOUNTERS = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
+
+
+def opening(grid: OccupancyGrid, x: float) -> float:
+    """Return the free length of a column, metres."""
+    column = int((x - grid.origin[0]) / grid.resolution)
+    return float((~grid.occupied("wall")[:, column]).sum() * grid.resolution)
+
+
+def starts(env: PedestrianEnv) -> Tensor:
+    env.reset()
+    return env.state.past[:, :, 0]
+
+
+@pytest.mark.parametrize("spec", [*DEFAULTS, *LISTS])
+def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
+    env = make_env(spec, num_envs=48)
+    env.reset()
+    state = env.state
+    names = {grid.map_id: grid for grid in env.bank.grids}
+    assert len(names) > 1 and set(state.map_id.tolist()) == set(names)
+    for points in (state.past[:, :, 0], state.position, state.goal_point):
+        wall, _ = env.bank.closest_wall(points, state.map_id, state.pose)
+        assert float(wall.min()) > BODY_RADIUS
+        for scene, identity in enumerate(state.map_id.tolist()):
+            grid = names[identity]
+            low = torch.tensor(grid.origin[:2])
+            high = low + torch.tensor(grid.cells.shape[::-1]) * grid.resolution
+            assert ((points[scene] > low) & (points[scene] < high)).all()
+    assert state.way.isfinite().all()
+    whole = (state.past, state.goal_point, state.map_id)
+    for i in (0, 31, 47):
+        alone = make_env(env.scenario, first_episode=i)
+        alone.reset()
+        one = (alone.state.past, alone.state.goal_point, alone.state.map_id)
+        assert all(torch.equal(mine[0], every[i]) for mine, every in zip(one, whole, strict=True))
+
+
+def test_the_same_scenes_whatever_the_world() -> None:
+    grid, _ = rollout("go_to_goal", "hallway", "grid", 4)
+    bullet, env = rollout("go_to_goal", "hallway", "bullet", 4)
+    env.world.close()
+    assert len(grid.map_id.unique()) > 1
+    assert torch.equal(grid.map_id, bullet.map_id) and torch.equal(grid.trace, bullet.trace)
+
+
+def test_a_plan_is_as_wide_as_it_is_called() -> None:
+    bank = make_env("door:width=[0.7,1.2]").bank
+    grids = {grid.map_id: grid for grid in bank.grids}
+    for width in (0.7, 1.2):
+        grid = grids[bank.id_of(f"door:width={width},thickness=0.15,offset=0.6")]
+        assert opening(grid, 0.0) == pytest.approx(width)
+
+
+def test_doors_of_any_width_are_walked_through() -> None:
+    result, env = rollout("go_to_goal", LISTS[0], "grid", 32)
+    assert len(result.map_id.unique()) == 4 == len(env.bank.grids)
+    assert bool(result.reached.amax(2).eq(1).all())
+    # an offset of 0 is head-on, and goals lie where starts do
+    y = result.goal[..., 0, 1].abs()
+    assert set(y.flatten().mul(10).round().tolist()) == {0.0, 6.0}
+    assert float((result.past[:, :, 0, 1].abs() - y).abs().max()) < 0.31
+
+
+def test_a_list_of_one_is_the_number() -> None:
+    one, other = (make_env(f"hallway:width={width}", num_envs=5) for width in ("2", "[2]"))
+    assert torch.equal(starts(one), starts(other))
+    assert [grid.map_id for grid in one.bank.grids] == [grid.map_id for grid in other.bank.grids]
+
+
+def test_settings_are_drawn_one_by_one() -> None:
+    draws = Draws.of(3, torch.arange(500))
+    both = Variants("x", width=(1.0, 2.0, 3.0), offset=(0.0, 0.1))
+    alone = Variants("x", width=(1.0, 2.0, 3.0))
+    assert torch.equal(both.drawn(draws) // 2, alone.drawn(draws))
+    assert [dict(one) for one in both][3] == {"width": 2.0, "offset": 0.1}
+    assert float(torch.bincount(both.drawn(draws)).min()) > 50
+    assert Variants("x").drawn(draws).eq(0).all() and list(Variants("x")) == [{}]
+
+
+@pytest.mark.parametrize("name", ENCOUNTERS)
+def test_without_variation_scenes_of_a_plan_are_alike(name: str) -> None:
+    still = make_env(f"{name}:{EXACT}", num_envs=12)
+    there = starts(still)
+    scenario = still.scenario
+    assert isinstance(scenario, Encounter)
+    variant = scenario.variants.drawn(Draws.of(0, torch.arange(12)))
+    for number in variant.unique().tolist():
+        mine = there[variant == number]
+        assert torch.equal(mine, mine[:1].expand_as(mine))
+
+
+@pytest.mark.parametrize("name", ENCOUNTERS)
+def test_people_start_aside_and_late(name: str) -> None:
+    scenario = make_scenario(f"{name}:speed_std=0,jitter=0,aside=0.4,delay=0.8")
+    scenario.ready(0.25)
+    assert isinstance(scenario, Encounter)
+    draws = Draws.of(0, torch.arange(200))
+    layout, places = scenario.layout(draws), scenario.places.of_scenes(scenario.variants.drawn(draws))
+    off = layout.start - places.middle
+    along = (off * places.heading).sum(-1)
+    across = off[..., 0] * places.heading[..., 1] - off[..., 1] * places.heading[..., 0]
+    assert (across.abs() <= places.aside + 1e-4).all() and (places.aside <= 0.4 + 1e-6).all()
+    assert float(across.abs().max()) > 0.9 * float(places.aside.max())
+    # all others come in time, by the speeds that they like
+    late = -along / layout.pref_speed - places.before / layout.pref_speed - 2.8 - scenario.meet
+    assert (late > -1e-3).all() and (late <= places.delay + 1e-3).all()
+    if bool((places.delay > 0).all()):
+        first = torch.bincount(late.argmin(1), minlength=scenario.people)
+        assert (first > 0).sum() >= 2 and float(first.max()) < 160
+
+
+def test_who_comes_first_differs_between_seeds() -> None:
+    position = make_env("blind_corner", num_envs=40).reset()["agents", "history"][:, :, -1]
+    assert 8 <= int(position.norm(dim=-1).argmin(1).sum()) <= 32
+
+
+@pytest.mark.parametrize(
+    ("spec", "told"),
+    [
+        ("hallway:width=[2,1.83]", r"width 1\.83 is no multiple of the resolution 0\.05"),
+        ("hallway:width=[]", r"hallway: width \[\]: expected a number, or a list of some"),
+        ("hallway:width=[2,2]", r"hallway: width \[2\.0, 2\.0\]: 2 is there twice"),
+        ("hallway:width=[2,wide]", r"hallway:width=\[2,wide\]: expected float \| Sequence\[float\]"),
+        ("hallway:width=[1,2],offset=0.4", r"offset 0\.4 in a corridor of 1\.0 m: expected at most 0\.20 m"),
+        ("hallway:width=.inf", r"width inf: expected a number"),
+        ("hallway:aside=-1", r"aside -1\.0, delay 1\.0: expected at least 0 m"),
+        ("hallway:delay=60", r"delay 60\.0: expected at least 0 m, and 0 to 10 s"),
+        ("circle:radius=[4,1]", r"radius 1\.0 for 4 people: expected at least 2\.00 m"),
+        ("parallel:gap=[1,0.5]", r"gap 0\.5: expected at least 0\.8 m"),
+        ("door:width=[0.85,0.83]", r"width 0\.83 is no multiple"),
+    ],
+)
+def test_lists_that_cannot_be(spec: str, told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        make_scenario(spec)
