@@ -16,6 +16,9 @@ ALL_PAIRS = 128
 """People per scene beyond which cells are used. On one CPU thread both ways of finding 10 within 5 m take the
 same time at 80 people per scene (32 scenes, 0.1 per square metre) to 500 (one scene, 1 per square metre)."""
 
+NETWORK, NETWORK_PEOPLE = 9, 500
+"""People per scene up to which, and in the batch from which, few long rows are sorted by a network."""
+
 _BITS = 21
 """Of a cell's number along x, and along y; the cells at the rim hold everybody beyond them."""
 
@@ -67,26 +70,52 @@ def nearest(
         rows: Which of the B * A people are asked for (N,) long; None: all.
     """
     scenes, agents = mask.shape
-    scene = torch.arange(scenes, device=mask.device).mul_(agents)[:, None].expand(mask.shape).flatten()
-    scene = scene if rows is None else scene.index_select(0, rows)
     most = agents - 1 if most is None else min(agents - 1, most)
-    if most < 1 or not len(scene):
-        return Neighbors(scene.new_zeros(0, len(scene)), None)
-    if agents <= ALL_PAIRS:
-        keys = _keys_of_all(position, mask, reach)
-        keys = keys if rows is None else keys.index_select(0, rows)
+    people = mask.numel() if rows is None else len(rows)
+    if most < 1 or not people:
+        return Neighbors(torch.zeros(0, people, dtype=torch.long, device=mask.device), None)
+    if agents > ALL_PAIRS:
+        few = _least(_keys_in_cells(position, mask, reach, rows), most)
     else:
-        keys = _keys_in_cells(position, mask, reach, rows)
+        keys = _keys_of_all(position, mask, reach)
+        if agents <= NETWORK and mask.numel() >= NETWORK_PEOPLE:
+            keys = torch.stack(_sorted(list(keys.flatten(1)))[:most])
+            few = keys.view(-1, agents, scenes).transpose(1, 2).reshape(len(keys), -1)
+            few = few if rows is None else few.index_select(1, rows)
+        else:
+            keys = keys.permute(2, 1, 0).reshape(-1, agents - 1)
+            few = _least(keys if rows is None else keys.index_select(0, rows), most)
+    low, high = (bound.tolist() for bound in few.aminmax(dim=1))
+    few = few[: sum(least < _NOBODY for least in low)]
+    # the own key comes before those of all who are ignored, and after the others
+    own = _NOBODY + _places(mask, rows)
+    index = few.minimum(own).bitwise_and_(_PLACE)
+    return Neighbors(index, None if max(high[: len(few)], default=0) < _NOBODY else few < _NOBODY)
+
+
+def _least(keys: Tensor, most: int) -> Tensor:
+    """Return the least keys of each row of (N, C), ascending, so many at most (K, N)."""
     most = min(most, keys.shape[1])
     # selection beats sorting where it leaves most of them out
     few = keys.topk(most, dim=1, largest=False)[0] if keys.shape[1] > 4 * most else keys.sort(dim=1)[0]
-    few = few[:, :most].T.contiguous()
-    few = few[: int((few.amin(1) < _NOBODY).sum())]
-    index = (few & _SLOT) + scene
-    if few.numel() == 0 or int(few.amax()) < _NOBODY:
-        return Neighbors(index, None)
-    near = few < _NOBODY
-    return Neighbors(torch.where(near, index, _places(mask, rows)), near)
+    return few[:, :most].T.contiguous()
+
+
+def _sorted(rows: list[Tensor]) -> list[Tensor]:
+    """Sort element by element, in place of the rows: Batcher's odd-even merge sort (1968)."""
+    count, span = len(rows), 1
+    while span < count:
+        step = span
+        while step:
+            for low in range(step % span, count - step, 2 * step):
+                for one in range(low, min(low + step, count - step)):
+                    other = one + step
+                    if one // (2 * span) == other // (2 * span):
+                        first, second = rows[one], rows[other]
+                        rows[one], rows[other] = first.minimum(second), first.maximum(second)
+            step //= 2
+        span *= 2
+    return rows
 
 
 @torch.no_grad()
@@ -109,20 +138,20 @@ def pairs_within(position: Tensor, mask: Tensor, reach: Tensor | float) -> Pairs
     return _pairs_in_cells(position, present, own)
 
 
-_SLOT = (1 << 31) - 1
-"""The bits of a key that tell the slot."""
+_PLACE = (1 << 31) - 1
+"""The bits of a key that tell the place."""
 
 _FAR = 1e30
 """Squared metres from which on others are ignored, whatever the reach."""
 
-_NOBODY = int(torch.tensor(_FAR).view(torch.int32)) << 31
-"""The least key of somebody who is ignored."""
+_NOBODY = int(torch.tensor(_FAR).view(torch.int32)) - 1 << 31
+"""Where the keys of those who are ignored begin."""
 
 
-def _key(distance2: Tensor, slot: Tensor) -> Tensor:
-    """Return whole numbers in the order of distances (...), and of slots (...) among equals."""
+def _key(distance2: Tensor, place: Tensor) -> Tensor:
+    """Return whole numbers in the order of distances (...), and of places (...) among equals."""
     # floats that are not negative are ordered as their bits are
-    return distance2.float().view(torch.int32).long().bitwise_left_shift_(31).add_(slot)
+    return distance2.float().view(torch.int32).long().bitwise_left_shift_(31).add_(place)
 
 
 def _finite(position: Tensor) -> Tensor:
@@ -137,19 +166,24 @@ def _places(mask: Tensor, rows: Tensor | None) -> Tensor:
 
 
 def _keys_of_all(position: Tensor, mask: Tensor, reach: float) -> Tensor:
-    """Return the keys (B * A, A) of everybody with everybody."""
-    agents = mask.shape[1]
-    slot = torch.arange(agents, device=position.device)
+    """Return the keys (A - 1, A, B) of everybody with those in the slots after, the first after the last."""
     present = mask if position.sum().isfinite() else mask & _finite(position)
     if not present.all():  # absent people are far from everybody, and from each other
-        position = torch.where(present[..., None], position, (1e18 * (1.0 + slot))[:, None].to(position))
+        far = torch.arange(1, 1 + mask.shape[1], device=mask.device)[:, None] * 1e18
+        position = torch.where(present[..., None], position, far.to(position))
+    number = _places(mask, None).view(mask.shape).T.contiguous()
     place = position.permute(2, 1, 0).contiguous()  # scenes last: long runs of numbers, in small scenes, too
-    apart = place[:, None] - place[:, :, None]
-    distance2 = (apart[0] * apart[0]).add_(apart[1] * apart[1])
+    apart = (_after(place, 1) - place[:, None]).square_()
+    distance2 = apart[0].add_(apart[1])
     ignored = torch.ge(distance2, reach * reach, out=torch.empty_like(distance2))
-    ignored.diagonal().fill_(1)
-    keys = _key(distance2.add_(ignored, alpha=_FAR), slot[:, None])
-    return keys.permute(2, 0, 1).reshape(-1, agents)
+    return _key(distance2.add_(ignored, alpha=_FAR), _after(number, 0))
+
+
+def _after(everybody: Tensor, dim: int) -> Tensor:
+    """Return the others (..., A - 1, A, ...) of a dimension's A people, by how many slots after they come."""
+    agents = everybody.shape[dim]
+    twice = torch.cat((everybody, everybody), dim).narrow(dim, 1, 2 * agents - 2)
+    return twice.unfold(dim, agents, 1).movedim(-1, dim + 1)
 
 
 class _Cells(NamedTuple):
@@ -192,7 +226,7 @@ def _expanded(begin: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
 
 def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | None) -> Tensor:
     """Return the keys (N, C) of everybody near the people who are asked for."""
-    agents, asked = mask.shape[1], _places(mask, rows)
+    asked = _places(mask, rows)
     present = mask & _finite(position)
     width = position.new_full((len(present), 1, 1), max(reach, torch.finfo(position.dtype).tiny))
     cells = _Cells.of(position, present, width.double())
@@ -204,10 +238,10 @@ def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | 
     distance2 = dx * dx + dy * dy
     kept = ((distance2 < min(reach * reach, _FAR)) & (other != own)).nonzero()[:, 0]
     person = person.index_select(0, kept)
-    key = _key(distance2.index_select(0, kept), other.index_select(0, kept) % agents)
+    key = _key(distance2.index_select(0, kept), other.index_select(0, kept))
     count = person.bincount(minlength=len(asked))
     rank = torch.arange(len(person), device=person.device) - (count.cumsum(0) - count).index_select(0, person)
-    keys = person.new_full((len(asked), max(1, int(count.max()))), _NOBODY)
+    keys = person.new_full((len(asked), max(1, int(count.max()))), _NOBODY + _PLACE)
     keys.view(-1)[person * keys.shape[1] + rank] = key
     return keys
 
