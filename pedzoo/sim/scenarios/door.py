@@ -19,6 +19,9 @@ BEFORE = 2.5
 BEHIND = 3.0
 """Metres of the goals behind the wall."""
 
+PUSH = 0.05
+"""Metres that those behind may drive the first ones on before the episode begins."""
+
 SPACING = 0.9
 """Metres between people who come one behind the other."""
 
@@ -114,7 +117,7 @@ class Door(Scenario):
         side = 2 * (agent % 2) - 1  # -1 comes from the left, 1 from the right
         speed = self.speeds(draws)
         speed = torch.where(side > 0, speed * self.speed_ratio, speed)
-        away = BEFORE + WARM_SECONDS * speed + SPACING * (agent // 2)
+        away = BEFORE + WARM_SECONDS * speed + SPACING * (agent // 2) + PUSH * (agents > 2)
         offset = self._offset.to(device)[variant].unsqueeze(1)
         lateral = side * offset + self.jitter * draws.normal("jitter", agents).clamp(-3, 3)
         start = torch.stack((side * away, lateral), dim=-1)
