@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.sim.neighbors import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.vectors import above, at_most, below, cross, dot, left, pick, right
+from pedzoo.sim.orca.vectors import at_most, cross, dot, left, right
 
 
 def agent_lines(
@@ -39,7 +39,7 @@ def agent_lines(
     w = current - rate * place
     w2, ahead = dot(w, w), dot(w, place)
     # the projection is on the round end where w points away from its centre by more than the legs' angle
-    on_circle = below(ahead * ahead.abs(), -combined * combined * w2).maximum(overlap)
+    on_circle = (ahead * ahead.abs()).lt_(-combined * combined * w2).maximum(overlap)
 
     # The nearest point of the velocity obstacle's border is on its round end, ...
     length = w2.sqrt()
@@ -48,11 +48,11 @@ def agent_lines(
     to_circle = (rate * combined).sub_(length) * outward
     # ... or on its left or right leg.
     leg = (distance2 - combined * combined).clamp_min_(0).sqrt_()
-    leg.mul_(above(cross(place, w), 0).mul_(2).sub_(1))
+    leg.mul_(cross(place, w).gt_(0).mul_(2).sub_(1))
     side = (place * leg).add_(left(combined * place)).mul_(distance2.clamp_min(tiny).reciprocal_())
     to_leg = (dot(current, side) * side).sub_(current)
 
     # Everybody does half of what is needed.
-    point = pick(on_circle, to_circle, to_leg).mul_(0.5).add_(own[2:, None])
-    lines = torch.cat((point, pick(on_circle, right(outward), side)))
+    to_leg.lerp_(to_circle, on_circle).mul_(0.5).add_(own[2:, None])
+    lines = torch.cat((to_leg, side.lerp_(right(outward), on_circle)))
     return lines if near is None else lines.mul_(near.to(lines.dtype))

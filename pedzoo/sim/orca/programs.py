@@ -39,7 +39,7 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
         preferred: Preferred velocities (2, N), m/s.
         max_speed: Top speeds (N,), m/s.
     """
-    speed = (preferred[0] * preferred[0] + preferred[1] * preferred[1]).sqrt()
+    speed = (preferred[0] * preferred[0]).add_(preferred[1] * preferred[1]).sqrt_()
     slower = preferred * (1 / speed.clamp_min(torch.finfo(speed.dtype).tiny)) * max_speed
     start = pick(above(speed, max_speed), slower, preferred)
     result, failed = nearest(lines, start, preferred, max_speed, towards=False)
@@ -76,7 +76,7 @@ def nearest(
     number = torch.arange(count, device=lines.device, dtype=lines.dtype)[:, None]
     rows, own, last = torch.arange(lines.shape[2], device=lines.device), start, None
     while True:
-        wrong = above(violation(lines, own), 0)
+        wrong = violation(lines, own).gt_(0)
         line = _first(wrong if last is None else wrong.mul_(above(number, last)))
         still = (line < count).nonzero()[:, 0]
         if not len(still):
@@ -112,7 +112,7 @@ def _at_once(
     )
     # from `start`, -1, and from the best velocity on each line: which line is the next that is violated?
     places = torch.cat((start[:, None], found), dim=1)
-    wrong = above(violation(lines[:, :, None], places[:, None]), 0) * above(one[..., None], other)
+    wrong = violation(lines[:, :, None], places[:, None]).gt_(0).mul_(above(one[..., None], other))
     if last is not None:
         wrong[:, 0] *= above(one, last)
     line = _first(wrong)
@@ -144,24 +144,24 @@ def _best_on(
         The velocities (2, ..., N), and where there is one (..., N), 1 or 0.
     """
     x, y, dx, dy = chosen
-    along = x * dx + y * dy
-    inside = along * along + max_speed * max_speed - (x * x + y * y)
-    half = inside.clamp_min(0).sqrt()
+    along = (x * dx).add_(y * dy)
+    inside = (along * along).add_(max_speed * max_speed).sub_((x * x).add_(y * y))
+    half = inside.clamp_min(0).sqrt_()
 
     px, py, qx, qy = lines
-    across = (dx * qy - dy * qx) * before
-    ahead = (qx * (y - py) - qy * (x - px)) * before
-    parallel = at_most(across.abs(), EPSILON)
+    across = (dx * qy).sub_(dy * qx).mul_(before)
+    ahead = (y - py).mul_(qx).sub_((x - px).mul_(qy)).mul_(before)
+    parallel = across.abs().le_(EPSILON)
     cut = ahead / (across + parallel)
     high = cut.add(at_most(across, EPSILON), alpha=_FAR).amin(0).minimum(half - along)
-    low = cut.sub(at_least(across, -EPSILON), alpha=_FAR).amax(0).maximum(-along - half)
-    behind = (parallel * ahead).amin(0)
-    feasible = at_least(inside, 0) * at_least(high, low) * at_least(behind, 0)
+    low = cut.sub_(across.ge_(-EPSILON), alpha=_FAR).amax(0).maximum(half.neg_().sub_(along))
+    behind = parallel.mul_(ahead).amin(0)
+    feasible = inside.ge_(0).mul_(at_least(high, low)).mul_(behind.ge_(0))
 
     if towards:
         t = pick(above(optimum[0] * dx + optimum[1] * dy, 0), high, low)
     else:
-        t = (dx * (optimum[0] - x) + dy * (optimum[1] - y)).minimum(high).maximum(low)
+        t = (optimum[0] - x).mul_(dx).add_((optimum[1] - y).mul_(dy)).minimum(high).maximum(low)
     return torch.stack((x + t * dx, y + t * dy)), feasible
 
 
@@ -188,7 +188,7 @@ def least_violating(lines: Tensor, result: Tensor, first: Tensor, max_speed: Ten
         # it fails by rounding only: the current velocity is feasible by construction
         own = torch.where(failed == count, moved, own)
         answer.index_copy_(1, rows, own)
-        wrong = above(violation(lines, own), violation(chosen, own))
+        wrong = violation(lines, own).gt_(violation(chosen, own))
         following = _first(wrong.mul_(above(number, line)))
         still = (following < count).nonzero()[:, 0]
         if not len(still):
@@ -202,23 +202,25 @@ def _equally_violated(lines: Tensor, chosen: Tensor, before: Tensor, walls: int)
     people = lines[:, walls:]
     px, py, qx, qy = people
     x, y, dx, dy = chosen
-    across = dx * qy - dy * qx
-    parallel = at_most(across.abs(), EPSILON)
-    t = (qx * (y - py) - qy * (x - px)) / (across + parallel)
+    across = (dx * qy).sub_(dy * qx)
+    parallel = across.abs().le_(EPSILON)
+    t = (y - py).mul_(qx).sub_((x - px).mul_(qy)).div_(across + parallel)
     crossing = torch.stack((x + t * dx, y + t * dy))
-    point = pick(parallel, 0.5 * (chosen[:2] + people[:2]), crossing)
+    point = crossing.lerp_((chosen[:2] + people[:2]).mul_(0.5), parallel)
     turn = people[2:] - chosen[2:]
-    length = (turn[0] * turn[0] + turn[1] * turn[1]).sqrt().clamp_min(torch.finfo(turn.dtype).tiny)
+    length = (turn[0] * turn[0]).add_(turn[1] * turn[1]).sqrt_().clamp_min_(torch.finfo(turn.dtype).tiny)
     # parallel lines of the same direction constrain nothing more, and neither does padding (0, 0)
-    same = parallel * above(dx * qx + dy * qy, -0.5)
-    direction = turn * ((before[walls:] - before[walls:] * same) / length)
+    same = (dx * qx).add_(dy * qy).gt_(-0.5).mul_(parallel)
+    before = before[walls:]
+    direction = turn.mul_((before - before * same).div_(length))
     return torch.cat((lines[:, :walls], torch.cat((point, direction))), dim=1)
 
 
 def violation(lines: Tensor, velocity: Tensor) -> Tensor:
     """Return how far velocities (2, ..., N) are on the wrong side of ``lines`` (4, ..., N): (..., N), m/s."""
     px, py, dx, dy = lines
-    return dx * (py - velocity[1]) - dy * (px - velocity[0])
+    x, y = velocity
+    return (py - y).mul_(dx).sub_((px - x).mul_(dy))
 
 
 def _of(everybody: Tensor, rows: Tensor) -> Tensor:
