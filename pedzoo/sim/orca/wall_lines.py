@@ -38,19 +38,21 @@ def wall_lines(walls: Segments, velocity: Tensor, settings: OrcaSettings) -> Ten
     own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
     x, y, dx, dy, counts = _lines(walls, own_x, own_y, settings)
     # a mirror changes which side of a line is left
-    lines = torch.cat((x * right + y * ahead, dx * walls.side * right + dy * left(right)))
-    return lines * _uncovered(walls, lines, counts, settings)
+    point = (x * right).add_(y * ahead)
+    lines = torch.cat((point, (dx.mul_(walls.side) * right).add_(dy * left(right))))
+    return lines.mul_(_uncovered(walls, ahead, lines, counts, settings))
 
 
-def _uncovered(walls: Segments, lines: Tensor, counts: Tensor, settings: OrcaSettings) -> Tensor:
+def _uncovered(
+    walls: Segments, ahead: Tensor, lines: Tensor, counts: Tensor, settings: OrcaSettings
+) -> Tensor:
     """Return which lines count (K, N), 1 or 0: not those of what lies behind the line of a nearer segment."""
     scale = 1 / settings.time_horizon_obst
     margin = max(settings.radius * scale - EPSILON, torch.finfo(lines.dtype).tiny)
-    ahead = walls.side * left(walls.direction)
-    one = scale * (walls.apart * ahead - walls.along * walls.direction)
+    one = (walls.apart * ahead).sub_(walls.along * walls.direction).mul_(scale)
     other = one + scale * walls.length * walls.direction
     x, y = torch.stack((one, other), dim=1)  # (2 corners, K, N)
-    bound = cross(lines[:2], lines[2:]) + margin
+    bound = cross(lines[:2], lines[2:]).add_(margin)
     for k, (dx, dy, enough, count) in enumerate(zip(*lines[2:], bound, counts, strict=True), start=1):
         behind = (x[:, k:] * (dy * count)).sub_(y[:, k:] * (dx * count)).amin(0)
         counts[k:].mul_(below(behind, enough))
@@ -69,9 +71,9 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
 
     # Whoever touches the wall moves away from its nearest point.
     beyond = corner.amax(0).clamp_min(0)
-    gap2 = beyond * beyond + apart2
+    gap2 = (beyond * beyond).add_(apart2)
     touch = at_most(gap2, radius * radius)
-    away = gap2.sqrt().reciprocal()
+    away = gap2.sqrt_().reciprocal_()
 
     # Seen from nearly its own line, only the nearer corner of a segment counts; an inner one does not.
     only = above(corner, 0).mul_(at_most(apart, radius))
@@ -79,7 +81,7 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     inner = (only - only * walls.convex).sum(0)
     # nor does a right corner that is touched where the next segment sees to it
     next_x, next_y = walls.neighbor[:, 1]
-    served = touch * only[1] * above(corner[1] * next_y - apart * next_x, 0)
+    served = touch * only[1] * (corner[1] * next_y).sub_(apart * next_x).gt_(0)
     instead = only.flip(0)
     corner = pick(instead, corner.flip(0).neg_(), corner)
     convex = pick(instead, walls.convex.flip(0), walls.convex)
@@ -93,12 +95,12 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
     leg_x = (corner * leg).sub_(apart * radius).mul_(share).add_(convex - 1)
     leg_y = (corner * radius).add_(apart * leg).mul_(share)
     # They do not point into the wall beyond a corner: there the neighbouring segment makes the constraint.
-    foreign = at_least((leg_x * next_y).sub_(leg_y * next_x), 0).mul_(convex)
+    foreign = (leg_x * next_y).sub_(leg_y * next_x).ge_(0).mul_(convex)
     leg_x, leg_y = leg_x.lerp_(next_x, foreign), leg_y.lerp_(next_y, foreign)
 
     # The border of the velocity obstacle: a cut-off segment with round ends, and two legs.
     from_x, from_y = torch.stack((own_x, -own_x)).sub_(scale * corner), own_y - scale * apart
-    past = below((from_x * leg_x).add_(from_y * leg_y), 0)
+    past = (from_x * leg_x).add_(from_y * leg_y).lt_(0)
     outside = below(from_x, 0)
     rounded = past * outside
     both_past = past[0] * past[1]
@@ -114,13 +116,16 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings
 
     from_x, leg_x, leg_y = (pick(right, part[1], part[0]) for part in (from_x, leg_x, leg_y))
     corner, foreign = (pick(right, part[1], part[0]) for part in (corner, foreign))
-    ignored = foreign * (1 - on_cutoff) * (1 - on_round) * (1 - touch) + inner + served
-    speed = (from_x * from_x + from_y * from_y).sqrt().clamp_min(torch.finfo(from_x.dtype).tiny).reciprocal()
-    dx = pick(on_round, from_y * speed, leg_x - on_cutoff * (leg_x + 1))
-    dy = pick(on_round, -from_x * speed, leg_y - on_cutoff * leg_y)
-    x = scale * (corner - radius * dy) * (1 - touch)
-    y = scale * (apart + radius * dx) * (1 - touch)
-    dx, dy = pick(touch, -apart * away, dx), pick(touch, beyond * away, dy)
+    free = 1 - touch
+    ignored = foreign.mul_(1 - on_cutoff).mul_(1 - on_round).mul_(free).add_(inner).add_(served)
+    speed = (from_x * from_x).add_(from_y * from_y).sqrt_()
+    speed = speed.clamp_min_(torch.finfo(speed.dtype).tiny).reciprocal_()
+    leg_x.sub_((leg_x + 1).mul_(on_cutoff))
+    leg_y.sub_(on_cutoff.mul_(leg_y))
+    dx, dy = leg_x.lerp_(from_y * speed, on_round), leg_y.lerp_(speed.mul_(from_x).neg_(), on_round)
+    x = corner.sub_(radius * dy).mul_(scale).mul_(free)
+    y = (radius * dx).add_(apart).mul_(scale).mul_(free)
+    dx, dy = dx.lerp_((apart * away).neg_(), touch), dy.lerp_(away.mul_(beyond), touch)
     right = pick(touch, above(walls.along, walls.length), right)
     turn = 1 - 2 * right
-    return x * turn, y, dx, dy * turn, walls.valid * above(1 - ignored, 0)
+    return x.mul_(turn), y, dx, dy.mul_(turn), ignored.lt_(1).mul_(walls.valid)
