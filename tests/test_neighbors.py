@@ -136,6 +136,25 @@ def test_a_scene_finds_the_same_alone(all_pairs: int) -> None:
     assert torch.equal((whole[: len(close), some] - 24)[close], alone[close])
 
 
+@KINDS
+@pytest.mark.parametrize("agents", [2, 3, 5, 8, 9])
+def test_a_network_sorts_small_scenes_in_the_same_order(
+    agents: int, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    position, mask = scene(kind, 150, agents)
+    assert agents <= neighbors.NETWORK
+    for rows in (None, mask.flatten().nonzero()[:, 0]):
+        found = []
+        for least in (1, 10**9):
+            monkeypatch.setattr(neighbors, "NETWORK_PEOPLE", least)
+            found.append(nearest(position, mask, 5.0, 4, rows))
+        network, sort = found
+        assert torch.equal(network.index, sort.index)
+        assert (network.near is None) == (sort.near is None)
+        if network.near is not None and sort.near is not None:
+            assert torch.equal(network.near, sort.near)
+
+
 @WAYS
 def test_double_precision(all_pairs: int) -> None:
     position, mask = scene("random")

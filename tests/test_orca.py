@@ -189,6 +189,9 @@ def test_gradients_are_not_needed_and_do_not_disturb() -> None:
     preferred.requires_grad_()
     found = walk(position, velocity, preferred)
     assert not found.requires_grad
+    weight = torch.ones((), requires_grad=True)
+    (weight * found).sum().backward()  # what is chosen can be part of a loss
+    assert weight.grad is not None and torch.allclose(weight.grad, found.sum())
 
 
 def best_of_disk(lines: Tensor, walls: int, max_speed: float) -> Tensor:
