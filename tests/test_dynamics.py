@@ -62,20 +62,37 @@ def test_an_inner_corner_stops_both_ways() -> None:
     assert torch.allclose(path[-1], torch.tensor([2.0 - NEAREST, 3.0 - NEAREST]), atol=1e-3)
 
 
-def test_nobody_tunnels_through_a_thin_wall_at_top_speed() -> None:
+@pytest.mark.parametrize(("thickness", "top"), [(0.1, 2.5), (0.01, 1.49), (0.01, 2.5), (0.05, 3.1)])
+def test_nobody_tunnels_through_a_thin_wall_at_top_speed(thickness: float, top: float) -> None:
+    resolution = min(thickness, 0.05)
+    walls = room((0, 0), (4, 3), resolution) + wall((2 + thickness / 2, 0), (2 + thickness / 2, 3), thickness)
+    bank = MapBank([rectangles(walls, resolution)], "wall")
     generator = torch.Generator().manual_seed(0)
-    top = 2.5
     people = 2000
     start = torch.rand(1, people, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
-    angle = torch.rand(1, people, generator=generator) * 6.3
-    velocity = top * torch.stack((angle.cos(), angle.sin()), dim=-1)
-    map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
+    map_id, pose = torch.tensor([bank.grids[0].map_id]), identity_pose(1)
     for _ in range(10):
-        path = walk(start, velocity, 0.4, 4 * substeps(top), BANK, map_id, pose)
-        distance, _ = BANK.closest_wall(path.flatten(1, 2), map_id, pose)
+        angle = torch.rand(1, people, generator=generator) * 6.3
+        velocity = top * torch.stack((angle.cos(), angle.sin()), dim=-1)
+        path = walk(start, velocity, 0.4, 4 * substeps(top), bank, map_id, pose)
+        distance, _ = bank.closest_wall(path.flatten(1, 2), map_id, pose)
         assert float(path[..., 0].max()) < 2.0
         assert float(distance.min()) > NEAREST - 1e-3
+        moves = torch.cat((start.unsqueeze(2), path), dim=2).diff(dim=2).norm(dim=-1)
+        assert float(moves.max()) < BODY_RADIUS / 2 * 1.1
         start = path[:, :, -1]
+
+
+def test_places_between_strides_turn_with_the_corner() -> None:
+    bank = MapBank([rectangles([(0.0, 0.0, 1.0, 1.0)], 0.05)], "free")
+    map_id, pose = torch.tensor([bank.grids[0].map_id]), identity_pose(1)
+    start = torch.tensor([[[-NEAREST, 0.9]]])
+    path = walk(start, torch.tensor([[[1.2, 0.9]]]), 0.4, 4 * substeps(1.5), bank, map_id, pose)
+    distance, _ = bank.closest_wall(path.flatten(1, 2), map_id, pose)
+    moves = torch.cat((start.unsqueeze(2), path), dim=2).diff(dim=2).norm(dim=-1)
+    assert float(path[0, 0, -1, 0]) > 0.05  # round the corner
+    assert float(distance.min()) > NEAREST - 2e-4
+    assert float(moves.min()) > 0.2 * float(moves.max())  # nobody waits half of the time
 
 
 def test_sub_steps_are_at_most_half_a_body_radius() -> None:

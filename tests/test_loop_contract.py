@@ -184,6 +184,29 @@ def test_deadlines_lie_between_decisions_too(deadline: float, late: bool) -> Non
     assert bool(after["agents", "info", "late"]) is late
 
 
+def test_gradients_of_a_return_over_two_decisions() -> None:
+    """Against finite differences: what the first decision does to the second one's reward counts, too."""
+    env = make_env("goals:people=4,pool=8", 3, seed=1)
+    env.reset()
+    begun, simulation = env.state, env._simulation
+
+    def total(action: Tensor) -> Tensor:
+        state, guidance, first = simulation.step(begun, action)
+        _, _, second = simulation.step(state, action + 0.1 * guidance.desired_velocity.detach())
+        return first.reward.sum() + second.reward.sum()
+
+    generator = torch.Generator().manual_seed(0)
+    action = (0.8 * torch.randn(3, 4, 2, generator=generator)).requires_grad_()
+    (gradient,) = torch.autograd.grad(total(action), action)
+    step, found = 3e-3, []
+    for index in range(action.numel()):
+        shift = torch.zeros(action.numel()).index_fill(0, torch.tensor([index]), step).view_as(action)
+        found.append((total(action.detach() + shift) - total(action.detach() - shift)) / (2 * step))
+    error = (torch.stack(found).view_as(action) - gradient).abs()
+    assert (error < 0.05).float().mean() > 0.85  # a waypoint that changes in between has no gradient
+    assert gradient.abs().amax() > 0.3
+
+
 def test_rewards_are_finite_wherever_people_get_to(shared: Path) -> None:
     env = make_env(f"goals:map={shared}/maps/aws_small_house.yaml,people=5,pool=6", num_envs=32)
     now: Any = env.reset()

@@ -24,7 +24,8 @@ _ROUGH = torch.tensor([1 / 8, 3 / 8, 5 / 8, 7 / 8])
 def seen_beyond(walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor) -> Tensor:
     """Return how far beyond the waypoint people see their carrot (P,): ``rest``, a half, a quarter, or not.
 
-    It is seen if the straight line to it keeps a body's radius from walls.
+    It is seen if points of the straight line to it, 0.3 m apart, keep a body's radius from walls; on coarse
+    floor plans up to 0.71 cells more.
 
     Args:
         walls: As people see them from their positions on the map.

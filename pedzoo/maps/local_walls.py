@@ -110,8 +110,8 @@ class LocalWalls:
     def least(self, points: Tensor) -> Tensor:
         """Return how far from the nearest wall positions are at least (K, N), for a tenth of the price.
 
-        That is the exact distance less up to 0.71 cells, float32; of a position that is not a number,
-        anything.
+        That is the exact distance less up to 0.71 cells, 1.06 in walls, float32; anything where a position is
+        not a number.
 
         Args:
             points: Scene positions (2, K, N), metres.

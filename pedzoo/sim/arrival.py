@@ -45,6 +45,7 @@ def renewed(
 def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor) -> Tensor:
     """Return when a goal at the end of ``way`` (B, A) must be reached: four times the time that it takes.
 
-    At least 20 s from ``clock`` (B,); everything in seconds and metres.
+    At least 20 s from ``clock`` (B,), the end of the decision in which the goal was drawn; everything in
+    seconds and metres.
     """
     return clock.unsqueeze(1) + torch.clamp(WAYS * way / pref_speed, min=LEAST_SECONDS)

@@ -32,9 +32,9 @@ def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
     """Return how many sub-steps a trace step of 0.1 s needs for a top speed.
 
     Nobody may move more than half a body radius in one: then nobody passes through a wall or another
-    person unseen.
+    person unseen. A little less, because a body gives by `SKIN` at walls, and two sub-steps are a stride.
     """
-    return max(1, math.ceil(fastest * TRACE_SECONDS / (body_radius / 2)))
+    return max(1, math.ceil(fastest * TRACE_SECONDS / ((body_radius - SKIN) / 2) - 1e-9))
 
 
 def walk(
@@ -110,7 +110,7 @@ def _slide(start: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_radi
     here, move = start.double(), stride * move.double()
     gap, away = _look(walls, here)
     allowed = gap.detach().clamp_max(reach)
-    way = [here]
+    way, kept = [here], [allowed]
     for _ in range(steps // stride):
         excess = allowed - gap - (move * away).sum(0)
         wanted = torch.addcmul(here + move, excess.clamp_min(0), away)
@@ -130,15 +130,20 @@ def _slide(start: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_radi
             here, gap, away = (torch.where(stuck, old, new) for old, new in zip(before, now, strict=True))
         allowed = gap.detach().clamp_max(reach).maximum(allowed)  # rounding must not add up
         way.append(here)
+        kept.append(allowed)
     ends = torch.stack(way, dim=1)
-    parts = [torch.lerp(ends[:, :-1], ends[:, 1:], part / stride) for part in range(1, stride)]
-    return torch.stack((*parts, ends[:, 1:]), dim=2).flatten(1, 2).to(start.dtype)
+    if stride == 1:
+        return ends[:, 1:].to(start.dtype)
+    between = torch.lerp(ends[:, :-1], ends[:, 1:], 0.5)
+    gap, away = _look(walls, between)  # a straight line between two places may cut a corner
+    between = torch.addcmul(between, (torch.stack(kept[:-1]) - gap).clamp_min(0), away)
+    return torch.stack((between, ends[:, 1:]), dim=2).flatten(1, 2).to(start.dtype)
 
 
 def _look(walls: LocalWalls, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the distance to the nearest wall (P,), differentiable, and where it grows (2, P)."""
-    gap, away = walls.look(place.detach().unsqueeze(1))
-    gap, away = gap[0], away[:, 0]
+    """Return the distance to the nearest wall (..., P), differentiable, and where it grows (2, ..., P)."""
+    gap, away = walls.look(place.detach().view(2, -1, place.shape[-1]))
+    gap, away = gap.view(place.shape[1:]), away.view(place.shape)
     if place.requires_grad:
         gap = gap + ((place - place.detach()) * away).sum(0)
     return gap, away

@@ -117,8 +117,7 @@ class Simulation:
         # whoever has squeezed into a corner that no planned way leads out of is as far as before
         way = torch.where(guidance.distance.isfinite(), guidance.distance, state.way)
         progress = state.way - torch.where(hit, 0.0, way)
-        way = way.detach()
-        until = torch.where(hit, deadline(clock, way, state.pref_speed), state.deadline)
+        until = torch.where(hit, deadline(clock, way.detach(), state.pref_speed), state.deadline)
         after = after._replace(way=way, goal_point=guidance.goal_point, deadline=until)
         terminated = (finished | ~state.mask).all(1) & ~broken
         settled = (finished | late | ~state.mask).all(1) | after.failed

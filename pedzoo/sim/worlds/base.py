@@ -15,6 +15,7 @@ from pedzoo.geometry import move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.sim.dynamics import SKIN
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.types import BODY_RADIUS
 
@@ -81,10 +82,13 @@ class World(ABC):
         """Take the floor plans.
 
         Raises:
-            UserError: The radius is not above zero.
+            UserError: The radius is too small.
         """
-        if not body_radius > 0:
-            raise UserError(f"body_radius {body_radius} must be metres above 0, like {BODY_RADIUS}")
+        if not body_radius > SKIN:
+            raise UserError(
+                f"body_radius {body_radius}: expected metres above {SKIN}, by which a body gives at walls, "
+                f"like {BODY_RADIUS}"
+            )
         self.bank = bank
         self.body_radius = body_radius
 

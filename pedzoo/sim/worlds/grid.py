@@ -28,7 +28,7 @@ class GridWorld(World):
         """Take the floor plans.
 
         Raises:
-            UserError: The radius is not above zero.
+            UserError: The radius is too small.
         """
         super().__init__(bank, body_radius)
         self._wall_rays: WallRays | None = None
