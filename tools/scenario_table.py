@@ -1,10 +1,11 @@
 """Walk through every scenario with ORCA and social force. Makes checkpoints/SCENARIOS.md and a picture.
 
     python tools/scenario_table.py
+    python tools/scenario_table.py door --policies go_to_goal    # prints a table, unless --out and --picture
 
 Every scenario of the registry with its defaults, and encounters with crowds of 20 and 50 people as far as
 they take them (of 50 people half as many episodes). Policies of one row see the same scenes. The page ends
-with what fails, and why.
+with what fails, and why; those of other scenarios, policies, episodes or worlds do not.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from __future__ import annotations
 import argparse
 import os
 import pickle
+import shlex
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from io import BytesIO
@@ -44,6 +47,9 @@ LARGE = "people=50"
 VARIANTS = ("intersection:people=4", "parallel:opposite=true", "parallel:opposite=true,people=20")
 """Beside the defaults and the crowds."""
 
+CHOICES = "scenarios", "policies", "episodes", "world"
+"""Options without which the whole page is made."""
+
 PANEL = (2.5, 1.75)
 """Inches of a panel of the picture."""
 
@@ -67,17 +73,36 @@ class Measured(NamedTuple):
 
 
 def main() -> None:
-    """Walk everything, write the page and draw the picture."""
+    """Walk everything, write or print the page and draw the picture."""
+    parser = arguments()
+    options = parser.parse_args()
+    whole = all(getattr(options, key) == parser.get_default(key) for key in CHOICES)
+    if whole:
+        options.out = options.out or shipped("checkpoints") / "SCENARIOS.md"
+        options.picture = options.picture or shipped("checkpoints") / "scenarios_walked.png"
+    found = walked(options)
+    text = page(options, found, FAILURES.read_text() if whole else "")
+    write_whole(options.out, text.encode()) if options.out else print(text)
+    if options.picture:
+        write_whole(options.picture, picture(found))
+
+
+def arguments() -> argparse.ArgumentParser:
+    """Return the parser."""
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
-    parser.add_argument("scenarios", nargs="*", help="names with settings; none: all, and crowds")
-    parser.add_argument("--policies", nargs="+", default=POLICIES)
+    parser.add_argument("scenarios", nargs="*", default=[], help="names with settings; none: all, and crowds")
+    parser.add_argument("--policies", nargs="+", default=list(POLICIES))
     parser.add_argument("--episodes", type=int, default=20, help="seeds per row")
     parser.add_argument("--world", default="grid", choices=["grid", "bullet"])
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
-    parser.add_argument("--out", type=Path, default=shipped("checkpoints") / "SCENARIOS.md")
-    parser.add_argument("--picture", type=Path, default=shipped("checkpoints") / "scenarios_walked.png")
-    options = parser.parse_args()
+    parser.add_argument("--out", type=Path, help="page (default: in checkpoints/ if whole, else printed)")
+    parser.add_argument("--picture", type=Path, help="picture (default: in checkpoints/ if whole, else none)")
+    return parser
+
+
+def walked(options: argparse.Namespace) -> dict[Case, Measured]:
+    """Walk everything, and print a line of each."""
     scenarios = options.scenarios or every_scenario()
     cases = [
         Case(one, policy, options.world, options.episodes // (1 + one.endswith(LARGE)))
@@ -91,8 +116,7 @@ def main() -> None:
             one = found[case] = pickle.loads(data)
             print(case.scenario, case.policy, *(cell(one, key) for key in COLUMNS), sep=" | ", flush=True)
             progress("scenarios x policies", done, len(cases))
-    write_whole(options.out, page(options, found).encode())
-    write_whole(options.picture, picture(found))
+    return found
 
 
 def every_scenario() -> list[str]:
@@ -136,25 +160,27 @@ COLUMNS = {
 }
 
 
-def page(options: argparse.Namespace, found: dict[Case, Measured]) -> str:
-    """Return the page."""
-    made = versions()
-    rows = []
+def page(options: argparse.Namespace, found: dict[Case, Measured], conclusions: str) -> str:
+    """Return the page; the picture is beside it, if there is one."""
+    made, rows = versions(), []
+    call = shlex.join(["python", "tools/scenario_table.py", *sys.argv[1:]])
+    title = "Scenarios, walked by ORCA and social force" if conclusions else "Scenarios"
     for scenario, group in by_scenario(found):
         for number, (case, one) in enumerate(group):
             name = [f"`{scenario}`", one.people, case.episodes] if number == 0 else [""] * 3
             rows.append([*name, case.policy, *(cell(one, key) for key in COLUMNS)])
     names = ["scenario", "people", "episodes", "policy", *(head for head, *_ in COLUMNS.values())]
     lines = [
-        "# Scenarios, walked by ORCA and social force\n",
-        f"Made by `python tools/scenario_table.py` with pedzoo {made['pedzoo']}, torch {made['torch']}"
+        f"# {title}\n",
+        f"Made by `{call}` with pedzoo {made['pedzoo']}, torch {made['torch']}"
         f", commit {made.get('commit', 'unknown')}: the first episodes of seed 0, world"
         f" `{options.world}`, speeds N(1.3, 0.2) m/s, decisions every {TRACE_SECONDS} s, body radius 0.15 m,"
         " warm start with ORCA (radius 0.2). In brackets 95 % intervals: Wilson's over episodes for shares,"
         " bootstrapped over episodes otherwise.\n",
         table(names, rows),
-        NOTE,
-        f"![One episode of each](./{options.picture.name})\n",
+        LEGEND,
+        conclusions,
+        f"![One episode of each](./{options.picture.name})\n" if options.picture else "",
     ]
     return "\n".join(lines)
 
@@ -177,36 +203,16 @@ def cell(one: Measured, key: str) -> str:
     return text
 
 
-NOTE = """
+LEGEND = """
 * *stuck*: share of people who do not arrive in time and once moved less than 0.1 m in 5 s, more than 0.5
   m from their goal. The others who do not arrive are late: four times the way's time, at least 20 s.
 * *time ratio*: mean of the time until the goal, divided by that of the shortest way at one's preferred
   speed, of those who arrive. It can be a little below 1: goals are reached 0.3 m before they are.
-* *touched*: a touch that lasts counts once, and for both. Who avoids nobody (`go_to_goal`) has 5 to 11 a
-  minute in the scenes of two to four people.
-
-## What fails, and why
-
-1. `orca:radius=0.3` never touches anybody or anything; the price is that it blocks. Its disks are 0.6 m
-   wide: two do not fit side by side through a door of 0.85 or 0.9 m, both give way by the same amount,
-   and they stop within half a metre of the door's centre (`door`, `room_exit`). Three disks fit into a
-   corridor of 2 m and two into one of 1.5 m: two crowds push each other back until the time is up
-   (`hallway`, `intersection`, and most of all `blind_corner` with 20 people). In the open everybody
-   arrives, however many there are.
-2. `social_force` with the parameters of 1995 has walls that push harder than people want to walk: nobody
-   passes the doors of `door` and `goals`, and few pass that of `room_exit`. Elsewhere nearly all arrive,
-   but for the crowd of 50 at the `intersection`. People touch in most encounters, and all the time in
-   crowds. Two who would be at the same place at the same time are mirror images of each other: they slow
-   down little, turn by the same amount, and walk into each other (`intersection` with two people: as many
-   touches as without any avoidance).
-3. `social_force:preset=indoor` gets nearly everybody everywhere, 50 people through a door of 0.9 m
-   included. Touches are several times rarer, but where two people meet at right angles they are as
-   frequent (`intersection` with two people, `blind_corner`). Its walls are softer, and crowds are pressed
-   against them.
-
-In the open policies differ by whom they touch, at doors and in corridors by who arrives. One person who
-overtakes another is easy for all of them.
+* *touched*: a touch that lasts counts once, and for both.
 """
+
+FAILURES = Path(__file__).with_name("scenario_failures.md")
+"""What the rows of the whole run show, in words."""
 
 
 def picture(found: dict[Case, Measured]) -> bytes:
@@ -218,10 +224,8 @@ def picture(found: dict[Case, Measured]) -> bytes:
     for case, one in found.items():
         name, _, settings = case.scenario.partition(":")
         if settings in ("", crowd):
-            shown[names.index(name), (settings == crowd) * len(policies) + policies.index(case.policy)] = (
-                case,
-                one,
-            )
+            column = (settings == crowd) * len(policies) + policies.index(case.policy)
+            shown[names.index(name), column] = case, one
     columns = 1 + max(column for _, column in shown)
     figure = Figure(figsize=(columns * PANEL[0], len(names) * PANEL[1]), layout="constrained")
     grid = figure.subplots(len(names), columns, squeeze=False)
