@@ -98,6 +98,19 @@ def test_the_pairs_are_the_oracles(all_pairs: int, kind: str, reach: float) -> N
 
 
 @WAYS
+@pytest.mark.parametrize("axis", [0, 1])
+def test_cells_are_as_wide_as_the_reach(all_pairs: int, axis: int) -> None:
+    """The last two are nearer than the reach of 3 m, and two cells apart where cells are 1 % narrower."""
+    position = torch.zeros(1, 3, 2)
+    position[0, :, axis] = torch.tensor([0.0, 2.96, 2.96 + 3.0 - 1e-4])
+    mask = torch.ones(1, 3, dtype=torch.bool)
+    index, near = nearest(position, mask, 3.0, None)
+    assert near is not None
+    assert [index[near[:, i], i].tolist() for i in range(3)] == [[1], [0, 2], [1]]
+    assert torch.stack(pairs_within(position, mask, 3.0), 1).tolist() == [[0, 0, 1], [0, 1, 2]]
+
+
+@WAYS
 def test_pairs_whose_own_reaches_meet(all_pairs: int) -> None:
     position = torch.tensor([[[0.0, 0], [3, 0], [5, 0], [0, 1.5]]])
     mask = torch.tensor([[True, True, True, True]])
