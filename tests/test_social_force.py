@@ -117,7 +117,8 @@ def test_the_papers_parameters_are_the_default() -> None:
         ("dt=0.6", r"dt 0\.6: expected at most tau, 0\.5 s"),
         ("dt=0", r"dt 0\.0: expected seconds"),
         ("anisotropy=viev", "anisotropy=viev"),
-        ("preset=1996", "preset=1996"),
+        ("preset=1996", "unknown preset of social_force '1996': did you mean '1995'"),
+        ("preset=indor", "did you mean 'indoor'"),
         ("taw=1", "did you mean 'tau'"),
     ],
 )

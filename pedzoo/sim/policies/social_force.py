@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -35,7 +35,7 @@ class SocialForce(Policy):
         tau: float | None = None,
         walls: bool = True,
         dt: float = TRACE_SECONDS,
-        preset: Literal["1995", "indoor"] = "1995",
+        preset: str = "1995",
         strength: float | None = None,
         sigma: float | None = None,
         step_time: float | None = None,

@@ -22,7 +22,9 @@ class SocialForceSettings:
 
     Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
     arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
-    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is everybody's ``pref_speed`` here.
+    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is everybody's ``pref_speed`` here. The
+    ellipse around somebody (eq. 4) lies along the velocity with which they walk, which others can see; in the
+    paper it lies along their desired direction, as long as their speed.
 
     Helbing et al. 2005 is Helbing, Buzna, Johansson and Werner, "Self-organized pedestrian crowd dynamics:
     experiments, simulations, and design solutions", Transportation Science 39, 1-24.
