@@ -72,8 +72,9 @@ class RoomFloor:
             cells = units(clearance)
             for _, rect in pieces:
                 # the rectangle grown by the clearance, with rounded corners
-                region = part[self._slices(rect.grown(cells, cells), fine)]
-                region &= _outside(rect.width * fine, rect.height * fine, cells * fine)
+                part[self._slices(rect.grown(cells, cells), fine)] &= _outside(
+                    rect.width * fine, rect.height * fine, cells * fine
+                )
         if not all(_is_one(part) for part in after):
             return False
         self._open = after
