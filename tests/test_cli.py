@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import zipfile
@@ -14,6 +15,7 @@ from torch.utils._pytree import tree_flatten
 
 import pedzoo
 from pedzoo.cli.main import COMMANDS, main
+from pedzoo.cli.output import write_json
 from pedzoo.errors import UserError
 from pedzoo.models.header import read_config
 from pedzoo.paths import config_names
@@ -206,6 +208,35 @@ def test_interrupted_fit_ends_like_an_uninterrupted_one(capsys, monkeypatch):
         )
         assert len(resumed) == len(whole) > 0
         assert all(torch.equal(a, b) for a, b in zip(resumed, whole, strict=True))
+
+
+def test_reports_are_written_whole_and_into_folders_that_are_made(elsewhere, monkeypatch):
+    file = elsewhere / "a" / "b" / "report.json"
+    write_json(file, {"rows": 1})
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "no space left")))
+        with pytest.raises(UserError, match=r"cannot write '.*report\.json': no space left"):
+            write_json(file, {"rows": 2})
+    assert json.loads(file.read_text()) == {"rows": 1}
+    assert list(file.parent.iterdir()) == [file]
+    (elsewhere / "link.json").symlink_to(file)
+    write_json("link.json", {"rows": 3})
+    assert json.loads(file.read_text()) == {"rows": 3} and Path("link.json").is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (["plans", "office", "--count", "1", "--sheet", "full.png"], "--sheet full.png: is a folder"),
+        (["plans", "office", "--count", "1", "--json", "file/a.json"], "file' is a file, expected a folder"),
+        (["forecast", "absent", "--json", "full.png"], "--json full.png: is a folder"),
+    ],
+)
+def test_files_that_cannot_be_written_are_refused_before_the_work(argv, told, capsys, elsewhere):
+    (elsewhere / "full.png").mkdir()
+    (elsewhere / "file").touch()
+    assert told in refused(capsys, *argv)
+    assert not (elsewhere / "plans").exists()
 
 
 def test_models_lists_architectures_and_weights(capsys, elsewhere):

@@ -3,25 +3,53 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
 from pedzoo.errors import UserError
+from pedzoo.paths import write_whole
+
+
+def check_outputs(**files: str | None) -> None:
+    """Refuse files that cannot be written, before any work is done for them.
+
+    Args:
+        files: Options and what was given; folders that are missing are made when the file is written.
+
+    Raises:
+        UserError: One is a folder or lies where nothing can be written.
+    """
+    for option, file in files.items():
+        if not file or file == "-":
+            continue
+        path = Path(file)
+        if path.is_dir():
+            raise UserError(f"--{option} {file}: is a folder, expected a file")
+        above = next(folder for folder in path.absolute().parents if folder.exists())
+        if not above.is_dir():
+            raise UserError(f"--{option} {file}: {str(above)!r} is a file, expected a folder")
+        if not os.access(path if path.exists() else above, os.W_OK):
+            raise UserError(f"--{option} {file}: nothing can be written there: permission denied")
 
 
 def write_json(file: str | Path, content: dict[str, Any]) -> None:
-    """Write ``content`` to ``file`` (``-`` for the terminal).
+    """Write ``content`` to ``file`` (``-`` for the terminal), whole or not at all; its folder is made.
 
     Raises:
-        UserError: The file's folder does not exist or cannot be written.
+        UserError: It cannot be written.
     """
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     if str(file) == "-":
         sys.stdout.write(text)
         return
+    path = Path(file)
     try:
-        Path(file).write_text(text)
+        if path.exists() and not path.is_file():  # a pipe such as /dev/fd/63 cannot be replaced
+            path.write_text(text)
+        else:
+            write_whole(path.resolve(), text.encode())
     except OSError as error:
         raise UserError(f"cannot write {str(file)!r}: {error.strerror}") from error
 

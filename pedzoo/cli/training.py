@@ -17,7 +17,7 @@ from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
 
-from pedzoo.cli.output import write_json
+from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
@@ -169,6 +169,7 @@ class TrainingCLI(LightningCLI):
 
     def measure(self) -> int:
         """Validate or test, and print the table."""
+        check_outputs(json=self.config["json"])
         if not self.config["ckpt_path"] and any(True for _ in self.model.parameters()):
             raise UserError(f"pedzoo {self.command} needs --ckpt_path FILE: these weights are untrained")
         action = getattr(self.trainer, self.command)

@@ -13,7 +13,7 @@ def run(argv: list[str]) -> int:
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import NonNegativeInt
 
-    from pedzoo.cli.output import print_report, write_json
+    from pedzoo.cli.output import check_outputs, print_report, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.data.datamodule import TrajectoryDataModule
@@ -34,6 +34,7 @@ def run(argv: list[str]) -> int:
     )
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     options = parse(parser, argv)
+    check_outputs(json=options.json)
 
     settings = options.data.as_dict()
     if not given(argv, "--data.goal"):  # then every model that has a goal protocol is asked for its own

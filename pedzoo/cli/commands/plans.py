@@ -13,7 +13,7 @@ def run(argv: list[str]) -> int:
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import NonNegativeInt, PositiveInt
 
-    from pedzoo.cli.output import write_json
+    from pedzoo.cli.output import check_outputs, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.errors import UserError, unknown
@@ -50,6 +50,7 @@ def run(argv: list[str]) -> int:
             raise unknown("kind of floor plan", kind, KINDS)
     if options.sheet and Path(options.sheet).suffix != ".png":
         raise UserError(f"--sheet {options.sheet}: expected a name in .png")
+    check_outputs(sheet=options.sheet, json=options.json)
     if folder.exists() and not folder.is_dir():
         raise UserError(f"--out {options.out}: is a file, expected a folder")
     seeds = range(options.seed, options.seed + options.count)

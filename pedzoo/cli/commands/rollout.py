@@ -8,13 +8,12 @@ EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --
 
 def run(argv: list[str]) -> int:
     """Print the table; returns the exit code."""
-    from pathlib import Path
     from typing import Literal
 
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import NonNegativeFloat, PositiveFloat
 
-    from pedzoo.cli.output import print_report, write_json
+    from pedzoo.cli.output import check_outputs, print_report, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.errors import UserError
@@ -78,8 +77,7 @@ def run(argv: list[str]) -> int:
         check_plot_path(options.plot)
     if options.video:
         check_video_path(options.video)
-    if options.json and not Path(options.json).parent.is_dir():
-        raise UserError(f"--json {options.json}: there is no folder {str(Path(options.json).parent)!r}")
+    check_outputs(json=options.json, plot=options.plot, video=options.video)
     if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
