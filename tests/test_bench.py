@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,17 @@ from pedzoo.bench.compare import compare, read_report
 from pedzoo.bench.figures import Measured, Row, Verdict
 from pedzoo.bench.peer import Peer, Scenes
 from pedzoo.bench.run import Run
+from pedzoo.bench.scenes import LARGEST, Size, scenario
 from pedzoo.bench.section import NotGivenError, Section, Settings
+from pedzoo.bench.sections.loop import BARE, MODEL, ORCA, SHORT, Loop
+from pedzoo.bench.sections.memory import Memory, cells
+from pedzoo.bench.sections.orca import Orca
 from pedzoo.bench.sections.profile import CONTACTS, NETWORK, PLANNER, RESETS, REST, Split
 from pedzoo.bench.turns import in_turns, ratio, repeated, versus
+from pedzoo.cli.bench_tables import print_bench
 from pedzoo.cli.main import main
 from pedzoo.errors import UserError
+from pedzoo.maps.library import load_plan
 from pedzoo.registry import BENCHMARKS
 
 TOOLS = Path(__file__).parents[1] / "tools"
@@ -81,8 +88,80 @@ def test_bars() -> None:
     assert row.below("step_ms", 11).ok and not row.below("step_ms", 10).ok
 
 
+@pytest.mark.parametrize(
+    ("section", "name", "metric", "bar"),
+    [
+        (Loop, BARE, "times_vmas_lidar", 3.0),
+        (Loop, SHORT, "times_vmas_lidar", 3.0),
+        (Loop, ORCA, "times_pyrvo_from_python", 1.0),
+        (Orca, "no walls", "times_pyrvo_from_python", 3.0),
+        (Orca, "walls", "times_pyrvo_from_python", 1.0),
+    ],
+)
+def test_bars_beside_other_programs(section: type[Any], name: str, metric: str, bar: float) -> None:
+    def verdicts(size: Size, **times: float) -> list[Verdict]:
+        row = Row("", name, {}, {key: Measured.of([value]) for key, value in times.items()})
+        judge = section(Settings())._bars
+        return judge(row, name, size) if section is Loop else judge(row, size)
+
+    asked = f"{metric} >= {bar:g}"
+    assert verdicts(LARGEST, **{metric: 1.01 * bar}) == [Verdict(asked, True)]
+    assert verdicts(LARGEST, **{metric: 0.99 * bar}) == [Verdict(asked, False)]
+    (absent,) = verdicts(LARGEST, times_other=9.0)
+    assert (absent.bar, absent.ok) == (asked, None)
+    assert "not given (--peer tools/peers/" in absent.why
+    assert (TOOLS.parent / absent.why.partition("--peer ")[2].rstrip(")")).is_file()
+    assert not verdicts(Size(64, 5), **{metric: 9.0})
+
+
+def test_the_bar_of_a_models_loop() -> None:
+    def ok(speed: float, times: float) -> bool | None:
+        metrics = {"agent_steps_per_s": Measured.of([speed]), "times_network": Measured.of([times])}
+        (verdict,) = Loop(Settings())._bars(Row("", MODEL, {}, metrics), MODEL, LARGEST)
+        return verdict.ok
+
+    assert ok(1e5, 0.1) and ok(1e3, 0.5)
+    assert ok(99_999, 0.49) is False
+    assert not Loop(Settings())._bars(made(9.0), "social_force", LARGEST)
+
+
+@pytest.mark.parametrize(
+    ("settings", "megabytes", "ok", "why"),
+    [
+        (Settings(maps=("office.7",)), 1999.0, True, ""),
+        (Settings(maps=("office.7",)), 2000.0, False, ""),
+        (Settings(), 9.0, None, "no floor plans given (--map FILE...)"),
+        (Settings(maps=("office.7",), quick=True), 9.0, None, "4 scenes in place of 64 (--quick)"),
+    ],
+)
+def test_the_bar_of_memory(settings: Settings, megabytes: float, ok: bool | None, why: str) -> None:
+    row = Row("memory", "walked", {}, {"peak_mb": Measured.of([megabytes])})
+    assert Memory(settings)._bar(row) == Verdict("peak_mb < 2,000", ok, why)
+
+
+def test_what_was_not_judged_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = {f"times_pyrvo_{name}": Measured.of([2.0]) for name in ("from_python", "bare")}
+    row = Row("loop", "env + go_to_goal", {"size": "1024 x 5"}, metrics)
+    alone = report(replace(row, bars=[row.beside("times_vmas_lidar", 3)]))
+    alone["skipped"], alone["protocol"]["threads"] = {}, 99
+    alone["machine"] |= {"load_before": None, "load_after": None}
+    print_bench(alone)
+    printed = capsys.readouterr().out
+    assert "no bars judged" in printed and "0 of 0" not in printed
+    assert (
+        "loop: env + go_to_goal (1024 x 5): times_vmas_lidar >= 3 not judged: VMAS with lidar not given "
+        "(--peer tools/peers/vmas_navigation.py)"
+    ) in printed
+    head = printed.partition("go_to_goal")[0].split()
+    assert "from_python" in head and "bare" in head  # both ratios to RVO2
+    alone["rows"].append(made(2.0, bars=[Verdict("a", True), Verdict("b", False)]).as_json())
+    print_bench(alone)
+    assert "1 of 2 bars met" in capsys.readouterr().out
+
+
 def test_rows_survive_json() -> None:
-    row = made(1.5, bars=(Verdict("times_them >= 1", True),), note="of one run")
+    bars = Verdict("times_them >= 1", True), Verdict("times_others >= 1", None, "not given")
+    row = made(1.5, bars=bars, note="of one run")
     assert Row.from_json(json.loads(json.dumps(row.as_json()))) == row
 
 
@@ -311,7 +390,7 @@ class Fake(Section):
 
 
 def test_a_run_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = str(tmp_path / "new.json")
+    file = str(tmp_path / "not" / "there" / "new.json")
     fake = f"{__file__}:Fake"
     assert main(["bench", fake, "--seconds", "0.1", "--json", file]) == 0
     assert main(["bench", fake, "--seconds", "0.1", "--compare", file]) == 0
@@ -349,13 +428,26 @@ def test_what_nobody_asked_for_is_skipped(monkeypatch: pytest.MonkeyPatch) -> No
         (["loop", "--seconds", "-1"], "expected above 0"),
         (["loop", "--size", "many"], "--size many: expected scenes x people such as 1024x5"),
         (["loop", "--size", "0x5"], "expected at least one scene"),
-        (["loop", "--json", "nowhere/a.json"], "there is no folder 'nowhere'"),
+        (["loop", "--seconds", "0"], "seconds 0.0, turns 5, threads 1: expected above 0"),
+        (["loop", "--turns", "0"], "turns 0, threads 1: expected above 0"),
+        (["loop", "--json", "."], "--json .: is a folder, expected a file"),
+        (["loop", "--json", f"{__file__}/a.json"], "test_bench.py' is a file, expected a folder"),
+        (["loop", "--peer", "nowhere.py"], "no peer 'nowhere.py'"),
+        (
+            ["loop", "--peer", __file__, "--peer_python", "absent"],
+            "--peer_python 'absent' does not start",
+        ),
+        (["memory", "--map", "ofice.7"], "did you mean 'office.7'"),
         (["loop", "--compare", "absent.json"], "cannot be read"),
         (["sgan"], "git clone https://github.com/agrimgupta92/sgan"),
         (["sgan", "--sgan", "nowhere"], "'nowhere' is no checkout of Social GAN"),
     ],
 )
-def test_mistakes(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All are noticed before anything is measured."""
+    monkeypatch.setattr(Loop, "rows", lambda self: pytest.fail("measured"))
     assert main(["bench", *words]) == 2
     assert said in capsys.readouterr().err
 
@@ -365,6 +457,15 @@ def test_help_names_every_section(capsys: pytest.CaptureFixture[str]) -> None:
         main(["bench", "--help"])
     printed = capsys.readouterr().out
     assert all(f"  {name} " in printed for name in BENCHMARKS.names())
+
+
+def test_drawn_floor_plans_are_maps() -> None:
+    drawn = ("apartment.7",)
+    assert scenario(5, drawn).bank.grids[0].name == drawn[0]
+    assert cells(drawn[0]) == load_plan(drawn[0]).cells.size
+    run = Run(["planner", "controller"], Settings(seconds=0.01, turns=1, quick=True, maps=drawn))
+    run.go(lambda row: None)
+    assert {row.section for row in run.rows if row.case["map"] == drawn[0]} == {"planner", "controller"}
 
 
 @pytest.mark.parametrize("name", [name for name in BENCHMARKS.names() if name != "sgan"])

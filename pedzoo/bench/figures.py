@@ -9,6 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+RIVALS = {
+    "times_vmas_lidar": "VMAS with lidar not given (--peer tools/peers/vmas_navigation.py)",
+    "times_pyrvo_from_python": "RVO2 from Python not given (--peer tools/peers/pyrvo_orca.py)",
+}
+"""Ratios that bars are about and that need other programs, and what to say where they are absent."""
+
 
 class Measured(NamedTuple):
     """One value with its spread over repeats.
@@ -37,15 +43,17 @@ class Verdict(NamedTuple):
 
     Attributes:
         bar: What was asked for, in words.
-        ok: Whether it is so.
+        ok: Whether it is so; None where this run cannot tell.
+        why: What it lacks to tell.
     """
 
     bar: str
-    ok: bool
+    ok: bool | None
+    why: str = ""
 
     def __str__(self) -> str:
-        """Return both, for a table."""
-        return f"{self.bar} {'ok' if self.ok else 'MISSED'}"
+        """Return bar and verdict, for a table."""
+        return f"{self.bar} {'not judged' if self.ok is None else 'ok' if self.ok else 'MISSED'}"
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,11 @@ class Row:
         """Return the verdict on a metric that has to be ``bar`` or more; absent ones miss it."""
         found = self.metrics.get(metric)
         return Verdict(f"{metric} >= {bar:,g}", found is not None and found.value >= bar)
+
+    def beside(self, metric: str, bar: float) -> Verdict:
+        """Return the verdict on a ratio to another program; without that program there is none."""
+        verdict = self.at_least(metric, bar)
+        return verdict if metric in self.metrics else Verdict(verdict.bar, None, RIVALS[metric])
 
     def below(self, metric: str, bar: float) -> Verdict:
         """Return the verdict on a metric that has to stay below ``bar``."""

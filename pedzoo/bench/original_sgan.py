@@ -126,11 +126,7 @@ def original(checkout: Path) -> Iterator[Original]:
     Raises:
         UserError: The folder is no checkout of it.
     """
-    if not (checkout / "sgan" / "models.py").is_file():
-        raise UserError(
-            f"{str(checkout)!r} is no checkout of Social GAN: "
-            "git clone https://github.com/agrimgupta92/sgan and give its folder"
-        )
+    check(checkout)
     # evaluate_model.py needs attrdict, which no longer imports, only to read checkpoints
     attrdict = ModuleType("attrdict")
     attrdict.AttrDict = dict  # type: ignore[attr-defined]
@@ -141,6 +137,15 @@ def original(checkout: Path) -> Iterator[Original]:
         patch.object(torch.Tensor, "cuda", lambda self, *_, **__: self),
     ):
         yield Original()
+
+
+def check(checkout: Path) -> None:
+    """Raise the error that a folder gives which is no checkout of the original."""
+    if not (checkout / "sgan" / "models.py").is_file():
+        raise UserError(
+            f"{str(checkout)!r} is no checkout of Social GAN: "
+            "git clone https://github.com/agrimgupta92/sgan and give its folder"
+        )
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -102,10 +103,7 @@ class Peer:
         Raises:
             UserError: There is no such script or interpreter.
         """
-        if not script.is_file():
-            raise UserError(
-                f"no peer {str(script)!r}: expected a script such as tools/peers/vmas_navigation.py"
-            )
+        check(script, python)
         self.script, self.patience, self.threads = script, patience, threads
         self.versions: dict[str, str] = {}
         self._complaints = tempfile.TemporaryFile()
@@ -210,6 +208,14 @@ class Peer:
         said = self._complaints.read().decode(errors="replace").strip().splitlines()[-3:]
         told = f"; it said: {' / '.join(line.strip() for line in said)}" if said else ""
         return UserError(f"peer {self.script.name} {what}{told} (its interpreter: --peer_python)")
+
+
+def check(script: Path, python: str) -> None:
+    """Raise the error that a script or an interpreter gives which is not there."""
+    if not script.is_file():
+        raise UserError(f"no peer {str(script)!r}: expected a script such as tools/peers/vmas_navigation.py")
+    if python and not shutil.which(python):
+        raise UserError(f"--peer_python {python!r} does not start: expected an interpreter of Python")
 
 
 @contextmanager

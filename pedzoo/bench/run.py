@@ -7,10 +7,12 @@ from typing import Any
 
 import torch
 
+from pedzoo.bench import original_sgan, peer
 from pedzoo.bench.figures import Row
 from pedzoo.bench.machine import load, machine, yardstick
 from pedzoo.bench.section import NotGivenError, Section, Settings
 from pedzoo.errors import UserError
+from pedzoo.maps.library import load_plan
 from pedzoo.registry import BENCHMARKS
 from pedzoo.versions import versions
 
@@ -27,8 +29,14 @@ class Run:
         """Take the names; none for all there are.
 
         Raises:
-            UserError: There is no benchmark of a name.
+            UserError: There is no benchmark of a name, or something that was given is not there.
         """
+        for script in settings.peers:
+            peer.check(script, settings.peer_python)
+        if settings.sgan is not None:
+            original_sgan.check(settings.sgan)
+        for plan in settings.maps:
+            load_plan(plan)
         self.settings, self._asked = settings, bool(names)
         self._sections: dict[str, Section] = {}
         for name in names or BENCHMARKS.names():

@@ -13,6 +13,7 @@ from pedzoo.bench.peer import Scenes
 from pedzoo.bench.section import Settings
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.library import load_plan
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim.make import CLEARANCE
@@ -74,13 +75,13 @@ class Hall(Goals):
 def scenario(people: int, maps: Sequence[str]) -> Scenario:
     """Return people who walk from goal to goal on the first of the floor plans that has room for them.
 
-    Without a file that has, small groups walk in the four rooms of ``flat`` and crowds in a `Hall`.
+    Without one that has, small groups walk in the four rooms of ``flat`` and crowds in a `Hall`.
 
     Raises:
-        UserError: A file is no floor plan.
+        UserError: One of them is no floor plan.
     """
     for file in maps:
-        starts = spread_points(OccupancyGrid.load(file), Goals.unknown, CLEARANCE, SPACING, seed=0)
+        starts = spread_points(load_plan(file), Goals.unknown, CLEARANCE, SPACING, seed=0)
         if len(starts) >= people:
             return _ready(Goals(file, people, pool=POOL))
     return _ready(Goals("flat", people, pool=POOL) if people <= FEW else Hall(people=people, pool=POOL))

@@ -31,10 +31,13 @@ def print_bench(report: dict[str, Any]) -> None:
             f"the machine was busy (load {busy:g}): trust the ratios, not the speeds", highlight=False
         )
     verdicts = [(row, verdict) for row in rows for verdict in row.bars]
-    missed = [f"{title(row)}: {verdict}" for row, verdict in verdicts if not verdict.ok]
-    console.print(f"\n{len(verdicts) - len(missed)} of {len(verdicts)} bars met", highlight=False)
-    for line in missed:
-        console.print(f"  {line}", highlight=False, markup=False)
+    judged = [verdict.ok for _, verdict in verdicts if verdict.ok is not None]
+    total = f"{sum(judged)} of {len(judged)} bars met" if judged else "no bars judged"
+    console.print(f"\n{total}", highlight=False)
+    for row, verdict in verdicts:
+        if not verdict.ok:
+            why = f": {verdict.why}" if verdict.why else ""
+            console.print(f"  {title(row)}: {verdict}{why}", highlight=False, markup=False)
 
 
 def print_comparison(comparison: Comparison, file: str) -> None:

@@ -15,6 +15,7 @@ from pedzoo.bench.section import Section
 from pedzoo.bench.turns import Clock, ratio, seconds_of
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.library import load_plan
 from pedzoo.models import controller
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
@@ -37,7 +38,7 @@ class Controller(Section):
     def rows(self) -> Iterator[Row]:
         """Measure in open space and on the first floor plan, with few people and with many."""
         model, now = load(MODEL), self.settings.clock
-        for plan in (None, *map(OccupancyGrid.load, self.settings.maps[:1])):
+        for plan in (None, *map(load_plan, self.settings.maps[:1])):
             for people in CROWDS[:2] if self.settings.quick else CROWDS:
                 turns = []
                 for _ in range(self.settings.turns):

@@ -13,13 +13,11 @@ from pedzoo.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario
 from pedzoo.bench.section import Section
 from pedzoo.bench.turns import Side, in_turns, ratio, repeated, seconds_of
 from pedzoo.maps.segments import WallSegments
-from pedzoo.registry import POLICIES
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.policy import load_policy
 from pedzoo.sim.scenario import Scenario
-from pedzoo.spec import parse
 from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 MODEL = "sgan_goal_map.zara1"
@@ -40,6 +38,13 @@ POLICIES_TIMED = (
 
 WARM, TURN = 20.0, 10.0
 """Simulated seconds before the first turn and in each at least, so that all have their share of resets."""
+
+BARS = {
+    BARE: ("times_vmas_lidar", 3.0),
+    SHORT: ("times_vmas_lidar", 3.0),
+    ORCA: ("times_pyrvo_from_python", 1.0),
+}
+"""Whom a policy's loop has to be so many times as fast as, at the largest size."""
 
 FAST_ENOUGH = 100_000
 """Agent-steps per second at which it does not matter how much faster the network alone would be."""
@@ -65,19 +70,16 @@ class Loop(Section):
     def _size(self, size: Size, scene: Scenario, prepared: Measured) -> Iterator[Row]:
         """Time all sides at one size."""
         where = {"size": str(size), "map": scene.bank.grids[0].name}
-        walks = [
-            _Walk(scene, size, policy, self.settings.quick)
-            for policy in POLICIES_TIMED
-            if policy == MODEL or parse(policy).name in POLICIES.names()
-        ]
+        walks = [_Walk(scene, size, policy, self.settings.quick) for policy in POLICIES_TIMED]
         resets = [1e3 * seconds_of(walks[0].env.reset, self.settings.clock) for _ in range(5)]
         walks[0].now = walks[0].env.reset()
         yield Row("loop", "reset", where, {"reset_ms": Measured.of(resets), "planner_s": prepared})
 
         now = self.settings.clock
         sides = {walk.title: repeated(walk.step, size.total, now, walk.least) for walk in walks}
-        sides[NETWORK] = repeated(walks[-1].ask, size.total, now)
-        about = next(walk.scenes() for walk in walks if walk.policy_name == ORCA)
+        by_name = {walk.policy_name: walk for walk in walks}
+        sides[NETWORK] = repeated(by_name[MODEL].ask, size.total, now)
+        about = by_name[ORCA].scenes()
         with running(self.settings) as peers:
             rivals = [case for peer in peers for case in peer.cases([about])]
             for peer in peers:
@@ -101,13 +103,11 @@ class Loop(Section):
             )
 
     def _bars(self, row: Row, policy: str, size: Size) -> list[Verdict]:
-        """Return what is asked of a row; of peers that are absent nothing is."""
+        """Return what is asked of a row, judged or not."""
         if size != LARGEST:
             return []
-        lidar = ("times_vmas_lidar", 3.0)
-        wanted = {BARE: lidar, SHORT: lidar, ORCA: ("times_pyrvo_from_python", 1.0)}
-        if policy in wanted and wanted[policy][0] in row.metrics:
-            return [row.at_least(*wanted[policy])]
+        if policy in BARS:
+            return [row.beside(*BARS[policy])]
         if policy == MODEL:
             fast, half = row.at_least("agent_steps_per_s", FAST_ENOUGH), row.at_least("times_network", 0.5)
             return [Verdict(f"{fast.bar} or {half.bar}", fast.ok or half.ok)]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.bench.figures import Measured, Row
+from pedzoo.bench.figures import Measured, Row, Verdict
 from pedzoo.bench.peer import running
 from pedzoo.bench.scenes import LARGEST, Size, for_peers, plan, sizes
 from pedzoo.bench.section import Section
@@ -56,12 +56,13 @@ class Orca(Section):
                         metrics[f"{rival}_per_s"] = Measured.of(speeds[case.metric])
                         metrics[case.metric] = ratio(speeds["pedzoo"], speeds[case.metric])
                     row = Row("orca", name, {"size": str(size)}, metrics)
-                    bars = []
-                    if size == LARGEST and "times_pyrvo_from_python" in metrics:
-                        bars = [row.at_least("times_pyrvo_from_python", BARS[name])]
-                    yield Row("orca", name, {"size": str(size)}, metrics, bars)
+                    yield Row("orca", name, row.case, metrics, self._bars(row, size))
             for peer in peers:
                 self.versions |= peer.versions
+
+    def _bars(self, row: Row, size: Size) -> list[Verdict]:
+        """Return what is asked of a row, judged or not."""
+        return [row.beside("times_pyrvo_from_python", BARS[row.name])] if size == LARGEST else []
 
 
 class _Crowd(NamedTuple):

@@ -20,6 +20,7 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps import planner
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.library import load_plan
 from pedzoo.maps.plain import rectangles, room, wall
 
 GOALS, QUERIES = 64, 1000
@@ -43,7 +44,7 @@ class Planner(Section):
     def rows(self) -> Iterator[Row]:
         """Measure on every floor plan, or on a plain one."""
         self.versions["networkx"] = version("networkx")
-        grids = [cut(OccupancyGrid.load(file)) for file in self.settings.maps]
+        grids = [cut(load_plan(file)) for file in self.settings.maps]
         for grid in grids or [plain(0.1 if self.settings.quick else 0.05)]:
             yield from self._on(grid)
 

@@ -85,12 +85,8 @@ class Sgan(Section):
                 raise UserError(f"sgan: the answers differ by {apart}: times of them are not comparable")
             for scenes, people, times in ((1, 10, 300), (1, 200, 15), (64, 10, 30)):
                 what = f"one step of {scenes} scene{'s' * (scenes > 1)} of {people}, {name}"
-                yield _row(
-                    what,
-                    *one_step(
-                        peer, peers[0], mine[0], (scenes, people), times // 10 if quick else times, now
-                    ),
-                )
+                steps = times // 10 if quick else times
+                yield _row(what, *one_step(peer, peers[0], mine[0], (scenes, people), steps, now))
             whole = race(
                 lambda mine=mine, test=test: best_of(mine[0], test),
                 lambda peers=peers, test=test: peer.best_of(peers[0], [b for b, _ in test], SAMPLES),

@@ -31,8 +31,8 @@ def run(argv: list[str]) -> int:
         "--map",
         nargs="+",
         default=[],
-        metavar="FILE",
-        help="floor plans; each case takes the first with room",
+        metavar="PLAN",
+        help="floor plans, files or office.7; each case takes the first with room",
     )
     parser.add_argument(
         "--device", default="cpu", choices=("cpu", "cuda"), help="cpu; the environment has no other"
@@ -61,17 +61,17 @@ def run(argv: list[str]) -> int:
     from pedzoo.bench.run import Run
     from pedzoo.bench.section import Settings
     from pedzoo.cli.bench_tables import line, print_bench, print_comparison
-    from pedzoo.cli.output import write_json
+    from pedzoo.cli.output import check_outputs, write_json
     from pedzoo.errors import UserError
 
     if options.device != "cpu":
         raise UserError(f"--device {options.device}: the environment runs on the CPU only: expected cpu")
-    if options.json and options.json != "-" and not Path(options.json).parent.is_dir():
-        raise UserError(f"--json {options.json}: there is no folder {str(Path(options.json).parent)!r}")
+    check_outputs(json=options.json)
     old = read_report(options.compare) if options.compare else None
+    seconds, turns = (0.1, 3) if options.quick else (1.0, 5)
     settings = Settings(
-        seconds=options.seconds or (0.1 if options.quick else 1.0),
-        turns=options.turns or (3 if options.quick else 5),
+        seconds=seconds if options.seconds is None else options.seconds,
+        turns=turns if options.turns is None else options.turns,
         quick=options.quick,
         threads=options.threads,
         sizes=tuple(map(_size, options.size)),
