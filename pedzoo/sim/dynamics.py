@@ -110,34 +110,44 @@ def _slide(start: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_radi
     here, move = start.double(), stride * move.double()
     gap, away = _look(walls, here)
     allowed = gap.detach().clamp_max(reach)
-    way, kept = [here], [allowed]
+    way, kept = [here], []
     for _ in range(steps // stride):
+        kept.append(allowed)
         excess = allowed - gap - (move * away).sum(0)
         wanted = torch.addcmul(here + move, excess.clamp_min(0), away)
         before = here, gap, away
-        gap, away = _look(walls, wanted)
-        for _ in range(_PUSHES):
-            lacking = allowed - gap
-            too_close = lacking > _ROUNDING
-            if not bool(too_close.any()):
-                break
-            # only these: what happens to one person does not depend on who else is asked about
-            wanted = torch.addcmul(wanted, lacking * too_close, away)
-            gap, away = _look(walls, wanted)
-        here, stuck = wanted, gap < allowed - 10 * _ROUNDING
+        here, gap, away, stuck = _off_walls(walls, wanted, allowed)
         if bool(stuck.any()):
             now = here, gap, away
             here, gap, away = (torch.where(stuck, old, new) for old, new in zip(before, now, strict=True))
         allowed = gap.detach().clamp_max(reach).maximum(allowed)  # rounding must not add up
         way.append(here)
-        kept.append(allowed)
     ends = torch.stack(way, dim=1)
     if stride == 1:
         return ends[:, 1:].to(start.dtype)
-    between = torch.lerp(ends[:, :-1], ends[:, 1:], 0.5)
-    gap, away = _look(walls, between)  # a straight line between two places may cut a corner
-    between = torch.addcmul(between, (torch.stack(kept[:-1]) - gap).clamp_min(0), away)
+    # a straight line between two places may cut a corner
+    between, _, _, stuck = _off_walls(walls, torch.lerp(ends[:, :-1], ends[:, 1:], 0.5), torch.stack(kept))
+    between = torch.where(stuck, ends[:, :-1], between)
     return torch.stack((between, ends[:, 1:]), dim=2).flatten(1, 2).to(start.dtype)
+
+
+def _off_walls(walls: LocalWalls, place: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Push people who are nearer to a wall than ``allowed`` (..., P) off it.
+
+    Returns:
+        Where they are (2, ..., P); their distance to the nearest wall (..., P), and where it grows
+        (2, ..., P); and who is too near all the same (..., P) bool.
+    """
+    gap, away = _look(walls, place)
+    for _ in range(_PUSHES):
+        lacking = allowed - gap
+        too_close = lacking > _ROUNDING
+        if not bool(too_close.any()):
+            break
+        # only these: what happens to one person does not depend on who else is asked about
+        place = torch.addcmul(place, lacking * too_close, away)
+        gap, away = _look(walls, place)
+    return place, gap, away, gap < allowed - 10 * _ROUNDING
 
 
 def _look(walls: LocalWalls, place: Tensor) -> tuple[Tensor, Tensor]:
