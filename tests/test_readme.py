@@ -26,6 +26,7 @@ SHORT = [
     "1",
 ]
 SHORT += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
+BENCH = ["--quick", "--seconds", "0.01", "--turns", "1", "--size", "2x5"]
 
 
 def blocks(language: str) -> list[str]:
@@ -67,7 +68,7 @@ def test_pedzoo_commands(
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
     found = commands()
     walk = ["--episodes", "2", "--video_seconds", "1"]
-    less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk}
+    less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk, "plans": [], "bench": BENCH}
     assert {words[0] for words in found} == set(less)
     for words in found:
         assert main([*words, *less[words[0]]]) == 0, words
