@@ -50,13 +50,13 @@ class Tables:
 
     Attributes:
         to_cell: Affine from a map's frame in metres to cells by rows (6), last column and last row (2), and
-            the square of the metres from the nearest open cell at which people go there first (R + 1, 9).
-        begin: Columns, first cell in ``nearest`` and first open cell in ``x`` and ``y`` (R + 1, 3).
+            the square of the metres from the nearest open cell at which people go there first (9, R + 1).
+        begin: Columns, first cell in ``nearest`` and first open cell in ``x`` and ``y`` (3, R + 1).
         nearest: Nearest open cell of every cell of every map.
         x: Centres of the open cells of all maps, then the places of the goals.
         y: The same.
         goal: First entry of each goal, number of open cells of its map (which means the goal itself), and
-            row of its map (G + 1, 3).
+            row of its map (3, G + 1).
         waypoint: Next waypoint of every entry, int32.
         length: Metres of its way to the goal, float32.
     """

@@ -19,7 +19,7 @@ SKIN = 0.01
 """Metres by which a body gives at a wall: whoever presses against one is seen to touch it, by every world."""
 
 _PUSHES = 3
-"""Corrections per sub-step: an inner corner has two walls, and the second may push back to the first."""
+"""Corrections per place: an inner corner has two walls, and the second may push back to the first."""
 
 _STRETCH = 4
 """So many sub-steps are first asked about in one go."""
