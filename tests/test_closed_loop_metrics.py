@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from pedzoo.eval.closed_loop import row
-from pedzoo.eval.rollout import Rollout
 from pedzoo.geometry import identity_pose
 from pedzoo.metrics.intervals import bootstrap, wilson
 from pedzoo.metrics.navigation import deadlocked, episode_seconds, finish_seconds, success
+from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
 
 INF = float("inf")
@@ -31,10 +31,14 @@ def two_episodes() -> Rollout:
     touching = torch.stack((bits("00110", "00110"), bits("00000", "00000")))
     wall = torch.stack((bits("01010", "00000"), bits("11101", "00000")))
     reached = torch.tensor([[[0, 0, 1, 1, 1], [0, 0, 0, 1, 1]], [[0, 0, 0, 0, 0], [9, 9, 9, 9, 9]]])
+    present = torch.stack((bits("11100", "11110"), bits("11111", "00000")))
     return Rollout(
         trace=trace,
         goal=trace,
-        present=torch.stack((bits("11100", "11110"), bits("11111", "00000"))),
+        present=present,
+        controlled=present,
+        person=torch.arange(2).view(1, 2, 1).expand(2, 2, 5),
+        planned=torch.ones(2, 2, 5),
         agent_contact=touching,
         wall_contact=wall,
         reached=reached,
@@ -115,6 +119,7 @@ def test_row_of_two_episodes() -> None:
             "success": 2 / 3,
             "episode_success": 0.5,
             "failed": 0.0,
+            "deadlock": 0.0,
             "agent_contact_episodes": 0.5,
             "wall_contact_episodes": 1.0,
             "goals_per_person": 2 / 3,
@@ -142,6 +147,7 @@ def test_nobody_who_fails_at_once_has_rates() -> None:
     walked = replace(
         walked,
         present=nobody,
+        controlled=nobody,
         failed=torch.tensor([True, True]),
         agent_contact=nobody,
         wall_contact=nobody,

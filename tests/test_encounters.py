@@ -12,8 +12,9 @@ from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
-from pedzoo.eval.rollout import Rollout, joined, prepare, walk
+from pedzoo.eval.rollout import prepare, walk
 from pedzoo.metrics.navigation import finish_seconds, success
+from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.registry import SCENARIOS
 from pedzoo.sim.encounter import MEET, Encounter
 from pedzoo.sim.env import PedestrianEnv

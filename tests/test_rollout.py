@@ -13,7 +13,8 @@ from pedzoo.cli.main import main
 from pedzoo.errors import UserError
 from pedzoo.eval import rollout as module
 from pedzoo.eval.closed_loop import Comparison, row
-from pedzoo.eval.rollout import Rollout, rollout
+from pedzoo.eval.rollout import rollout
+from pedzoo.metrics.rollout import OVER_TIME, Rollout
 from pedzoo.sim.make import make_env
 
 BROKEN = '''
@@ -40,8 +41,9 @@ def cut(walked: Rollout, episode: int) -> dict[str, torch.Tensor]:
     """Return all about one episode until it ends."""
     one = walked.episodes(slice(episode, episode + 1))
     length = int(one.length[0])
-    values = {field.name: getattr(one, field.name) for field in fields(one) if field.name != "goals"}
-    return {key: v[:, :, :length] if key in module._OVER_TIME else v for key, v in values.items()}
+    values = {field.name: getattr(one, field.name) for field in fields(one)}
+    tensors = {key: value for key, value in values.items() if isinstance(value, torch.Tensor)}
+    return {key: v[:, :, :length] if key in OVER_TIME else v for key, v in tensors.items()}
 
 
 def assert_same(first: Rollout, second: Rollout, tolerance: float = 1e-6) -> None:

@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 
 from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import Walked
-from pedzoo.eval.rollout import Rollout, rollout
+from pedzoo.eval.rollout import rollout
 from pedzoo.eval.trajectories import _Episode, draw_episode, meeting, plot_rollouts
 from pedzoo.geometry import move_to_scene
+from pedzoo.metrics.rollout import Rollout
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,9 @@ import torch
 from page import median, percent, share, table
 from torch import Tensor
 
-from pedzoo.eval.rollout import Rollout, rollout
+from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
+from pedzoo.metrics.rollout import Rollout
 from pedzoo.paths import shipped, write_whole
 from pedzoo.versions import versions
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
-from pedzoo.eval.rollout import Progress, Rollout, joined, prepare, walk
-from pedzoo.metrics.intervals import Interval, bootstrap, wilson
-from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
-from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
+from pedzoo.eval.rollout import Progress, prepare, walk
+from pedzoo.metrics.closed_loop import closed_loop, summarised
+from pedzoo.metrics.navigation import finish_seconds, success
+from pedzoo.metrics.rollout import Rollout, joined
+from pedzoo.metrics.safety import contact_events, least_distance
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_scenario
 
@@ -117,46 +117,15 @@ def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
         rollout: Its episodes.
         decision_dt: Seconds between its decisions.
     """
-    people = _People.of(rollout)
-    mask, episodes = rollout.mask, len(rollout.failed)
-    one = torch.ones(episodes, dtype=torch.float64)
-    shares = {
-        "success": (people.success.sum(1), mask.sum(1)),
-        "episode_success": ((people.success | ~mask).all(1) & ~rollout.failed, one),
-        "failed": (rollout.failed, one),
-        "agent_contact_episodes": ((people.agent_contacts > 0).any(1), one),
-        "wall_contact_episodes": ((people.wall_contacts > 0).any(1), one),
-    }
-    time = episode_seconds(people.seconds, people.success, mask)
-    nearest = people.least_distance.amin(1)
-    minutes = person_minutes(rollout.present).sum(1)
-    fewest = people.goals.masked_fill(~mask, people.goals.max()).amin(1)
-    means = {
-        "goals_per_person": (people.goals.sum(1), mask.sum(1)),
-        "goals_per_person_min": (fewest, one),
-        "agent_contacts_per_min": (people.agent_contacts.sum(1), minutes),
-        "wall_contacts_per_min": (people.wall_contacts.sum(1), minutes),
-        "least_distance_m": _finite(nearest),
-        "time_s": _finite(time),
-        "decisions": _finite((time / decision_dt - 1e-6).ceil()),
-    }
-    metrics: dict[str, float] = {}
-    intervals: dict[str, Interval] = {}
-    for key, (above, below) in (shares | means).items():
-        if float(below.sum()) == 0:
-            continue  # nobody arrived, nobody met, nobody walked
-        metrics[key] = float(above.double().sum() / below.double().sum())
-        interval = wilson(metrics[key], episodes) if key in shares else bootstrap(above, below)
-        if interval[0] < interval[1]:  # where all episodes agree a bootstrap knows nothing
-            intervals[key] = interval
+    metrics, intervals = summarised(closed_loop(rollout, decision_dt))
     return {
         "name": name,
         "case": {},
         "decision_dt_s": decision_dt,
-        "n": episodes,
+        "n": len(rollout.failed),
         "metrics": metrics,
         "ci95": intervals,
-        "per_agent": people.listed(rollout),
+        "per_agent": _People.of(rollout).listed(rollout),
     }
 
 
@@ -199,12 +168,6 @@ class _People(NamedTuple):
                 }
             )
         return found
-
-
-def _finite(value: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the finite values and how many they are, per episode (E,) each: a mean over those."""
-    known = value.isfinite()
-    return value.where(known, 0.0), known
 
 
 def _known(value: float, digits: int) -> float | None:

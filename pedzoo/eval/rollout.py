@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from pedzoo.draws import Draws
 from pedzoo.errors import UserError
+from pedzoo.metrics.rollout import OVER_TIME, Rollout, joined
 from pedzoo.models.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
@@ -23,59 +24,6 @@ AT_ONCE = {"grid": 64, "bullet": 16}
 """Scenes run together: pybullet asks about one after the other, so more of them bring nothing."""
 
 Progress = Callable[[str, int, int], None]
-
-_OVER_TIME = ("trace", "goal", "present", "agent_contact", "wall_contact", "reached")
-
-
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
-
-    Nothing changes after an episode's end: positions and counts stay as they were, nobody is present.
-
-    Attributes:
-        trace: Positions (E, A, T, 2), metres.
-        goal: Where everybody was going (E, A, T, 2), metres.
-        present: Who is there, the episode still running (E, A, T) bool.
-        agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false where nobody is.
-        wall_contact: A wall was (E, A, T) bool.
-        reached: Goals reached until then (E, A, T) long.
-        late: A goal was not reached in time (E, A) bool.
-        failed: The policy gave no number (E,) bool.
-        mask: Who was there at the beginning (E, A) bool.
-        past: The warm start (E, A, 29, 2), its last point is where the episode begins.
-        pref_speed: The speed that people like (E, A), m/s.
-        way: Length of the way to the first goal (E, A), metres.
-        map_id: Floor plan (E,) long.
-        pose: Scene poses (E, 4).
-        goals: Goals that everybody had to reach.
-    """
-
-    trace: Tensor
-    goal: Tensor
-    present: Tensor
-    agent_contact: Tensor
-    wall_contact: Tensor
-    reached: Tensor
-    late: Tensor
-    failed: Tensor
-    mask: Tensor
-    past: Tensor
-    pref_speed: Tensor
-    way: Tensor
-    map_id: Tensor
-    pose: Tensor
-    goals: int
-
-    @property
-    def length(self) -> Tensor:
-        """Number of trace points that each episode has (E,) long."""
-        return self.present.any(1).sum(1)
-
-    def episodes(self, index: slice) -> Rollout:
-        """Return some of the episodes."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Rollout(**{key: value if key == "goals" else value[index] for key, value in values.items()})
 
 
 def rollout(
@@ -177,7 +125,7 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
             ended(int((~alive).sum()))
         before, now = state, step_mdp(result)
     return Rollout(
-        **{key: torch.cat([step[key] for step in steps], dim=2) for key in _OVER_TIME},
+        **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
         late=late,
         failed=failed,
         mask=start.mask,
@@ -187,24 +135,8 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
         map_id=start.map_id,
         pose=start.pose,
         goals=env.scenario.goals,
+        gate=env.scenario.gate(Draws(start.key)),
     )
-
-
-def joined(parts: Sequence[Rollout]) -> Rollout:
-    """Join rollouts of the same environment; shorter ones stand still, absent, until the longest ends."""
-    longest = max(part.trace.shape[2] for part in parts)
-
-    def grown(value: Tensor) -> Tensor:
-        missing = longest - value.shape[2]
-        last = value[:, :, -1:].expand(*value.shape[:2], missing, *value.shape[3:])
-        return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
-
-    found: dict[str, Any] = {"goals": parts[0].goals}
-    for field in fields(Rollout):
-        if field.name != "goals":
-            values = [getattr(part, field.name) for part in parts]
-            found[field.name] = torch.cat([grown(v) for v in values] if field.name in _OVER_TIME else values)
-    return Rollout(**found)
 
 
 def _kept(
@@ -217,11 +149,14 @@ def _kept(
     there = before.mask & (alive & ~state.failed).unsqueeze(1)
     kept = {key: info[key] for key in ("trace", "agent_contact", "wall_contact", "reached")}
     kept["present"] = there.unsqueeze(2).expand(-1, -1, points)
+    kept["controlled"] = kept["present"] & before.controlled.unsqueeze(2)
     kept["goal"] = before.goal_point.unsqueeze(2).expand(-1, -1, points, -1)
+    for key in ("person", "planned"):
+        kept[key] = getattr(before, key).unsqueeze(2).expand(-1, -1, points)
     for key in ("agent_contact", "wall_contact"):
         kept[key] = kept[key] & kept["present"]
     if last is not None:
-        for key in ("trace", "goal", "reached"):
+        for key in ("trace", "goal", "reached", "person", "planned"):
             running = alive.view(-1, *[1] * (kept[key].dim() - 1))
             kept[key] = torch.where(running, kept[key], last[key][:, :, -1:])
     return kept

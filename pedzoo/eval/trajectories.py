@@ -24,10 +24,10 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import Walked
 from pedzoo.eval.plots import draw_floor_plan
-from pedzoo.eval.rollout import Rollout
 from pedzoo.eval.video import check_episode
 from pedzoo.geometry import move_to_map
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.metrics.rollout import Rollout
 from pedzoo.paths import write_whole
 from pedzoo.sim.state import TRACE_PER_STEP
 from pedzoo.sim.worlds.camera import person_color

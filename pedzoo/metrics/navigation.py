@@ -1,7 +1,7 @@
 """Whether and when people arrive: pure functions over the 0.1 s trace of closed-loop episodes.
 
 E episodes of A people (padded), T trace points; point t is the end of the t-th 0.1 s after the warm start.
-Functions take what `pedzoo.eval.rollout.Rollout` holds under the same names.
+Functions take what `pedzoo.metrics.rollout.Rollout` holds under the same names.
 """
 
 from __future__ import annotations

@@ -45,6 +45,12 @@ class Layout(NamedTuple):
     history: Tensor | None = None
 
 
+def door_at_origin(width: Tensor) -> Tensor:
+    """Return doors (B, 5) of clear ``width`` (B,), metres, in walls along y: see `Scenario.gate`."""
+    centre, across = torch.zeros_like(width), torch.ones_like(width)
+    return torch.stack((centre, centre, across, centre, width), dim=-1)
+
+
 class Scenario(ABC):
     """A family of scenes. All of its randomness comes from the draws that it is given.
 
@@ -107,6 +113,20 @@ class Scenario(ABC):
             last: The goal just reached (P,) long.
         """
         return torch.full_like(last, -1)
+
+    def gate(self, draws: Draws) -> Tensor | None:
+        """Return the door that the scenes of ``draws`` are about (B, 5); None where there is none.
+
+        Its centre x and y, the unit normal x and y of the wall that it is in, and its clear width, metres.
+        """
+        return None
+
+    def adopt(self, other: Scenario) -> bool:
+        """Take floor plans and ways from a prepared scenario that has the same; return whether it has.
+
+        Whoever walks through several scenarios on one floor plan prepares it once.
+        """
+        return False
 
     def ready(self, clearance: float) -> None:
         """Prepare the scenario, unless it is: environments may share one, and fields of ways take time."""

@@ -69,3 +69,8 @@ class Variants:
         for name, values in self.values.items():
             number = number * len(values) + draws.whole(name, len(values))
         return number
+
+    def of(self, setting: str, draws: Draws) -> Tensor:
+        """Return the value of a setting in every scene (B,)."""
+        values = torch.tensor([variant[setting] for variant in self], device=draws.key.device)
+        return values[self.drawn(draws)]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.sim.scenario import WARM_SECONDS, Layout, Scenario
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, Scenario, door_at_origin
 from pedzoo.sim.variants import Numbers, Variant, Variants
 
 BEFORE = 2.5
@@ -108,6 +109,10 @@ class Door(Scenario):
             goals.append(self.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)).view(2, 2))
         self._goals = torch.stack(goals)
         self._offset = torch.tensor([variant["offset"] for variant in self.variants])
+
+    def gate(self, draws: Draws) -> Tensor:
+        """Return the door in the middle, (B, 5)."""
+        return door_at_origin(self.variants.of("width", draws))
 
     def layout(self, draws: Draws) -> Layout:
         """Return people on both sides, as far away as they walk before the episode begins."""

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 
+from torch import Tensor
+
+from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.plain import Rectangle, room, wall
 from pedzoo.sim.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
 from pedzoo.sim.lanes import BEYOND, Lane, abreast, beside, lanes_in
+from pedzoo.sim.scenario import door_at_origin
 from pedzoo.sim.variants import Numbers, Variant
 
 THICKNESS = 0.1
@@ -65,6 +69,10 @@ class RoomExit(Encounter):
         if not 0 <= entering < people:
             raise UserError(f"room_exit: entering {entering} of {people} people: expected 0 to {people - 1}")
         self.entering, self.stray = entering, 0.5
+
+    def gate(self, draws: Draws) -> Tensor:
+        """Return the room's door, (B, 5)."""
+        return door_at_origin(self.variants.of("width", draws))
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes of those who leave and of those who enter."""
