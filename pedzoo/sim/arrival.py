@@ -42,6 +42,11 @@ def renewed(
     return goal_id.index_put((scene, slot), goal), drawn
 
 
+def planned(way: Tensor) -> Tensor:
+    """Return how far people have to walk whose ways (B, A) to their goals are so long, metres."""
+    return (way.detach() - GOAL_RADIUS).clamp_min(0)
+
+
 def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor) -> Tensor:
     """Return when a goal at the end of ``way`` (B, A) must be reached: four times the time that it takes.
 

@@ -190,7 +190,7 @@ class PedestrianEnv(EnvBase):
 
     def _warn(self, action: Tensor, before: State, after: State) -> None:
         scene = int((after.failed & ~before.failed).nonzero()[0])
-        agent = int((~action[scene].isfinite().all(-1) & before.mask[scene]).nonzero()[0])
+        agent = int((~action[scene].isfinite().all(-1) & before.controlled[scene]).nonzero()[0])
         warnings.warn(
             f"{self.policy_name} gave the action {action[scene, agent].tolist()} for agent {agent} of scene "
             f"{scene}: the scene ends as failed, others go on",
@@ -210,14 +210,15 @@ class PedestrianEnv(EnvBase):
             "way": state.way,
         }
         people = {
+            "id": state.person,
             "history": state.history,
-            "valid": torch.ones_like(state.mask).unsqueeze(-1).repeat(1, 1, state.history.shape[2]),
+            "valid": state.valid,
             "velocity": state.velocity,
             "pref_speed": state.pref_speed.unsqueeze(-1),
             "goal": guidance.goal,
             "desired_velocity": guidance.desired_velocity,
             "mask": state.mask,
-            "controlled": state.mask & ~state.failed.unsqueeze(1),
+            "controlled": state.controlled & ~state.failed.unsqueeze(1),
             "info": TensorDict(info, (scenes, agents)),
         }
         scene = {

@@ -13,9 +13,9 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.guidance import Look
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import warm_start as warm
-from pedzoo.sim.arrival import arrived, deadline, renewed
+from pedzoo.sim.arrival import arrived, deadline, planned, renewed
 from pedzoo.sim.scenario import Layout, Scenario
-from pedzoo.sim.state import State
+from pedzoo.sim.state import PAST_LEN, State
 from pedzoo.types import TRACE_SECONDS
 
 
@@ -81,6 +81,9 @@ class Episodes:
             clock=clock,
             failed=torch.zeros_like(clock, dtype=torch.bool),
             mask=layout.mask,
+            controlled=layout.mask,
+            person=torch.where(layout.mask, torch.arange(layout.mask.shape[1], device=key.device), -1),
+            known=torch.full_like(goal, PAST_LEN),
             past=past,
             velocity=(position - past[:, :, -2]) / TRACE_SECONDS,
             pref_speed=layout.pref_speed,
@@ -91,6 +94,7 @@ class Episodes:
             deadline=deadline(clock, way, layout.pref_speed),
             late=torch.zeros_like(layout.mask),
             way=way,
+            planned=torch.where(layout.mask, planned(way), 0.0),
         )
 
     def _rolled(self, key: Tensor, layout: Layout, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.sim.arrival import arrived, deadline, renewed
+from pedzoo.sim.arrival import arrived, deadline, planned, renewed
 from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
@@ -79,12 +79,12 @@ class Simulation:
         return Guidance(*(value.unflatten(0, state.mask.shape) for value in guidance))
 
     def step(self, state: State, action: Tensor) -> tuple[State, Guidance, Outcome]:
-        """Return what comes of velocities (B, A, 2), m/s; those of people who are not there do not matter.
+        """Return what comes of velocities (B, A, 2), m/s; those of people whom no policy moves do not matter.
 
         A scene in which somebody's action is not finite stays as it is and is truncated.
         """
-        broken = state.failed | (~action.isfinite().all(-1) & state.mask).any(1)
-        moving = state.mask & ~broken.unsqueeze(1)
+        broken = state.failed | (~action.isfinite().all(-1) & state.controlled).any(1)
+        moving = state.controlled & ~broken.unsqueeze(1)
         velocity = torch.where(moving.unsqueeze(-1), action, 0.0)
         velocity = limit_speed(velocity, TOP_SPEED_RATIO * state.pref_speed)
         walls = self.scenario.bank.walls_of_people(state.map_id, state.pose, state.mask.shape[1])
@@ -93,19 +93,22 @@ class Simulation:
         contacts = self.world.contacts(path.detach(), people, walls)
         trace = path[:, :, :, -1]
 
-        hits = arrived(path.detach(), state.goal_point, state.mask & (state.goal_id >= 0))
+        hits = arrived(path.detach(), state.goal_point, state.controlled & (state.goal_id >= 0))
         hit = hits[..., -1]
         goal_id, drawn = renewed(self.scenario, state.key, state.goal_id, state.drawn, hit)
         reached = state.reached.unsqueeze(-1) + hits
         finished = reached[..., -1] >= self.scenario.goals
         clock = state.clock + self.trace_points * TRACE_SECONDS
-        late = state.late | (self._overdue(state, clock, hits) & state.mask)
+        late = state.late | (self._overdue(state, clock, hits) & state.controlled)
         leaving = finished if self.scenario.finished == "leave" else torch.zeros_like(finished)
+        there = state.mask & ~leaving
         moved = torch.cat((state.past[:, :, self.trace_points :], trace), dim=2)
         after = state._replace(
             clock=clock,
             failed=state.failed | broken,
-            mask=state.mask & ~leaving,
+            mask=there,
+            controlled=there,
+            person=torch.where(there, state.person, -1),
             past=moved,
             velocity=(moved[:, :, -1] - moved[:, :, -2]) / TRACE_SECONDS,
             goal_id=goal_id,
@@ -118,7 +121,8 @@ class Simulation:
         way = torch.where(guidance.distance.isfinite(), guidance.distance, state.way)
         progress = state.way - torch.where(hit, 0.0, way)
         until = torch.where(hit, deadline(clock, way.detach(), state.pref_speed), state.deadline)
-        after = after._replace(way=way, goal_point=guidance.goal_point, deadline=until)
+        way_of_all = state.planned + torch.where(hit & (goal_id >= 0), planned(way), 0.0)
+        after = after._replace(way=way, planned=way_of_all, goal_point=guidance.goal_point, deadline=until)
         terminated = (finished | ~state.mask).all(1) & ~broken
         settled = (finished | late | ~state.mask).all(1) | after.failed
         touched = (contacts.agent | contacts.wall).any(-1)

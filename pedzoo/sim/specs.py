@@ -22,6 +22,7 @@ def observation(scenes: int, agents: int, trace_points: int) -> Composite:
         shape=ba,
     )
     people = Composite(
+        id=whole(*ba),
         history=real(*ba, OBS_LEN, 2),
         valid=flag(*ba, OBS_LEN),
         velocity=real(*ba, 2),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from pedzoo.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
@@ -25,6 +26,9 @@ class State(NamedTuple):
         clock: Time since the warm start (B,), seconds.
         failed: A policy gave no number (B,) bool.
         mask: Who is there (B, A) bool.
+        controlled: Whom the policy moves (B, A) bool; others who are there are played back.
+        person: Who is in each slot (B, A) long, -1 where nobody is: noise is drawn by it.
+        known: For how many of the latest trace points, up to 29, somebody was seen (B, A) long.
         past: Everybody's latest positions every 0.1 s (B, A, 29, 2), oldest first.
         velocity: Over the last 0.1 s (B, A, 2), m/s.
         pref_speed: The speed that people like (B, A), m/s.
@@ -35,6 +39,8 @@ class State(NamedTuple):
         deadline: When the goal has to be reached (B, A), seconds on the clock.
         late: A goal was not reached in time (B, A) bool.
         way: Length of the way to the goal (B, A), metres.
+        planned: Ways of all goals up to this one, as long as they were when the goal was set and without what
+            a goal's radius saves (B, A), metres.
     """
 
     key: Tensor
@@ -43,6 +49,9 @@ class State(NamedTuple):
     clock: Tensor
     failed: Tensor
     mask: Tensor
+    controlled: Tensor
+    person: Tensor
+    known: Tensor
     past: Tensor
     velocity: Tensor
     pref_speed: Tensor
@@ -53,6 +62,7 @@ class State(NamedTuple):
     deadline: Tensor
     late: Tensor
     way: Tensor
+    planned: Tensor
 
     @property
     def position(self) -> Tensor:
@@ -63,6 +73,12 @@ class State(NamedTuple):
     def history(self) -> Tensor:
         """Where they were every 0.4 s (B, A, 8, 2)."""
         return self.past[:, :, ::TRACE_PER_STEP]
+
+    @property
+    def valid(self) -> Tensor:
+        """Which of these are known (B, A, 8) bool; unknown ones are the first known one."""
+        age = torch.arange(PAST_LEN - 1, -1, -TRACE_PER_STEP, device=self.known.device)
+        return self.known.unsqueeze(2) > age
 
     def rows(self, index: Tensor) -> State:
         """Return some of the scenes."""
