@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import logging
+import math
 import shlex
 import warnings
 from argparse import SUPPRESS
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -22,6 +24,7 @@ from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.models.zoo import read_checkpoint
+from pedzoo.train.closed_loop import ClosedLoopValidation
 from pedzoo.train.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb
 from pedzoo.versions import versions
@@ -96,6 +99,7 @@ class TrainingCLI(LightningCLI):
         # One seed for a run. The data's own is for those who load them without a trainer.
         parser.link_arguments("seed_everything", "data.seed", compute_fn=int)
         parser.add_argument("--ckpt_path", type=str | None, help="Start from this checkpoint.")
+        parser.add_lightning_class_args(ClosedLoopValidation, "rollout")
         fit = self.command == "fit"
         # The configuration of a run must be readable by `validate` and `test`, too.
         for name, kind, default, help in (
@@ -122,17 +126,20 @@ class TrainingCLI(LightningCLI):
         if file := self.config["ckpt_path"]:
             # Lightning would ask, too, but only after its logger has removed an earlier run's metrics.
             cast("ForecastModule", self.model).check(read_checkpoint(file))
-        options = self.config_init["trainer"]
+        options, rollout = self.config_init["trainer"], self.config_init["rollout"]
+        if self.command != "test":
+            rollout.check(cast("ForecastModule", self.model).generator, self.datamodule)
         callbacks = list(options.get("callbacks") or [])
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
         if self.command != "fit":
             kwargs |= {"logger": False, "enable_checkpointing": False}
         elif not options.get("fast_dev_run"):
+            monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
+            rollout.check_monitor(monitor)
             self.run = self.run or RunFolder.claim(self._base())
             if self.resuming:
                 self.run.keep_earlier()
-            monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
             typed = ["pedzoo", self.command, *self.typed]
             callbacks += self.run.callbacks(self._plain(), typed, monitor, self.config["monitor_mode"])
             if options.get("logger") in (None, True):
@@ -150,7 +157,7 @@ class TrainingCLI(LightningCLI):
         try:
             self.trainer.fit(self.model, self.datamodule, ckpt_path=self.config["ckpt_path"])
         except SystemExit:
-            if self.trainer.state.status != TrainerStatus.INTERRUPTED:
+            if self.trainer.state.status != TrainerStatus.INTERRUPTED or not self.trainer.is_global_zero:
                 raise
             hint = (
                 f"; continue with: pedzoo fit --resume {run.path}"
@@ -162,6 +169,8 @@ class TrainingCLI(LightningCLI):
         finally:
             if run:
                 run.discard_if_empty()
+        if not self.trainer.is_global_zero:
+            return 0
         if run and (chosen := next((path for path in (run.best, run.last) if path.is_file()), None)):
             print(f"\nnext: pedzoo forecast {chosen} {self._data_options()} --samples 20")
             print(f"      pedzoo rollout {chosen} --scenario door --plot rollout.png --video rollout.webm")
@@ -174,12 +183,25 @@ class TrainingCLI(LightningCLI):
             raise UserError(f"pedzoo {self.command} needs --ckpt_path FILE: these weights are untrained")
         action = getattr(self.trainer, self.command)
         found = action(self.model, datamodule=self.datamodule, ckpt_path=self.config["ckpt_path"])[0]
-        if file := self.config["json"]:
-            metrics = {key.rpartition("/")[2]: value for key, value in found.items()}
-            row = {"name": self.config["ckpt_path"] or self.config["model"]["class_path"], "metrics": metrics}
+        if (file := self.config["json"]) and self.trainer.is_global_zero:
             content = {"command": self.command, "protocol": self.datamodule.protocol, "versions": versions()}
-            write_json(file, content | {"seeds": [self.config["seed_everything"]], "rows": [row]})
+            content |= {"seeds": [self.config["seed_everything"]], "rows": self._rows(found)}
+            write_json(file, content)
         return 0
+
+    def _rows(self, found: Mapping[str, float]) -> list[dict[str, Any]]:
+        """Return what was measured: one row of the forecasts, and one of every scenario that was walked."""
+        rows: dict[str, dict[str, Any]] = {}
+        for key, value in found.items():
+            where, _, metric = key.rpartition("/")
+            if where not in rows:
+                rows[where] = {"name": self.config["ckpt_path"] or self.config["model"]["class_path"]}
+                if where.startswith("rollout/"):
+                    rows[where] |= self.config_init["rollout"].case(where.removeprefix("rollout/"))
+                rows[where]["metrics"] = {}
+            if not math.isnan(value):
+                rows[where]["metrics"][metric] = value
+        return sorted(rows.values(), key=lambda row: "case" in row)
 
     def _base(self) -> Path:
         """Return where the run goes: config (or model), then data and seed."""

@@ -91,7 +91,7 @@ class GANModule(ForecastModule):
         self.untoggle_optimizer(g_optimizer)
         self.iteration += 1
         detached = {key: value.detach() for key, value in log.items()}
-        self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch))
+        self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
 
     def discriminator_loss(
         self, batch: TensorDict, random: torch.Generator, encoded: Encoded | None = None

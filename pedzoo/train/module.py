@@ -120,7 +120,7 @@ class ForecastModule(L.LightningModule):
         scores = {f"{split}/{name.removesuffix('_m')}": value for name, value in self.score.compute().items()}
         self.score.reset()
         for name, value in scores.items():
-            self.log(name, value, prog_bar=name in (f"{split}/ade", f"{split}/fde"))
+            self.log(name, value, prog_bar=name in (f"{split}/ade", f"{split}/fde"), sync_dist=True)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Write down which model this is, so that `pedzoo.load` can build it."""

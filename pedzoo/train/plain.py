@@ -21,9 +21,8 @@ class PlainModule(ForecastModule):
     def training_step(self, batch: TensorDict, batch_idx: int) -> Tensor:
         """Return the loss of a batch, summed over its scenes."""
         loss = self.generator.loss(batch, self.random())
-        self.log(
-            "train/loss", loss.detach() / len(batch), on_step=False, on_epoch=True, batch_size=len(batch)
-        )
+        per_scene = loss.detach() / len(batch)
+        self.log("train/loss", per_scene, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
         return loss
 
     def on_after_backward(self) -> None:

@@ -12,6 +12,7 @@ import lightning as L
 import yaml
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
+from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.errors import UserError
 from pedzoo.versions import versions
@@ -31,8 +32,9 @@ class RunFolder:
     @classmethod
     def claim(cls, base: Path) -> RunFolder:
         """Create ``base``, or the first free of ``base-2``, ``base-3``, ... and return it."""
-        if "LOCAL_RANK" in os.environ and (first := os.environ.get("PEDZOO_RUN")):
-            return cls(Path(first))  # a further process of a distributed run: the first one has chosen
+        if rank_zero_only.rank:
+            # a further process of a distributed run: the first one chooses, and it alone writes
+            return cls(Path(os.environ.get("PEDZOO_RUN", base)))
         number, path = 1, base
         while True:
             try:
@@ -57,6 +59,7 @@ class RunFolder:
                 raise UserError(f"cannot resume {str(path)!r}: it has no {file.relative_to(run.path)}")
         return run
 
+    @rank_zero_only
     def keep_earlier(self) -> None:
         """Copy the records of the runs so far aside: a resumed run writes its own in their place."""
         records = [self.path / name for name in ("config.yaml", "versions.json", "metrics.csv")]
@@ -66,6 +69,7 @@ class RunFolder:
             if record.is_file():
                 shutil.copy2(record, kept)
 
+    @rank_zero_only
     def discard_if_empty(self) -> None:
         """Remove the folder of a run that failed before it wrote anything, and its empty parents."""
         if not any(file.is_file() for file in self.path.rglob("*")):

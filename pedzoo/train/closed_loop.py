@@ -1,0 +1,272 @@
+"""Validation in the loop: the weights as they are walk through scenes, and the metrics stand beside ADE."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from typing import Any, Literal, NamedTuple, cast
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import Callback
+
+from pedzoo.errors import UserError, unknown
+from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.rollout import AT_ONCE, walk
+from pedzoo.metrics.closed_loop import ClosedLoopScore
+from pedzoo.metrics.rollout import Rollout, joined
+from pedzoo.models.base import Forecaster
+from pedzoo.models.walker import Walker
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import WORLDS, make_env, make_scenario
+from pedzoo.sim.scenario import Scenario
+from pedzoo.train.module import ForecastModule
+from pedzoo.train.show import show
+from pedzoo.types import OBS_LEN
+
+METRICS = (
+    *("success", "episode_success", "deadlock", "failed"),
+    *("agent_contacts_per_min", "wall_contacts_per_min", "least_distance_m"),
+    *("time_ratio", "path_ratio"),
+)
+"""What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
+
+
+class _Stage(NamedTuple):
+    """This process's share of a scenario.
+
+    Attributes:
+        name: The scenario as it was given.
+        env: Its environment; None where no episode falls to this process.
+        episodes: Episodes of this process.
+    """
+
+    name: str
+    env: PedestrianEnv | None
+    episodes: int
+
+
+class ClosedLoopValidation(Callback):
+    """Lets the current weights walk after every n-th validation and logs ``rollout/SCENARIO/METRIC``.
+
+    The values belong to the validation that ``val/ade`` is of, and stand in the same row of every logger.
+    Episodes are the same every time: the first ones of ``seed``, as ``pedzoo rollout`` has them. Several
+    processes share them and add up their sums. A value about which no episode says anything, such as the
+    time of people none of whom arrived, is NaN.
+
+    In validations without a rollout nothing is logged, and other callbacks are shown the last values, as is
+    Lightning's way: the checkpoint of the best value does not take the same for better. The first validation
+    of a process always has a rollout, also that of a resumed run, so that there is a last value.
+
+    Training does not notice: a copy of the model walks, on the CPU and with floor plans of its own, and the
+    state of torch's generator is put back. The sanity check walks nowhere, ``fast_dev_run`` one episode per
+    process. ``pedzoo validate`` always walks, ``pedzoo test`` never: its recordings have no say in it.
+    """
+
+    def __init__(
+        self,
+        scenarios: list[str] | None = None,
+        every: int = 1,
+        episodes: int = 16,
+        world: Literal["grid", "bullet"] = "grid",
+        seed: int = 0,
+        deterministic: bool = False,
+        picture: bool = True,
+        video: bool = False,
+    ) -> None:
+        """Say who walks where, and how often.
+
+        Args:
+            scenarios: With settings, as of ``pedzoo rollout``: ``door,goals:people=4,goals=2``; null for none.
+            every: Validations from one rollout to the next.
+            episodes: Of each scenario.
+            world: ``grid`` (torch, faster) or ``bullet`` (pybullet).
+            seed: Of the scenes.
+            deterministic: Without noise.
+            picture: Send a picture of the ways to Weights & Biases where that is a logger.
+            video: Likewise a video of the first episode.
+
+        Raises:
+            UserError: An unknown name or setting, or a number out of range.
+        """
+        if min(every, episodes) < 1:
+            raise UserError(f"--rollout.every {every} --rollout.episodes {episodes}: expected at least 1")
+        if world not in WORLDS:
+            raise unknown("world", world, WORLDS)
+        names = scenarios or []
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise UserError(f"--rollout.scenarios: {twice!r} is given twice")
+        self.scenarios = {name: make_scenario(name) for name in names}
+        self.every, self.episodes, self.seed = every, episodes, seed
+        self.world: Literal["grid", "bullet"] = world
+        self.deterministic, self.picture, self.video = deterministic, picture, video
+        self._validations = 0
+        self._checked: Forecaster | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._walker: Walker | None = None
+        self._stages: list[_Stage] = []
+        self._walked = False
+
+    @property
+    def names(self) -> list[str]:
+        """Everything that is logged."""
+        return [f"rollout/{scenario}/{metric}" for scenario in self.scenarios for metric in METRICS]
+
+    def case(self, scenario: str) -> dict[str, Any]:
+        """Return what a row about a scenario says of where and how often people walked."""
+        noise = "none" if self.deterministic else "sampled"
+        case = {"scenario": scenario, "world": self.world, "seed": self.seed, "noise": noise}
+        return {"case": case, "n": self.episodes}
+
+    def check_monitor(self, monitor: str | None) -> None:
+        """Raise the error that a metric gives which is never logged here although its name says so.
+
+        Raises:
+            UserError: It starts with ``rollout/``, and no scenario has it.
+        """
+        if monitor is None or not monitor.startswith("rollout/") or monitor in self.names:
+            return
+        if not self.scenarios:
+            raise UserError(f"--monitor {monitor}: nobody walks in this training; set --rollout.scenarios")
+        raise unknown("metric to --monitor", monitor, self.names)
+
+    def check(self, model: Forecaster, data: Any = None) -> None:
+        """Let an untrained copy decide once, so that what cannot walk is told before the training.
+
+        Args:
+            model: What is about to be trained.
+            data: The datamodule, where there is one.
+
+        Raises:
+            UserError: The model does not see what an environment shows, or does not answer in numbers.
+        """
+        observed = data.obs_len if data is not None else OBS_LEN
+        if self.scenarios and observed != OBS_LEN:
+            raise UserError(
+                f"people walk by the last {OBS_LEN} steps, and --data.obs_len is {observed}: "
+                "train without walking, --rollout.scenarios null"
+            )
+        walker = _copied(model)
+        for name, scenario in self.scenarios.items():
+            env = make_env(scenario, world=self.world, seed=self.seed)
+            with _apart(self.seed), closing(env.world):
+                walker.bind(env.bank)
+                action = env.step(walker(env.reset()))["agents", "action"]
+            if not bool(action.isfinite().all()):
+                who = type(model).__name__
+                raise UserError(f"{who} gives no numbers in {name}: train without, --rollout.scenarios null")
+        self._checked = model
+
+    def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
+        """Copy the model and make the environments, once."""
+        if not self.scenarios or stage == "test":
+            return
+        if not isinstance(pl_module, ForecastModule):
+            raise UserError(
+                f"{type(pl_module).__name__} has no forecaster to walk: expected a ForecastModule"
+            )
+        if self._checked is not pl_module.generator:
+            self.check(pl_module.generator, getattr(trainer, "datamodule", None))
+        self.close()
+        self._walker = _copied(pl_module.generator)
+        episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
+        first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
+        for name, scenario in self.scenarios.items():
+            self._stages.append(_Stage(name, self._env(scenario, first, episodes), episodes))
+
+    def _env(self, scenario: Scenario, first: int, episodes: int) -> PedestrianEnv | None:
+        if not episodes:
+            return None
+        rounds = -(-episodes // AT_ONCE[self.world])
+        at_once = -(-episodes // rounds)
+        env = make_env(scenario, at_once, self.world, seed=self.seed, first_episode=first)
+        env.policy_name = "the model in training"
+        return env
+
+    def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Walk, and log."""
+        if self._walker is None or trainer.sanity_checking:
+            return
+        number = self._validations
+        self._validations += 1
+        if self._walked and number % self.every:
+            return
+        self._walked = True
+        assert isinstance(pl_module, ForecastModule)
+        with _apart(self.seed):
+            self._walker.model.load_state_dict(pl_module.generator.state_dict())
+            for stage in self._stages:
+                walked, score = self._walk(stage), ClosedLoopScore()
+                if walked is not None:
+                    score.update(walked.rollout, walked.env.decision_dt)
+                found = score.to(pl_module.device).compute()  # sums of all processes
+                values = {key: found.get(key, torch.tensor(math.nan)) for key in METRICS}
+                named = {f"rollout/{stage.name}/{key}": value for key, value in values.items()}
+                pl_module.log_dict(named, sync_dist=True)
+                if walked is not None and (self.picture or self.video):
+                    show(trainer, stage.name, walked, self.picture, self.video)
+
+    def _walk(self, stage: _Stage) -> Walked | None:
+        walker, env = self._walker, stage.env
+        if walker is None or env is None:
+            return None
+        walker.bind(env.bank)
+        env.set_seed(self.seed)
+        rollout: Rollout = joined(list(walk(walker, env, stage.episodes, self.deterministic)))
+        return Walked(type(walker.model).__name__, rollout, env)
+
+    def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
+        """Close the environments."""
+        self.close()
+
+    def on_exception(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
+    ) -> None:
+        """Close the environments: nobody tears down after an error or Ctrl-C."""
+        self.close()
+
+    def close(self) -> None:
+        """Let go of model and environments."""
+        for _, env, _ in self._stages:
+            if env is not None:
+                env.world.close()
+        self._forget()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return how many validations there were: a resumed run keeps the rhythm."""
+        return {"validations": self._validations}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on counting."""
+        self._validations = state_dict["validations"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copy and pickle without what belongs to a run."""
+        return self.__dict__ | {"_walker": None, "_stages": [], "_walked": False, "_checked": None}
+
+
+def share(episodes: int, rank: int, processes: int) -> tuple[int, int]:
+    """Return the first episode of the process ``rank``, and how many it has, as equal as can be."""
+    each, more = divmod(episodes, processes)
+    return rank * each + min(rank, more), each + (rank < more)
+
+
+def _copied(model: Forecaster) -> Walker:
+    """Return a copy that walks: on the CPU, where environments are, and in eval mode."""
+    return Walker(copy.deepcopy(model).cpu().eval())
+
+
+@contextmanager
+def _apart(seed: int) -> Iterator[None]:
+    """Leave no traces in a training.
+
+    Outside of inference mode, in which Lightning validates: environments keep what they make from one
+    validation to the next. Random numbers that are not drawn by scene come from a state of their own.
+    """
+    with torch.inference_mode(False), torch.no_grad(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield
