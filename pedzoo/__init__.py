@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pedzoo.eval.evaluate import evaluate as evaluate
     from pedzoo.models.zoo import list_models as list_models
     from pedzoo.models.zoo import load as load
     from pedzoo.sim.make import make_env as make_env
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "evaluate": "pedzoo.eval.evaluate",
     "load": "pedzoo.models.zoo",
     "list_models": "pedzoo.models.zoo",
     "make_env": "pedzoo.sim.make",

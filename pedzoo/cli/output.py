@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pedzoo.errors import UserError
 from pedzoo.paths import write_whole
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pedzoo.eval.results import Page
 
 
 def check_outputs(**files: str | None) -> None:
@@ -40,7 +46,11 @@ def write_json(file: str | Path, content: dict[str, Any]) -> None:
     Raises:
         UserError: It cannot be written.
     """
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    write_text(file, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(file: str | Path, text: str) -> None:
+    """Write ``text`` as `write_json` does."""
     if str(file) == "-":
         sys.stdout.write(text)
         return
@@ -56,14 +66,11 @@ def write_json(file: str | Path, content: dict[str, Any]) -> None:
 
 def print_report(report: dict[str, Any]) -> None:
     """Print the rows of a report under their protocol, in as many tables as the terminal's width needs."""
-    from rich.console import Console
     from rich.table import Table
 
     rows = report["rows"]
     metrics = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)  # a file or a pipe has no width that a table must fit
+    console = _console()
     console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()), highlight=False)
     labels = [_label(row) for row in rows]
     for part in _parts(metrics, console.width - max(map(len, labels)) - 14):
@@ -75,6 +82,64 @@ def print_report(report: dict[str, Any]) -> None:
             values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in part]
             table.add_row(label, str(row["n"]), *values)
         console.print(table)
+
+
+def print_pages(report: dict[str, Any], tables: Sequence[Page]) -> None:
+    """Print tables under the protocol of a report, each in as many parts as the terminal's width needs.
+
+    Where the terminal is narrow an interval is written below its number.
+    """
+    console = _console()
+    said = ", ".join(f"{key} {value}" for key, value in report["protocol"].items())
+    console.print(f"{said}, seeds {' '.join(map(str, report['seeds']))}", highlight=False, markup=False)
+    for note in report["notes"]:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    for table in tables:
+        _print_page(console, table)
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=200)  # a file has no width that must be kept
+
+
+_NARROW = 120
+"""Characters: on a terminal with fewer, intervals are below their numbers."""
+
+
+def _print_page(console: Console, page: Page) -> None:
+    from rich.table import Table
+
+    rows = [
+        [cell.replace(" [", "\n[") for cell in row] if console.width < _NARROW else row for row in page.rows
+    ]
+    names, columns = range(page.names), range(page.names, len(page.head))
+    widths = [
+        max(map(_width, [_broken(head), *(row[i] for row in rows)])) + 3 for i, head in enumerate(page.head)
+    ]
+    for part in _parted(list(columns), widths, console.width - sum(widths[i] for i in names) - 1):
+        table = Table(title=page.title, title_justify="left", title_style="bold")
+        for i in (*names, *part):
+            table.add_column(_broken(page.head[i]), justify="left" if i == 0 else "right", no_wrap=i > 0)
+        for row in rows:
+            table.add_row(*(row[i] for i in (*names, *part)))
+        console.print(table)
+
+
+def _width(text: str) -> int:
+    return max(map(len, text.split("\n")))
+
+
+def _parted(columns: list[int], widths: list[int], width: int) -> list[list[int]]:
+    """Cut columns into parts of at most ``width`` characters, of about as many columns each."""
+    parts: list[list[int]] = [[]]
+    for i in columns:
+        if parts[-1] and sum(widths[j] for j in (*parts[-1], i)) > width:
+            parts.append([])
+        parts[-1].append(i)
+    return parts
 
 
 def _label(row: dict[str, Any]) -> str:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import Progress, TaskID
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+if TYPE_CHECKING:
+    from pedzoo.eval.evaluate import Step
 
 
 @contextmanager
@@ -22,3 +26,32 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[name], completed=done, total=total)
 
         yield update
+
+
+@contextmanager
+def overall_bar() -> Iterator[Callable[[Step], None]]:
+    """Yield a function that draws one bar for a whole evaluation; without a terminal, a line per part."""
+    console = Console(stderr=True)
+    columns = TextColumn("{task.percentage:>3.0f} %"), BarColumn(30), TextColumn("{task.description}")
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("", total=1.0)
+
+        def update(step: Step) -> None:
+            left = "" if step.left is None else f", {duration(step.left)} left"
+            parts = f"{step.units}/{step.total}{left}"
+            bars.update(task, completed=step.done, description=f"{parts}  {step.label}")
+            if not console.is_terminal and step.seconds is not None:
+                spent = duration(step.seconds)
+                console.print(
+                    f"{parts}  {step.label} ({spent})", highlight=False, markup=False, soft_wrap=True
+                )
+
+        yield update
+
+
+def duration(seconds: float) -> str:
+    """Return seconds as people say them."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -70,28 +70,46 @@ class Goals(Scenario):
         """Return the floor plans."""
         return [load_plan(name) for name in self.files]
 
+    def adopt(self, other: Scenario) -> bool:
+        """Take places and ways of the same floor plans: how many people walk to how many goals is no matter.
+
+        Raises:
+            UserError: So many people do not fit.
+        """
+        same = type(other) is type(self) and (other.files, other.pool) == (self.files, self.pool)
+        if same:
+            made = {key: value for key, value in vars(other).items() if key not in vars(self)}
+            vars(self).update(made)
+            self._check_room()
+        return same
+
     def prepare(self, clearance: float) -> None:
         """Spread places over the floor plans and find the ways to those that are goals."""
         super().prepare(clearance)
         places, goals = [], []
         for row, grid in enumerate(self.bank.grids):
             spread = torch.from_numpy(spread_points(grid, self.unknown, clearance, SPACING, seed=0))
-            if len(spread) < self.people:
-                raise UserError(
-                    f"{self.people} people do not fit on map {grid.name!r}: its free space has room for "
-                    f"{len(spread)} starts {SPACING} m apart"
-                )
             places.append(spread)
             goals.append(self.planner.add_goals(row, spread[: self.pool]))
         self._map_ids = torch.tensor([grid.map_id for grid in self.bank.grids])
         self._places = _padded(places, float("nan"))
         self._counts = torch.tensor([len(spread) for spread in places])
+        self._check_room()
         self._goals = _padded(goals, -1)
         self._first_choice = _Choice([self._far(row, places[row]) for row in range(len(places))])
         ids = range(len(places))
         self._next_choice = _Choice([self._far(row, places[row][: self.pool]) for row in ids])
         self._row_of_goal = torch.cat([torch.full_like(ids, row) for row, ids in enumerate(goals)])
         self._place_of_goal = torch.cat([torch.arange(len(ids)) for ids in goals])
+
+    def _check_room(self) -> None:
+        """Raise the error of people who do not fit."""
+        for grid, room in zip(self.bank.grids, self._counts.tolist(), strict=True):
+            if room < self.people:
+                raise UserError(
+                    f"{self.people} people do not fit on map {grid.name!r}: its free space has room for "
+                    f"{room} starts {SPACING} m apart"
+                )
 
     def layout(self, draws: Draws) -> Layout:
         """Return people at places of their own, each with a goal that is some way off."""

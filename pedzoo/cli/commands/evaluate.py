@@ -1,0 +1,130 @@
+"""``pedzoo evaluate``: the closed-loop table of policies on suites of cases."""
+
+from __future__ import annotations
+
+HELP = "the closed-loop table: policies on suites of cases, with intervals"
+EXAMPLE = "pedzoo evaluate orca:radius=0.3 sgan_goal_map.zara1 --suite door,goals --quick --json out.json"
+
+
+def run(argv: list[str]) -> int:
+    """Evaluate, print the tables and write files; returns the exit code."""
+    from pathlib import Path
+    from typing import Literal
+
+    from jsonargparse import ArgumentParser
+    from jsonargparse.typing import PositiveInt
+
+    from pedzoo.cli.output import check_outputs, print_pages, write_json, write_text
+    from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+    from pedzoo.cli.progress import overall_bar
+    from pedzoo.errors import UserError
+    from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation
+    from pedzoo.eval.results import markdown, pages
+    from pedzoo.eval.suite import Request
+    from pedzoo.registry import SUITES
+    from pedzoo.versions import versions
+
+    usage = f"pedzoo evaluate POLICY... [--suite SUITE,...] [--quick] [...]\nexample: {EXAMPLE}"
+    about = "\n".join(
+        [HELP, "", "suites:", *(f"  {name}: {SUITES.describe(name)}" for name in SUITES.names())]
+    )
+    parser = ArgumentParser(prog="pedzoo evaluate", usage=usage, description=about, **PARSER_SETTINGS)
+    parser.add_argument("policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model.")
+    parser.add_argument(
+        "--suite",
+        type=str,
+        default=",".join(SUITE_NAMES),
+        help="One or several, between commas; or file.py:Class.",
+    )
+    parser.add_argument("--episodes", type=int | None, help="Per case and seed (default: as the suite says).")
+    parser.add_argument(
+        "--seeds", type=str, default="0", help="Of the scenes, between commas; they count as one sample."
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="A tenth of the episodes, and of the recordings."
+    )
+    parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
+    parser.add_argument(
+        "--world",
+        type=Literal["bullet", "grid"] | None,
+        help="pybullet, or torch alone (default: bullet for door and goals).",
+    )
+    parser.add_argument(
+        "--maps", nargs="+", type=str, default=[], help="More floor plans for the suite goals."
+    )
+    parser.add_argument("--data.root", type=str | None, help="Recordings for replay (default: PEDZOO_DATA).")
+    parser.add_argument(
+        "--rollouts", type=PositiveInt, default=3, help="On recordings, of a policy with noise."
+    )
+    parser.add_argument("--workers", type=PositiveInt, default=1, help="Processes; the table stays the same.")
+    parser.add_argument(
+        "--backend", type=Literal["processes", "ray"], default="processes", help="What they are."
+    )
+    parser.add_argument(
+        "--resume",
+        type=str | None,
+        help="Keep finished parts in this file, and do not do again what is in it.",
+    )
+    parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
+    parser.add_argument("--markdown", type=str | None, help="Also write the tables to this page.")
+    options = parse(parser, argv)
+    check_outputs(json=options.json, markdown=options.markdown, resume=options.resume)
+    # finished parts lie beside the report until it is written
+    beside = f"{options.json}.partial" if options.json and options.json != "-" else None
+
+    request = Request(
+        options.episodes,
+        options.quick,
+        options.world,
+        tuple(options.maps),
+        options.data.root,
+        options.rollouts,
+    )
+    evaluation = Evaluation(
+        options.policies,
+        _listed(options.suite),
+        request,
+        _numbers("--seeds", options.seeds),
+        options.deterministic,
+        options.resume or beside,
+    )
+
+    if evaluation.resumed:
+        print(f"{evaluation.resumed} of {len(evaluation.units)} parts were done before: {evaluation.journal}")
+
+    def tell(**more: bool) -> None:
+        report = {"command": "evaluate", **evaluation.report(), "versions": versions(), **more}
+        print_pages(report, pages(report, evaluation.columns))
+        if options.json:
+            write_json(options.json, report)
+        if options.markdown:
+            command = ["pedzoo", "evaluate", *argv]
+            write_text(options.markdown, markdown(report, evaluation.columns, command))
+
+    try:
+        with overall_bar() as progress:
+            evaluation.run(options.workers, options.backend, progress)
+    except (KeyboardInterrupt, UserError):
+        if evaluation.done:
+            print(f"not finished: {evaluation.done} of {len(evaluation.units)} parts")
+            tell(interrupted=True)
+            kept = f"is kept in {evaluation.journal}: the same command goes on from there"
+            print("what is done " + (kept if evaluation.journal else "would be kept with --json or --resume"))
+        raise
+    tell()
+    if beside and not options.resume:
+        Path(beside).unlink(missing_ok=True)  # the report has all of it
+    return 0
+
+
+def _listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _numbers(option: str, text: str) -> list[int]:
+    from pedzoo.errors import UserError
+
+    try:
+        return [int(part) for part in _listed(text)]
+    except ValueError:
+        raise UserError(f"{option} {text}: expected whole numbers between commas") from None

@@ -1,0 +1,253 @@
+"""The closed-loop evaluation: policies on suites of cases, in parts that are kept, resumed and shared out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pedzoo.errors import UserError, unknown
+from pedzoo.eval.journal import Journal, Rows
+from pedzoo.eval.suite import Request, Suite, Unit, WorldName, check_names
+from pedzoo.eval.summary import summary
+from pedzoo.eval.units import digest, work
+from pedzoo.registry import SUITES
+from pedzoo.sim.make import WORLDS
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.worlds.pybullet_client import load_pybullet
+
+SUITE_NAMES = ("door", "goals", "cards", "replay")
+"""What is evaluated unless something else is asked for."""
+
+Backend = Literal["processes", "ray"]
+
+
+class Step(NamedTuple):
+    """How far an evaluation is.
+
+    Attributes:
+        label: What has just been done, or is going on.
+        done: Share of the whole, by the work that it is expected to be.
+        units: Finished ones.
+        total: All of them.
+        seconds: That the unit took; None while it is going on.
+        left: Seconds that the rest is expected to take; None while nobody knows.
+    """
+
+    label: str
+    done: float
+    units: int
+    total: int
+    seconds: float | None
+    left: float | None
+
+
+Progress = Callable[[Step], None]
+
+
+def evaluate(
+    policies: Sequence[str],
+    suites: Sequence[str] = SUITE_NAMES,
+    episodes: int | None = None,
+    seeds: Sequence[int] = (0,),
+    quick: bool = False,
+    deterministic: bool = False,
+    world: WorldName | None = None,
+    maps: Sequence[str | Path] = (),
+    root: str | None = None,
+    rollouts: int = 3,
+    workers: int = 1,
+    backend: Backend = "processes",
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Evaluate policies in closed loop and return the report that ``pedzoo evaluate`` prints and writes.
+
+    Args:
+        policies: Names with settings, as of `pedzoo.sim.policy.load_policy`.
+        suites: ``door``, ``goals``, ``cards`` and ``replay``, or ``file.py:Class``.
+        episodes: Per case and seed; None for the suites' own numbers.
+        seeds: Of the scenes. Their episodes count as one sample.
+        quick: A tenth of the episodes.
+        deterministic: Models walk with noise zero.
+        world: ``bullet`` or ``grid`` for all suites; None for their own.
+        maps: Floor plans on which ``goals`` is walked, beside those that it draws.
+        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
+        rollouts: Of a policy with noise, on recordings.
+        workers: Processes; the report is the same for any number.
+        backend: What they are: ``processes`` of this machine, or ``ray``.
+        resume: A file that keeps finished parts: what is in it is not done again.
+        progress: Called whenever there is something to tell.
+
+    Returns:
+        ``protocol``; ``seeds``; ``notes``; ``rows``, one per policy and case; and ``summary``, one row per
+        policy and suite. A row has ``name``, ``case``, ``n``, ``metrics``, ``ci95``, and ``per_agent``.
+
+    Raises:
+        UserError: An unknown name, or a setting that cannot be, before anything has walked.
+    """
+    request = Request(episodes, quick, world, tuple(map(str, maps)), root, rollouts)
+    evaluation = Evaluation(policies, suites, request, seeds, deterministic, resume)
+    evaluation.run(workers, backend, progress)
+    return evaluation.report()
+
+
+class Evaluation:
+    """All parts of an evaluation, and the rows of those that are done.
+
+    Attributes:
+        units: All of them, in the order of the report.
+        resumed: How many were found in the file of finished ones.
+        journal: That file, if there is one.
+    """
+
+    def __init__(
+        self,
+        policies: Sequence[str],
+        suites: Sequence[str] = SUITE_NAMES,
+        request: Request | None = None,
+        seeds: Sequence[int] = (0,),
+        deterministic: bool = False,
+        resume: str | Path | None = None,
+    ) -> None:
+        """Say what is to be done; whatever is misspelt is refused here.
+
+        Args:
+            policies: As of `evaluate`.
+            suites: Likewise.
+            request: What suites differ by.
+            seeds: As of `evaluate`.
+            deterministic: Likewise.
+            resume: Likewise.
+
+        Raises:
+            UserError: As of `evaluate`.
+        """
+        self._request = request or Request()
+        if self._request.episodes is not None and self._request.episodes < 1:
+            raise UserError(f"episodes {self._request.episodes}: expected at least 1")
+        if self._request.rollouts < 1:
+            raise UserError(f"rollouts {self._request.rollouts}: expected at least 1")
+        self._policies = check_names("policies", policies)
+        self._seeds = tuple(dict.fromkeys(seeds))
+        if not self._seeds:
+            raise UserError("no seeds: expected at least one")
+        self._deterministic = deterministic
+        self._suites = [_suite(name) for name in check_names("suites", suites)]
+        for policy in self._policies:
+            load_policy(policy)
+        self.units: list[Unit] = []
+        for suite in self._suites:
+            for case in suite.cases(self._request):
+                _check_world(case.world)
+                self.units += suite.units(case, self._policies, self._seeds, deterministic)
+        self._digests = [digest(unit) for unit in self.units]
+        self.journal = Path(resume) if resume else None
+        self._journal = Journal(self.journal)
+        self._rows: dict[int, Rows] = {
+            number: self._journal.done[known]
+            for number, known in enumerate(self._digests)
+            if known in self._journal.done
+        }
+        self.resumed = len(self._rows)
+
+    def run(self, workers: int = 1, backend: Backend = "processes", progress: Progress | None = None) -> None:
+        """Do all units that are not done; whatever interrupts it, finished ones are kept.
+
+        Args:
+            workers: As of `evaluate`.
+            backend: Likewise.
+            progress: Likewise.
+        """
+        if workers < 1:
+            raise UserError(f"workers {workers}: expected at least 1")
+        clock = _Clock(self.units, set(self._rows), progress)
+        missing = [number for number in range(len(self.units)) if number not in self._rows]
+        for number, rows in self._finished(missing, workers, backend, clock):
+            self._rows[number] = rows
+            self._journal.add(self._digests[number], rows)
+            clock.ended(number)
+
+    def _finished(
+        self, numbers: list[int], workers: int, backend: Backend, clock: _Clock
+    ) -> Iterator[tuple[int, Rows]]:
+        """Yield the numbers of units and their rows as they are finished."""
+        for number in numbers:
+            yield number, work(self.units[number], lambda share, number=number: clock.within(number, share))
+
+    @property
+    def done(self) -> int:
+        """How many units are finished."""
+        return len(self._rows)
+
+    def report(self) -> dict[str, Any]:
+        """Return protocol, seeds, notes, summary and rows of all that is done."""
+        rows = [row for number in sorted(self._rows) for row in self._rows[number]]
+        asked = self._request
+        protocol = {
+            "suites": ",".join(suite.name for suite in self._suites),
+            "episodes": asked.episodes or "each suite's own",
+            "quick": asked.quick,
+            "noise": "none" if self._deterministic else "sampled",
+            "world": asked.world or "each suite's own",
+            "maps": ",".join(asked.maps) or "none",
+            "warm_start": "orca",
+        }
+        return {
+            "protocol": protocol,
+            "seeds": list(self._seeds),
+            "notes": [note for suite in self._suites for note in suite.notes(asked)],
+            "summary": summary(rows),
+            "rows": rows,
+        }
+
+    @property
+    def columns(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+        """Metrics of each suite that are shown: of the headline, and of its own table."""
+        return {suite.name: (suite.headline, suite.columns) for suite in self._suites}
+
+
+class _Clock:
+    """Tells how far an evaluation is, and guesses how long the rest takes."""
+
+    def __init__(self, units: list[Unit], done: set[int], progress: Progress | None) -> None:
+        self._units, self._done, self._progress = units, set(done), progress
+        self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
+        self._before = sum(self._weights[number] for number in done)
+        self._start = self._last = time.perf_counter()
+
+    def within(self, number: int, share: float) -> None:
+        """Tell that a share of a unit is done."""
+        self._tell(number, share * self._weights[number], None)
+
+    def ended(self, number: int) -> None:
+        """Tell that a unit is done."""
+        self._done.add(number)
+        now = time.perf_counter()
+        spent, self._last = now - self._last, now
+        self._tell(number, 0.0, spent)
+
+    def _tell(self, number: int, more: float, spent: float | None) -> None:
+        if self._progress is None:
+            return
+        done = more + sum(self._weights[one] for one in self._done)
+        total, mine = sum(self._weights), done - self._before
+        passed = time.perf_counter() - self._start
+        left = passed / mine * (total - done) if mine > 0 else None
+        label, units = self._units[number].label, len(self._units)
+        self._progress(Step(label, done / total, len(self._done), units, spent, left))
+
+
+def _suite(name: str) -> Suite:
+    cls = SUITES.get(name)
+    if not issubclass(cls, Suite):
+        raise UserError(f"{name!r} is no suite: expected a subclass of pedzoo.eval.suite.Suite")
+    return cls(name)
+
+
+def _check_world(name: str) -> None:
+    if name not in WORLDS:
+        raise unknown("world", name, WORLDS)
+    if name == "bullet":
+        load_pybullet()  # which says how to get it

@@ -1,0 +1,177 @@
+"""What every suite is: cases on which policies are evaluated, and the smallest parts of that work."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple
+
+from pedzoo.errors import UserError
+from pedzoo.eval.closed_loop import row
+from pedzoo.eval.prepared import prepared
+from pedzoo.eval.rollout import joined, prepare, walk
+
+WorldName = Literal["grid", "bullet"]
+
+QUICK = 10
+"""A quick run has one in so many episodes."""
+
+Tell = Callable[[float], None]
+"""Called with the share of a unit that is done."""
+
+
+class Request(NamedTuple):
+    """What was asked for, as far as suites differ by it.
+
+    Attributes:
+        episodes: Per case; None for the suite's own number.
+        quick: A tenth of everything.
+        world: For all cases; None for the suite's own.
+        maps: Floor plans beside the suite's own.
+        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
+        rollouts: Of a policy with noise, on recordings.
+    """
+
+    episodes: int | None = None
+    quick: bool = False
+    world: WorldName | None = None
+    maps: tuple[str, ...] = ()
+    root: str | None = None
+    rollouts: int = 3
+
+    def number(self, usual: int) -> int:
+        """Return how many episodes a case has whose suite has ``usual`` ones."""
+        return self.episodes or (max(1, usual // QUICK) if self.quick else usual)
+
+
+class Case(NamedTuple):
+    """Scenes that policies are compared on.
+
+    Attributes:
+        suite: Its name.
+        name: What tables call it.
+        scenario: With settings.
+        world: ``bullet`` or ``grid``.
+        episodes: Of every seed.
+        case: What tells its rows from others.
+        inputs: Digest of the files that it reads.
+        effort: What an episode costs beside those of other cases: people times goals, about.
+    """
+
+    suite: str
+    name: str
+    scenario: str
+    world: str
+    episodes: int
+    case: dict[str, str]
+    inputs: str = ""
+    effort: float = 2.0
+
+
+class Unit(NamedTuple):
+    """One policy on one case: the smallest thing that is repeated, kept and sent to workers.
+
+    Attributes:
+        policy: As it was given: the row's name.
+        walks: What walks; the same, but for models with other weights for this case.
+        case: Where.
+        seeds: Of the scenes.
+        deterministic: Without noise.
+    """
+
+    policy: str
+    walks: str
+    case: Case
+    seeds: tuple[int, ...]
+    deterministic: bool
+
+    @property
+    def label(self) -> str:
+        """What people are told is going on."""
+        case = self.case
+        return f"{case.suite}{f' {case.name}' if case.name != case.suite else ''}: {self.policy}"
+
+
+class Suite(ABC):
+    """Says on which cases policies are evaluated.
+
+    Attributes:
+        name: As it was asked for.
+        headline: Metrics of the first table.
+        columns: Metrics of the suite's own table.
+    """
+
+    headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
+    columns: ClassVar[tuple[str, ...]] = (
+        "success",
+        "episode_success",
+        "deadlock",
+        "failed",
+        "agent_contacts_per_min",
+        "wall_contacts_per_min",
+        "time_ratio",
+        "path_ratio",
+        "least_distance_m",
+    )
+
+    def __init__(self, name: str) -> None:
+        """Take the name that it was asked for by."""
+        self.name = name
+
+    @abstractmethod
+    def cases(self, request: Request) -> list[Case]:
+        """Return the cases; those that share a floor plan follow each other.
+
+        Raises:
+            UserError: Something asked for cannot be.
+        """
+
+    def notes(self, request: Request) -> list[str]:
+        """Return what people should know about the cases."""
+        return []
+
+    def units(self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], fixed: bool) -> list[Unit]:
+        """Return the work on a case.
+
+        Args:
+            case: One of `cases`.
+            policies: Names with settings.
+            seeds: Of the scenes.
+            fixed: Without noise.
+        """
+        return [Unit(policy, policy, case, seeds, fixed) for policy in policies]
+
+    def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
+        """Walk one unit and return its rows, as `pedzoo.eval.closed_loop.row` makes them.
+
+        Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
+        """
+        case, walked = unit.case, []
+        scenario = prepared(case.scenario)
+        for number, seed in enumerate(unit.seeds):
+            policy, env = prepare(unit.walks, scenario, case.world, case.episodes, seed)
+
+            def share(name: str, done: int, total: int, number: int = number) -> None:
+                if tell:
+                    tell((number + done / total) / len(unit.seeds))
+
+            try:
+                walked.extend(walk(policy, env, case.episodes, unit.deterministic, share))
+            finally:
+                env.world.close()
+        found = row(unit.policy, joined(walked), env.decision_dt)
+        for person in found["per_agent"]:
+            seed, person["episode"] = divmod(person["episode"], case.episodes)
+            person["seed"] = unit.seeds[seed]
+        return [found]
+
+
+def check_names(what: str, given: Sequence[str]) -> list[str]:
+    """Return ``given`` without repetitions.
+
+    Raises:
+        UserError: There is nothing.
+    """
+    if not given:
+        raise UserError(f"no {what}: expected at least one")
+    return list(dict.fromkeys(given))

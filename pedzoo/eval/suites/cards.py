@@ -1,0 +1,19 @@
+"""The encounters of Francis et al. 2023, one case each: people meet in corridors, at corners, in the open."""
+
+from __future__ import annotations
+
+from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.registry import SCENARIOS
+from pedzoo.sim.encounter import Encounter
+
+EPISODES = 20
+
+
+class Cards(Suite):
+    """Every scenario of the registry that is an encounter, with its defaults."""
+
+    def cases(self, request: Request) -> list[Case]:
+        """Return a case for each encounter."""
+        names = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
+        world, episodes = request.world or "grid", request.number(EPISODES)
+        return [Case(self.name, name, name, world, episodes, {"card": name}) for name in names]

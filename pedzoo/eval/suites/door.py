@@ -1,0 +1,32 @@
+"""The narrow door: two people meet at it from both sides."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pedzoo.eval.suite import Case, Request, Suite
+
+EPISODES = 200
+
+
+class Door(Suite):
+    """One case, the scenario ``door`` with its defaults."""
+
+    columns: ClassVar[tuple[str, ...]] = (
+        "success",
+        "deadlock",
+        "failed",
+        "agent_contacts_per_min",
+        "wall_contacts_per_min",
+        "time_ratio",
+        "path_ratio",
+        "least_distance_m",
+        "symmetry_index",
+        "yield_delay_s",
+        "yielder_speed_m_per_s",
+        "specific_flow_per_m_s",
+    )
+
+    def cases(self, request: Request) -> list[Case]:
+        """Return the one case."""
+        return [Case(self.name, "door", "door", request.world or "bullet", request.number(EPISODES), {})]

@@ -1,0 +1,46 @@
+"""From goal to goal through buildings, as in Table II of the paper on iGibson."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.maps.library import load_plan
+
+CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
+"""People and goals of Table II."""
+
+EPISODES = 20
+
+DRAWN = tuple(f"{kind}.{seed}" for kind in ("apartment", "office") for seed in range(3))
+"""Floor plans that need no file; every episode draws one of them."""
+
+POOL = 12
+"""Places among which goals are drawn, per floor plan: more of them cost seconds and change little."""
+
+
+class Goals(Suite):
+    """Every cell of Table II on drawn floor plans, and again on each of those that were given."""
+
+    def cases(self, request: Request) -> list[Case]:
+        """Return five cases for the drawn floor plans and five for each other one.
+
+        Raises:
+            UserError: There is no such floor plan.
+        """
+        named = Counter(Path(file).stem for file in request.maps)
+        plans = {"drawn": list(DRAWN)}
+        for file in request.maps:
+            plans[Path(file).stem if named[Path(file).stem] == 1 else file] = [file]
+        world, episodes = request.world or "bullet", request.number(EPISODES)
+        found = []
+        for name, files in plans.items():
+            inputs = " ".join(load_plan(file).digest for file in files)
+            shown = files[0] if len(files) == 1 else f"[{','.join(files)}]"
+            for people, goals in CELLS:
+                scenario = f"goals:map={shown},people={people},goals={goals},pool={POOL}"
+                case = {"map": name, "people": str(people), "goals": str(goals)}
+                label = f"{name} {people}/{goals}"
+                found.append(Case(self.name, label, scenario, world, episodes, case, inputs, people * goals))
+        return found

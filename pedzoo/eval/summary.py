@@ -1,0 +1,73 @@
+"""Several cases as one row: the mean over them, with its interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
+
+from pedzoo.metrics.intervals import Interval
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one row for every policy and suite: each case counts the same, however many people it has.
+
+    A metric that a case has no value of (nobody arrived, nobody met) has none in the summary either: a mean
+    over the other cases could not be compared with anybody else's.
+
+    Args:
+        rows: Of an evaluation.
+    """
+    order = {key: number for number, key in enumerate(dict.fromkeys(map(_place, rows)))}
+    found = []
+    for (suite, name), group in groupby(sorted(rows, key=lambda row: order[_place(row)]), key=_place):
+        cases = list(group)
+        metrics: dict[str, float] = {}
+        intervals: dict[str, Interval] = {}
+        for key in cases[0]["metrics"]:
+            if all(key in case["metrics"] for case in cases):
+                values = [case["metrics"][key] for case in cases]
+                ends = [
+                    case["ci95"].get(key, (value, value)) for case, value in zip(cases, values, strict=True)
+                ]
+                metrics[key] = sum(values) / len(values)
+                interval = mean_interval(values, ends)
+                if interval[0] < interval[1]:
+                    intervals[key] = interval
+        seconds = {key: round(sum(case["seconds"][key] for case in cases), 2) for key in ("wall", "cpu")}
+        found.append(
+            {
+                "name": name,
+                "case": {"suite": suite},
+                "n": sum(case["n"] for case in cases),
+                "cases": len(cases),
+                "metrics": metrics,
+                "ci95": intervals,
+                "seconds": seconds,
+            }
+        )
+    return found
+
+
+def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]]) -> Interval:
+    """Return the interval of the mean of independent estimates, each with an interval of its own.
+
+    The method of variance estimates recovery (Zou and Donner, "Construction of confidence limits about
+    effect measures", Statistics in Medicine 27, 2008): deviations to either side add up in squares. Of
+    Wilson's intervals it keeps that they are longer towards the middle.
+
+    Args:
+        values: The estimates.
+        intervals: The lower and upper end of each.
+    """
+    mean = sum(values) / len(values)
+    below, above = (
+        math.sqrt(sum((value - ends[side]) ** 2 for value, ends in zip(values, intervals, strict=True)))
+        for side in (0, 1)
+    )
+    return mean - below / len(values), mean + above / len(values)
+
+
+def _place(row: dict[str, Any]) -> tuple[str, str]:
+    return row["case"]["suite"], row["name"]

@@ -1,0 +1,71 @@
+"""Units of an evaluation: how one is done in any process, and by what a finished one is known again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pedzoo.eval.suite import Tell, Unit
+from pedzoo.paths import weight_files
+from pedzoo.registry import SUITES
+from pedzoo.spec import parse
+from pedzoo.versions import versions
+
+_NO_MATTER = ("cli", "bench", "train")
+"""Packages whose code changes no number of an evaluation."""
+
+
+def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
+    """Do a unit and return its rows, as they are in JSON.
+
+    Args:
+        unit: What to do.
+        tell: Called with the share that is done.
+    """
+    wall, cpu = time.perf_counter(), time.process_time()
+    rows = SUITES.get(unit.case.suite)(unit.case.suite).rows(unit, tell)
+    spent = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
+    where = {"suite": unit.case.suite, "world": unit.case.world, **unit.case.case}
+    if unit.walks != unit.policy:
+        where["weights"] = unit.walks
+    for row in rows:
+        row["case"] = where | row["case"]
+        row["seconds"] = {key: round(value, 2) for key, value in spent.items()}
+    return json.loads(json.dumps(rows, allow_nan=False))
+
+
+def digest(unit: Unit) -> str:
+    """Return what tells a unit from any other whose rows may differ.
+
+    That is the unit itself, the file of its weights, pedzoo's code and the versions of what it uses.
+    """
+    known = {**unit._asdict(), "case": unit.case._asdict()}
+    parts = [known, _file_sum(unit.walks), _code_sum(), _versions()]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _file_sum(policy: str) -> str:
+    """Return the sha256 of the file behind a policy, nothing where it has none."""
+    name = parse(policy).name
+    path = weight_files().get(name) or Path(name.rpartition(":")[0] if ".py:" in name else name)
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+@cache
+def _code_sum() -> str:
+    """Return the sha256 of all code that numbers depend on; commits of anything else leave it as it is."""
+    base, found = Path(__file__).parents[1], hashlib.sha256()
+    for path in sorted(base.rglob("*.py")):
+        place = path.relative_to(base)
+        if place.parts[0] not in _NO_MATTER:
+            found.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
+    return found.hexdigest()
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {name: found for name, found in versions().items() if name not in ("commit", "pedzoo")}
