@@ -27,7 +27,7 @@ def parse(text: str) -> Spec:
         inside, colon, rest = rest.partition(":")
         name = f"{name}:{inside}"
     settings: dict[str, str] = {}
-    for part in _parts(rest) if colon else []:
+    for part in split(rest) if colon else []:
         key, equals, value = part.partition("=")
         if not equals or not key.strip():
             raise UserError(f"{text!r}: {part!r} is no setting: expected {name}:key=value,key=value")
@@ -93,7 +93,7 @@ def _short(hint: Any) -> str:
     return str(hint).replace("typing.", "").replace("collections.abc.", "")
 
 
-def _parts(text: str) -> list[str]:
+def split(text: str) -> list[str]:
     """Split at commas outside brackets."""
     parts, depth = [""], 0
     for letter in text:

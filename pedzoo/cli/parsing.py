@@ -18,6 +18,7 @@ from jsonargparse import ArgumentParser, Namespace
 
 from pedzoo.errors import UserError
 from pedzoo.paths import config_names, find_config
+from pedzoo.spec import split
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
@@ -156,25 +157,39 @@ def _config_files(argv: list[str]) -> list[str]:
 
 
 def _bare_lists(parser: ArgumentParser, argv: list[str]) -> list[str]:
-    """Put brackets around ``a.csv,b.csv`` where a list is expected, which nobody types by hand."""
+    """Put brackets around ``a.csv,b.csv`` where a list is expected, which nobody types by hand.
+
+    What could be something else too, as ``--trainer.devices 2``, is a list only where it has a comma.
+    Settings stay with their name: ``door:width=0.9,people=4,circle`` is two scenarios.
+    """
     found = list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
         action = parser._option_string_actions.get(flag)
-        item = _item_type(getattr(action, "_typehint", None))
+        item, alone = _item_type(getattr(action, "_typehint", None))
         if item is None or (not joined and i + 1 == len(argv)):
             continue
         value = value if joined else argv[i + 1]
-        if not value.startswith(("[", "-", "{")) and value != "null":
-            parts = value.split(",")
-            listed = json.dumps(parts) if item is str else f"[{value}]"
+        if not value.startswith(("[", "-", "{")) and value != "null" and (alone or "," in value):
+            listed = json.dumps(_names(value)) if item is str else f"[{value}]"
             found[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
     return found
 
 
-def _item_type(hint: object) -> object | None:
-    """Return what a list or tuple type holds, None for every other type."""
-    for option in (hint, *get_args(hint)):
+def _names(text: str) -> list[str]:
+    """Split at commas, but for those between the settings behind a name's colon."""
+    found: list[str] = []
+    for part in split(text):
+        goes_on = bool(found) and ":" in found[-1] and "=" in part.partition(":")[0]
+        found = [*found[:-1], f"{found[-1]},{part}"] if goes_on else [*found, part]
+    return found
+
+
+def _item_type(hint: object) -> tuple[object | None, bool]:
+    """Return what a list or tuple type holds, None for another type, and whether it is the only choice."""
+    options = (hint, *get_args(hint))
+    for option in options:
         if get_origin(option) in (list, tuple):
-            return get_args(option)[0]
-    return None
+            others = [one for one in options if one not in (hint, option, type(None))]
+            return get_args(option)[0], hint is option or not others
+    return None, False

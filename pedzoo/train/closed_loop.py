@@ -79,7 +79,7 @@ class ClosedLoopValidation(Callback):
         """Say who walks where, and how often.
 
         Args:
-            scenarios: With settings, as of ``pedzoo rollout``: ``door,goals:people=4,goals=2``; null for none.
+            scenarios: With settings, as ``door,goals:people=4,goals=2``; null for none.
             every: Validations from one rollout to the next.
             episodes: Of each scenario.
             world: ``grid`` (torch, faster) or ``bullet`` (pybullet).
