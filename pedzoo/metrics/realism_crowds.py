@@ -1,0 +1,190 @@
+"""Two crowds of the same people against each other: every number of realism, for many resamples at once.
+
+A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.metrics.realism import Samples, counted, grid, resampled, wasserstein
+from pedzoo.metrics.realism_features import CLOSE, FEATURES, Steps, features, surroundings
+from pedzoo.metrics.rollout import Rollout
+from pedzoo.types import TRACE_SECONDS
+
+MOST_CLOSE = 20
+"""Places with more others close by count as if they had this many."""
+
+
+class Crowd(NamedTuple):
+    """What P people did in K rounds, as far as it can be added up.
+
+    Attributes:
+        samples: Of every feature, all rounds together.
+        minutes: For how long each person was scored (P,), all rounds together.
+        agent_contact: For how long of it they touched somebody (P,), minutes.
+        wall_contact: For how long a wall (P,).
+        speed: Mean speed of each person in each round (K, P), m/s; NaN where they were not scored.
+        speeds_at: Sums of speeds (P, C) by the number of others within `CLOSE`, m/s.
+        steps_at: How many steps these are (P, C).
+    """
+
+    samples: dict[str, Samples]
+    minutes: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    speed: Tensor
+    speeds_at: Tensor
+    steps_at: Tensor
+
+
+def crowd(
+    rollout: Rollout, steps: Steps, scenes: int, start: Tensor, goal: Tensor, seen: Tensor | None = None
+) -> Crowd:
+    """Return the crowd of a rollout.
+
+    Args:
+        rollout: Episodes; each ``scenes`` of them are a round.
+        steps: The same every 0.4 s.
+        scenes: Episodes in a round.
+        start: Where everybody's line begins (P, 2), metres.
+        goal: Where it ends (P, 2), metres.
+        seen: Who is scored (P,) bool, everybody by default; others are still met.
+    """
+    people, rounds = len(start), -(-len(rollout.failed) // scenes)
+    controlled = rollout.controlled
+    if seen is not None:
+        controlled = controlled & seen[rollout.person.clamp_min(0)]
+        steps = steps._replace(scored=steps.scored & seen[steps.person.clamp_min(0)])
+    around = surroundings(steps)
+    in_round = steps.scored.nonzero()[:, 0] // scenes
+    speed = around.speed.double()
+
+    def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
+        """Return sums (P, columns), or counts, by person and a number of columns."""
+        place = around.person * columns + index
+        return (
+            torch.bincount(place, weights=weights, minlength=people * columns).view(people, columns).double()
+        )
+
+    def minutes(when: Tensor) -> Tensor:
+        points = torch.bincount(rollout.person[when & controlled], minlength=people)
+        return points.double() * TRACE_SECONDS / 60
+
+    close = around.close.clamp(max=MOST_CLOSE)
+    return Crowd(
+        samples=features(steps, around, start, goal),
+        minutes=minutes(controlled),
+        agent_contact=minutes(rollout.agent_contact),
+        wall_contact=minutes(rollout.wall_contact),
+        speed=(added(in_round, rounds, speed) / added(in_round, rounds)).T,
+        speeds_at=added(close, MOST_CLOSE + 1, speed),
+        steps_at=added(close, MOST_CLOSE + 1),
+    )
+
+
+def spreads(real: Crowd) -> dict[str, float]:
+    """Return the standard deviation of every feature in the real crowd: what distances are measured in."""
+    return {name: float(samples.value.double().std()) for name, samples in real.samples.items()}
+
+
+def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
+    """Return the exact Wasserstein-1 distance (1,) of every feature, everybody counting once."""
+    return {
+        name: torch.tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
+        for name in FEATURES
+    }
+
+
+def resampled_distances(first: Crowd, second: Crowd, mine: Tensor, theirs: Tensor) -> dict[str, Tensor]:
+    """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples; weights are (R, P)."""
+    found = {}
+    for name in FEATURES:
+        one, other = first.samples[name], second.samples[name]
+        found[name] = torch.full((len(mine),), torch.nan, dtype=torch.float64)
+        if len(one.value) and len(other.value):
+            edges = grid(one.value, other.value)
+            ours, real = (counted(samples, edges, mine.shape[1]) for samples in (one, other))
+            found[name] = resampled(ours, real, edges, mine, theirs)
+    return found
+
+
+def compared(
+    crowd: Crowd,
+    real: Crowd,
+    mine: Tensor,
+    theirs: Tensor,
+    distance: dict[str, Tensor],
+    spread: dict[str, float],
+) -> dict[str, Tensor]:
+    """Return every number of a crowd beside the real one, of R resamples (R,) each, NaN for none.
+
+    * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances. ``w1_speed``, ...: divided by the real crowd's
+      standard deviation. ``realism``: the mean of the latter over the features that both crowds have: who
+      never walks has no heading. Lower is better in all.
+    * ``agent_contact_share``, ``wall_contact_share``: of the time, in which a person touches somebody or a
+      wall. ``agent_contact_excess``, ``wall_contact_excess``: less the real share, which is not 0: friends
+      touch, and people lean on walls.
+    * ``speed_std_m_per_s``: between people, of their mean speeds: pooled distributions hide whether everybody
+      walks at the same mixed speed.
+    * ``density_speed_rmse_m_per_s``: see `density_speed`.
+
+    Args:
+        crowd: Somebody's.
+        real: The recorded one.
+        mine: How often each person counts in the first (R, P).
+        theirs: In the second.
+        distance: Of every feature (R,), of the same resamples.
+        spread: Of every feature, see `spreads`.
+    """
+    found: dict[str, Tensor] = {}
+    for name, unit in FEATURES.items():
+        found[f"w1_{name}_{unit}"] = distance[name]
+        found[f"w1_{name}"] = distance[name] / (spread[name] or math.nan)
+    normalised = torch.stack([found[f"w1_{name}"] for name in FEATURES])
+    found["realism"] = normalised.nanmean(0)
+    for kind in ("agent_contact", "wall_contact"):
+        share = mine @ getattr(crowd, kind) / (mine @ crowd.minutes)
+        found[f"{kind}_share"] = share
+        found[f"{kind}_excess"] = share - theirs @ getattr(real, kind) / (theirs @ real.minutes)
+    found["speed_std_m_per_s"] = _between(crowd.speed, mine)
+    (speed, steps), (true, weight) = density_speed(crowd, mine), density_speed(real, theirs)
+    both = (steps > 0) & (weight > 0)
+    square = ((speed - true).square() * weight).where(both, 0.0).sum(1)
+    found["density_speed_rmse_m_per_s"] = (square / weight.where(both, 0.0).sum(1)).sqrt()
+    return found
+
+
+def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the mean speed (R, C) at every density, m/s, NaN where nobody is, and of how many steps.
+
+    The density is that of the circle of 2 m around a person, see `densities`, with a bin for every number of
+    others in it. Real and simulated people are counted alike, so that what a camera does not see lowers both.
+    In the RMSE of two curves a density weighs as much as it occurs in the real crowd; those at which either
+    has nobody do not count.
+
+    Args:
+        crowd: The crowd.
+        weights: How often each person counts (R, P).
+    """
+    steps = weights @ crowd.steps_at
+    return weights @ crowd.speeds_at / steps, steps
+
+
+def densities() -> Tensor:
+    """Return the density of every bin (C,), people per square metre, the person at its centre included."""
+    return torch.arange(1, MOST_CLOSE + 2) / (math.pi * CLOSE**2)
+
+
+def _between(value: Tensor, weights: Tensor) -> Tensor:
+    """Return the standard deviation between people (R,) of values (K, P), the mean over rounds."""
+    there = (~value.isnan()).double()
+    value = value.nan_to_num()
+    count = weights @ there.T
+    mean = weights @ value.T / count
+    variance = weights @ value.square().T / count - mean.square()
+    return variance.clamp_min(0).sqrt().nanmean(1)

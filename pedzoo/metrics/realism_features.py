@@ -1,0 +1,167 @@
+"""What people's walks are compared by: speed, acceleration, heading, nearness and deviation, every 0.4 s.
+
+Recorded people are annotated every 0.4 s, so simulated ones are looked at every 0.4 s, too: differences at a
+shorter step would compare the interpolation of the one with the other. E episodes of A slots, S steps, P
+people numbered as in ``person``, N samples; every scored step of everybody is one sample, if it has the
+feature. How a policy takes a person over is part of its walk: the velocity before is the recorded one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.metrics.realism import Samples
+from pedzoo.metrics.rollout import Rollout
+from pedzoo.metrics.safety import HORIZON
+from pedzoo.metrics.smoothness import WINDOW, acceleration, heading_rate
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+
+FEATURES = {
+    "speed": "m_per_s",
+    "acceleration": "m_per_s2",
+    "heading_rate": "rad_per_s",
+    "nearest_distance": "m",
+    "time_to_collision": "s",
+    "lateral_deviation": "m",
+}
+"""Names and units, of which ``realism`` is the mean."""
+
+LINE = 1.0
+"""Metres: who begins nearer to their goal has no line from which to deviate."""
+
+CLOSE = 2.0
+"""Metres: how far those reach who make a place dense."""
+
+_AT_ONCE = 250_000
+"""Pairs of people that are compared at once: several such tensors fit a cache."""
+
+
+class Steps(NamedTuple):
+    """A rollout every 0.4 s, and two steps before its begin for who is controlled at once.
+
+    Attributes:
+        xy: Positions (E, A, S, 2), metres.
+        person: Who is there (E, A, S) long, -1 for nobody.
+        velocity: Over the 0.4 s until then (E, A, S, 2), m/s.
+        known: Whether the same person was there at their begin (E, A, S) bool.
+        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known.
+    """
+
+    xy: Tensor
+    person: Tensor
+    velocity: Tensor
+    known: Tensor
+    scored: Tensor
+
+
+class Surroundings(NamedTuple):
+    """What is around each of N scored steps.
+
+    Attributes:
+        person: Whose step it is (N,) long.
+        speed: Theirs (N,), m/s.
+        nearest: Distance to the nearest other (N,), metres between centres; infinite for who is alone.
+        collision: Least time to a collision (N,), seconds, see `pedzoo.metrics.safety.time_to_collision`.
+        close: Others within `CLOSE` (N,) long.
+    """
+
+    person: Tensor
+    speed: Tensor
+    nearest: Tensor
+    collision: Tensor
+    close: Tensor
+
+
+def every_step(rollout: Rollout) -> Steps:
+    """Return the steps of a rollout."""
+    last = WINDOW - 1
+    person = rollout.person.where(rollout.present, -1)
+    first = person[..., :1].where(rollout.controlled[..., :1], -1)
+    person = torch.cat((first, first, person[..., last::WINDOW]), dim=2)
+    xy = torch.cat((rollout.past[:, :, -1 - WINDOW :: WINDOW], rollout.trace[:, :, last::WINDOW]), dim=2)
+    known = torch.zeros_like(person, dtype=torch.bool)
+    known[..., 1:] = (person[..., 1:] == person[..., :-1]) & (person[..., 1:] >= 0)
+    velocity = torch.zeros_like(xy)
+    velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
+    scored = torch.zeros_like(known)
+    scored[..., 2:] = rollout.controlled[..., last::WINDOW]
+    return Steps(xy, person, velocity, known, scored & known)
+
+
+def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
+    """Return the samples of every feature of `FEATURES`.
+
+    * ``speed`` and ``acceleration``, the amount of the change of velocity since the step before.
+    * ``heading_rate``, to either side; of who walks faster than 0.1 m/s in both steps: who stands has no
+      heading.
+    * ``nearest_distance`` to the centre of anybody who is there, and ``time_to_collision``, at most 10 s; of
+      who is not alone.
+    * ``lateral_deviation`` from the straight line between start and goal, positive to the left of it; of
+      those for whom these are `LINE` or more apart.
+
+    Args:
+        steps: Every 0.4 s.
+        around: Their `surroundings`.
+        start: Where the line of each person begins (P, 2), metres.
+        goal: Where it ends (P, 2), metres.
+    """
+    change, has_change = acceleration(steps.velocity, steps.known)
+    turn, has_turn = heading_rate(steps.velocity, steps.known)
+    scored, person = steps.scored[..., 1:], steps.person[..., 1:]
+    company = around.nearest.isfinite()
+    line = goal - start
+    length = line.norm(dim=-1)
+    along = line / length.clamp_min(LINE).unsqueeze(-1)
+    who = steps.person.clamp_min(0)
+    offset = steps.xy - start[who]
+    aside = along[who][..., 0] * offset[..., 1] - along[who][..., 1] * offset[..., 0]
+    return {
+        "speed": Samples(around.speed, around.person),
+        "acceleration": _samples(change, scored & has_change, person),
+        "heading_rate": _samples(turn, scored & has_turn, person),
+        "nearest_distance": Samples(around.nearest[company], around.person[company]),
+        "time_to_collision": Samples(around.collision[company], around.person[company]),
+        "lateral_deviation": _samples(aside, steps.scored & (length[who] >= LINE), steps.person),
+    }
+
+
+def surroundings(steps: Steps) -> Surroundings:
+    """Return what is around every scored step; others count whether they are scored or played back."""
+    episode, slot, step = steps.scored.nonzero().unbind(1)
+    size = max(1, _AT_ONCE // steps.xy.shape[1])
+    found = [
+        _around(steps, *some)
+        for some in zip(episode.split(size), slot.split(size), step.split(size), strict=True)
+    ]
+    nearest, collision, close = (torch.cat(values) for values in zip(*found, strict=True))
+    speed = steps.velocity[episode, slot, step].norm(dim=-1)
+    return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)
+
+
+def _around(steps: Steps, episode: Tensor, slot: Tensor, step: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return distance, time to collision and number of those close to some steps (N,) each."""
+    others = steps.person[episode, :, step] >= 0
+    others[torch.arange(len(slot)), slot] = False
+    offset = steps.xy[episode, :, step] - steps.xy[episode, slot, step].unsqueeze(1)
+    apart = offset.norm(dim=-1).masked_fill(~others, math.inf)
+    velocity = steps.velocity[episode, :, step] - steps.velocity[episode, slot, step].unsqueeze(1)
+    when = _collision(offset, velocity).masked_fill(~(others & steps.known[episode, :, step]), HORIZON)
+    return apart.amin(1), when.amin(1), (apart < CLOSE).sum(1)
+
+
+def _collision(offset: Tensor, velocity: Tensor, reach: float = 2 * BODY_RADIUS) -> Tensor:
+    """Return when bodies touch (...), given the offset (..., 2) and velocity of one from the other."""
+    closing = -(offset * velocity).sum(-1)
+    gap = offset.square().sum(-1) - reach**2
+    under = closing.square() - velocity.square().sum(-1) * gap
+    when = gap / (under.clamp_min(0).sqrt() + closing)
+    when = torch.where((closing > 0) & (under >= 0), when.clamp(max=HORIZON), HORIZON)
+    return torch.where(gap <= 0, 0.0, when)
+
+
+def _samples(value: Tensor, there: Tensor, person: Tensor) -> Samples:
+    return Samples(value[there], person[there])

@@ -1,0 +1,92 @@
+"""Simulated walks against the recorded ones of the same people: displacement and dynamic time warping."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+_AT_ONCE = 4_000_000
+"""Pairs of points that are compared at once."""
+
+
+def closed_loop_error(xy: Tensor, true: Tensor, both: Tensor, walk: Tensor, walks: int) -> Tensor:
+    """Return each walk's mean distance (W,) to the recorded one at the same times, metres; NaN of none.
+
+    Nothing is ever set back to the recording: errors add up, as they do not in a forecast.
+
+    Args:
+        xy: Simulated positions (..., 2), metres.
+        true: Recorded ones (..., 2).
+        both: Whether this person is scored in both (...) bool: the common duration.
+        walk: Which walk a position belongs to (...) long, 0 to W - 1 where ``both``.
+        walks: W.
+    """
+    error = (xy - true).norm(dim=-1)[both].double()
+    count = torch.bincount(walk[both], minlength=walks)
+    return torch.bincount(walk[both], weights=error, minlength=walks) / count
+
+
+def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
+    """Return positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,).
+
+    Args:
+        xy: All positions; those of one walk are in order, walks may alternate.
+        walk: Which walk each belongs to (N,) long.
+        walks: W.
+    """
+    length = torch.bincount(walk, minlength=walks)
+    order = walk.argsort(stable=True)
+    first = length.cumsum(0) - length
+    place = torch.arange(len(walk)) - first[walk[order]]
+    found = xy.new_zeros(walks, int(length.max()) if walks else 0, 2)
+    found[walk[order], place] = xy[order]
+    return found, length
+
+
+def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor:
+    """Return the dynamic time warping distance of pairs of walks (W,), metres; NaN where one has no points.
+
+    Points are matched in order, each at least once, so that the sum of distances is least; a match that goes
+    on in both walks counts twice, so that all weights add up to the number of points, by which the sum is
+    divided (the symmetric form of Sakoe and Chiba, "Dynamic programming algorithm optimization for spoken
+    word recognition", 1978, without a window). Whoever takes the same way at another pace is near 0.
+
+    Args:
+        first: Walks (W, L, 2), metres.
+        points: How many points each has (W,) long.
+        second: The walks to compare them with (W, M, 2).
+        others: How many points these have (W,) long.
+    """
+    found = torch.full((len(first),), torch.nan, dtype=torch.float64)
+    order = (points + others).argsort()
+    order = order[(points > 0)[order] & (others > 0)[order]]
+    while len(order):  # walks of about the same length together, from the longest
+        longest = int((points + others)[order[-1]])
+        some = order[-max(1, _AT_ONCE // longest**2) :]
+        order = order[: -len(some)]
+        here, there = (int(count[some].max()) for count in (points, others))
+        found[some] = _warped(first[some, :here], points[some], second[some, :there], others[some])
+    return found
+
+
+def _warped(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor:
+    """Return `dtw` of walks that are compared at once, diagonal after diagonal of their distances."""
+    walks, rows, columns = len(first), first.shape[1], second.shape[1]
+    wide = rows + columns
+    # columns beyond the last one are closed, so that a diagonal may run out of the matrix on either side
+    between = torch.full((rows, wide, walks), torch.inf)
+    apart = first.permute(1, 2, 0).float().unsqueeze(2) - second.permute(1, 2, 0).float().transpose(0, 1)
+    between[:, :columns] = torch.hypot(apart[:, 0], apart[:, 1])
+    # the cheapest ways to the cells of the last two diagonals, by row; with an entry before the first row
+    last, earlier = torch.full((2, rows + 1, walks), torch.inf).unbind(0)
+    earlier[0] = 0.0  # the corner before both first points
+    found = torch.full((walks,), torch.nan, dtype=torch.float64)
+    ends = points + others - 2
+    for diagonal in range(wide - 1):
+        distance = between.as_strided((rows, walks), ((wide - 1) * walks, 1), diagonal * walks)
+        here = torch.full_like(last, torch.inf)
+        here[1:] = torch.minimum(earlier[:-1] + distance, torch.minimum(last[:-1], last[1:])) + distance
+        over = (ends == diagonal).nonzero().view(-1)
+        found[over] = here[points[over], over].double() / (points + others)[over]
+        last, earlier = here, last
+    return found
