@@ -9,10 +9,11 @@ import torch
 
 from pedzoo.eval.closed_loop import row
 from pedzoo.geometry import identity_pose
+from pedzoo.metrics.closed_loop import NAMES
 from pedzoo.metrics.intervals import bootstrap, wilson
 from pedzoo.metrics.navigation import deadlocked, episode_seconds, finish_seconds, success
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
+from pedzoo.metrics.safety import contact_events, least_distance, nearest, person_minutes
 
 INF = float("inf")
 
@@ -84,15 +85,12 @@ def test_minutes_are_those_in_which_somebody_is_there() -> None:
     assert person_minutes(present)[0].tolist() == pytest.approx([1.0, 0.05])
 
 
-def test_least_distance_is_to_people_who_are_there_at_that_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
     walked = two_episodes()
     # the third point is the last that both share: 0.4 along x, 0.3 across; later they would be 0.3 apart
     expected = [[0.5, 0.5], [INF, INF]]
-    assert least_distance(walked.trace, walked.present).tolist() == [pytest.approx(row) for row in expected]
-    whole = torch.rand(3, 4, 50, 2), torch.rand(3, 4, 50) > 0.3
-    at_once = least_distance(*whole)
-    monkeypatch.setattr("pedzoo.metrics.safety._AT_ONCE", 100)
-    assert torch.equal(least_distance(*whole), at_once)
+    found = least_distance(nearest(walked.trace, walked.present), walked.scored)
+    assert found.tolist() == [pytest.approx(row) for row in expected]
 
 
 def test_wilson_interval() -> None:
@@ -114,23 +112,37 @@ def test_bootstrap_interval_is_that_of_a_mean_and_weighs_episodes_by_their_lengt
 def test_row_of_two_episodes() -> None:
     found = row("somebody", two_episodes(), 0.4)
     minutes = (3 + 4 + 5) / 600
+    second = 1.09**0.5 + 0.1 + 0.3 + 0.2  # metres that the second person walks until the goal
     assert found["metrics"] == pytest.approx(
         {
             "success": 2 / 3,
             "episode_success": 0.5,
             "failed": 0.0,
             "deadlock": 0.0,
-            "agent_contact_episodes": 0.5,
-            "wall_contact_episodes": 1.0,
             "goals_per_person": 2 / 3,
             "goals_per_person_min": 0.5,
-            "agent_contacts_per_min": 2 / minutes,
-            "wall_contacts_per_min": 4 / minutes,
-            "least_distance_m": 0.5,
+            "goals_per_person_max": 0.5,
+            "goals_parity": 1.0,
             "time_s": 0.4,
             "decisions": 1.0,
+            "time_ratio": (0.3 + 0.4) / 2,
+            "path_ratio": (0.2 + second) / 2,
+            "spl": (1 + 1 / second + 0) / 3,
+            "stl": (1 + 1 + 0) / 3,
+            "agent_contacts_per_min": 2 / minutes,
+            "wall_contacts_per_min": 4 / minutes,
+            "agent_contacts_per_episode": 1.0,
+            "wall_contacts_per_episode": 2.0,
+            "agent_contact_episodes": 0.5,
+            "wall_contact_episodes": 1.0,
+            "personal_space": 1.0,
+            "personal_space_igibson": 1.0,
+            "least_distance_m": 0.5,
+            "speed_m_per_s": (0.5 / 0.4 + 0) / 2,  # two people are there for a whole window
+            "path_irregularity_rad_per_m": 0.0,
         }
     )
+    assert list(found["metrics"]) == [name for name in NAMES if name in found["metrics"]]
     assert found["name"] == "somebody" and found["n"] == 2 and found["decision_dt_s"] == 0.4
     assert found["ci95"]["episode_success"] == wilson(0.5, 2)
     assert "time_s" not in found["ci95"]  # one episode says nothing about others

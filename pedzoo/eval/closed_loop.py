@@ -11,7 +11,7 @@ from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.closed_loop import closed_loop, summarised
 from pedzoo.metrics.navigation import finish_seconds, success
 from pedzoo.metrics.rollout import Rollout, joined
-from pedzoo.metrics.safety import contact_events, least_distance
+from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_scenario
 
@@ -107,10 +107,7 @@ class Comparison:
 def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
-    ``n`` are episodes, intervals are over episodes. ``goals_per_person_min`` are those of an episode's person
-    with the fewest. Contacts are counted for everybody who touches, per minute that a person walks;
-    distances are those of an episode's nearest two. ``time_s`` is when the last person arrives, of episodes
-    in which all do in time, and ``decisions`` is that in steps of the policy.
+    ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says.
 
     Args:
         name: The policy as it was given.
@@ -145,9 +142,9 @@ class _People(NamedTuple):
             success(walked.reached, walked.goals, walked.late, walked.failed, walked.mask),
             walked.reached[..., -1].where(walked.mask, 0),
             finish_seconds(walked.reached, walked.goals),
-            contact_events(walked.agent_contact),
-            contact_events(walked.wall_contact),
-            least_distance(walked.trace, walked.present),
+            contact_events(walked.agent_contact & walked.scored),
+            contact_events(walked.wall_contact & walked.scored),
+            least_distance(nearest(walked.trace, walked.present), walked.scored),
         )
 
     def listed(self, walked: Rollout) -> list[dict[str, Any]]:

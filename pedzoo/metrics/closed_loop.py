@@ -9,18 +9,25 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
+from pedzoo.metrics import door, navigation, safety, smoothness
 from pedzoo.metrics.intervals import Interval, bootstrap, wilson
-from pedzoo.metrics.navigation import deadlocked, episode_seconds, finish_seconds, success
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.metrics.safety import contact_events, least_distance, person_minutes
+from pedzoo.types import STEP_SECONDS
 
 NAMES = (
     *("success", "episode_success", "failed", "deadlock"),
-    *("goals_per_person", "goals_per_person_min"),
-    *("agent_contact_episodes", "wall_contact_episodes", "agent_contacts_per_min", "wall_contacts_per_min"),
-    *("least_distance_m", "time_s", "decisions"),
+    *("goals_per_person", "goals_per_person_min", "goals_per_person_max", "goals_parity"),
+    *("time_s", "decisions", "time_ratio", "path_ratio", "spl", "stl"),
+    *("agent_contacts_per_min", "wall_contacts_per_min"),
+    *("agent_contacts_per_episode", "wall_contacts_per_episode"),
+    *("agent_contact_episodes", "wall_contact_episodes"),
+    *("personal_space", "personal_space_igibson", "least_distance_m"),
+    *("time_to_collision_s", "time_to_collision_capped"),
+    *("speed_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3", "heading_rate_rad_per_s"),
+    "path_irregularity_rad_per_m",
+    *("symmetry_index", "yield_delay_s", "faster_first", "yielder_speed_m_per_s", "specific_flow_per_m_s"),
 )
-"""Every metric there is, in the order of tables."""
+"""Every metric there is, in the order of tables; `closed_loop` says what each of them is."""
 
 
 class Ratio(NamedTuple):
@@ -38,40 +45,142 @@ class Ratio(NamedTuple):
 
 
 def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
-    """Return every metric that applies to a rollout, by its name, those of `NAMES` in their order.
+    """Return every metric that applies to a rollout, by its name, in the order of `NAMES`.
+
+    Whatever has no value (nobody arrived, nobody else was there, ...) is in neither sum of its ratio.
+
+    Of all scored people, over the points or windows at which they are:
+
+    * ``agent_contacts_per_min``, ``wall_contacts_per_min``: events per minute that a person walks, for
+      everybody who touches; ``..._per_episode`` their number; ``..._contact_episodes`` the share of episodes
+      with any. See `contact_events`.
+    * ``personal_space``: share of 0.1 s points at which nobody is within 0.5 m.
+    * ``least_distance_m``: between an episode's nearest two, mean over episodes in which people meet.
+    * ``time_to_collision_s``: mean over people and 0.4 s windows in which anybody else is there, capped at
+      10 s; ``time_to_collision_capped`` the share of these at the cap.
+    * ``speed_m_per_s``, ``acceleration_m_per_s2``, ``jerk_m_per_s3``, ``heading_rate_rad_per_s``: means over
+      people and 0.4 s windows; ``path_irregularity_rad_per_m``: all turning by all way.
+
+    Of ordinary scenes only, not of replays, in which people come and go (there people are scored one by one,
+    against the real ones):
+
+    * ``success``, ``deadlock``: shares of people; ``episode_success`` (all succeed) and ``failed`` (the
+      policy gave no number): of episodes.
+    * ``goals_per_person``, and ``..._min`` and ``..._max`` of an episode's person with the fewest and the
+      most; ``goals_parity``: fewest by most, mean over episodes in which anybody reached a goal.
+    * ``time_s``: when the last person arrives, mean over episodes in which all do in time; ``decisions``:
+      that in steps of the policy.
+    * ``path_ratio``, ``time_ratio``: way by planned way, and time by that of the planned way at one's
+      preferred speed, means over people who arrive; ``spl``, ``stl``: see `weighted`, means over people.
+    * ``personal_space_igibson``: mean over people, see `compliance_igibson`.
+    * At a door: see `pedzoo.metrics.door`. Means over episodes in which they are known; ``faster_first`` is a
+      share of these, ``specific_flow_per_m_s`` all people who got through by all width and time.
 
     Args:
         rollout: Some episodes.
         decision_dt: Seconds between two decisions of the policy.
     """
+    scored = rollout.scored
+    near = safety.nearest(rollout.trace, rollout.present)
+    moves = smoothness.velocities(rollout.path, scored)
+    found = _meeting(rollout, scored, near) | _ahead(rollout, scored) | _moving(*moves)
+    if not rollout.replayed:
+        found |= _arriving(rollout, scored, decision_dt)
+        intruded = safety.compliance_igibson(near, scored).where(rollout.mask, 0.0)
+        found["personal_space_igibson"] = _ratio(intruded, rollout.mask)
+        if rollout.gate is not None:
+            found |= _at_door(rollout, scored, rollout.gate, *moves)
+    return {name: found[name] for name in NAMES if name in found}
+
+
+def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str, Ratio]:
+    """Return what is about goals."""
     mask, reached, goals = rollout.mask, rollout.reached, rollout.goals
-    there = mask.sum(1)
-    one = torch.ones(len(mask))
-    arrived = success(reached, goals, rollout.late, rollout.failed, mask)
-    seconds = finish_seconds(reached, goals)
-    stuck = deadlocked(rollout.trace, rollout.goal, rollout.controlled)
-    walked = reached[..., -1].where(mask, 0)
-    fewest = walked.masked_fill(~mask, int(walked.max())).amin(1)
-    agents, walls = contact_events(rollout.agent_contact), contact_events(rollout.wall_contact)
-    minutes = person_minutes(rollout.controlled).sum(1)
-    nearest = least_distance(rollout.trace, rollout.present).amin(1)
-    time = episode_seconds(seconds, arrived, mask)
-    found = {
-        "success": _share(arrived.sum(1), there),
-        "episode_success": _share((arrived | ~mask).all(1) & ~rollout.failed, one),
-        "failed": _share(rollout.failed, one),
-        "deadlock": _share(stuck.sum(1), there),
-        "goals_per_person": _ratio(walked.sum(1), there),
-        "goals_per_person_min": _ratio(fewest, one),
-        "agent_contact_episodes": _share((agents > 0).any(1), one),
-        "wall_contact_episodes": _share((walls > 0).any(1), one),
-        "agent_contacts_per_min": _ratio(agents.sum(1), minutes),
-        "wall_contacts_per_min": _ratio(walls.sum(1), minutes),
-        "least_distance_m": _finite(nearest),
+    arrived = navigation.success(reached, goals, rollout.late, rollout.failed, mask)
+    seconds = navigation.finish_seconds(reached, goals)
+    time = navigation.episode_seconds(seconds, arrived, mask)
+    walked = navigation.walked_metres(rollout.path, scored, reached, goals)
+    planned = navigation.planned_metres(rollout.planned, reached, goals)
+    needed = planned / rollout.pref_speed
+    compared = arrived & (planned > 0)
+    fewest, most = navigation.fewest_goals(reached, mask), navigation.most_goals(reached, mask)
+    stuck = navigation.deadlocked(rollout.trace, rollout.goal, scored)
+    return {
+        "success": _share(arrived, mask),
+        "episode_success": _share((arrived | ~mask).all(1) & ~rollout.failed),
+        "failed": _share(rollout.failed),
+        "deadlock": _share(stuck, mask),
+        "goals_per_person": _ratio(reached[..., -1].where(mask, 0), mask),
+        "goals_per_person_min": _ratio(fewest),
+        "goals_per_person_max": _ratio(most),
+        "goals_parity": _mean(fewest / most.clamp_min(1), most > 0),
         "time_s": _finite(time),
         "decisions": _finite((time / decision_dt - 1e-6).ceil()),
+        "time_ratio": _mean(seconds / needed, compared),
+        "path_ratio": _mean(walked / planned, compared),
+        "spl": _ratio(navigation.weighted(arrived, planned, walked), mask),
+        "stl": _ratio(navigation.weighted(arrived, needed, seconds), mask),
     }
-    return {name: found[name] for name in NAMES if name in found}
+
+
+def _meeting(rollout: Rollout, scored: Tensor, near: Tensor) -> dict[str, Ratio]:
+    """Return contacts and distances."""
+    found = {}
+    minutes = safety.person_minutes(scored)
+    for what, contact in (("agent", rollout.agent_contact), ("wall", rollout.wall_contact)):
+        events = safety.contact_events(contact & scored)
+        found[f"{what}_contacts_per_min"] = _ratio(events, minutes)
+        found[f"{what}_contacts_per_episode"] = _ratio(events.sum(1))
+        found[f"{what}_contact_episodes"] = _share((events > 0).any(1))
+    return found | {
+        "personal_space": _ratio(safety.keeps_distance(near, scored), scored),
+        "least_distance_m": _finite(safety.least_distance(near, scored).amin(1)),
+    }
+
+
+def _ahead(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
+    """Return what would happen if all kept their velocities, at the ends of the 0.4 s windows."""
+    velocity, there = smoothness.velocities(rollout.path, rollout.met)
+    ends = slice(smoothness.WINDOW - 1, None, smoothness.WINDOW)
+    seconds = safety.time_to_collision(rollout.trace[:, :, ends], velocity, there)
+    meets = seconds.isfinite() & scored[:, :, ends]
+    return {
+        "time_to_collision_s": _mean(seconds, meets),
+        "time_to_collision_capped": _mean(seconds >= safety.HORIZON, meets),
+    }
+
+
+def _moving(velocity: Tensor, known: Tensor) -> dict[str, Ratio]:
+    """Return how people move in 0.4 s windows."""
+    turned, length = smoothness.turning(velocity, known), smoothness.length(velocity, known)
+    return {
+        "speed_m_per_s": _mean(velocity.norm(dim=-1), known),
+        "acceleration_m_per_s2": _mean(*smoothness.acceleration(velocity, known)),
+        "jerk_m_per_s3": _mean(*smoothness.jerk(velocity, known)),
+        "heading_rate_rad_per_s": _mean(*smoothness.heading_rate(velocity, known)),
+        "path_irregularity_rad_per_m": _ratio(turned, length),
+    }
+
+
+def _at_door(
+    rollout: Rollout, scored: Tensor, gate: Tensor, velocity: Tensor, known: Tensor
+) -> dict[str, Ratio]:
+    """Return who goes first through the door, and how many."""
+    passed = door.passing_seconds(rollout.path, scored, gate)
+    pair, met = door.pair(rollout.path[:, :, 0], rollout.mask, gate)
+    theirs = door.of_pair(passed, pair).where(met.unsqueeze(1), torch.inf)
+    index, walked = door.symmetry_index(rollout.path, scored, gate, pair)
+    slowest = door.yielder_speed(
+        door.of_pair(velocity, pair), door.of_pair(known, pair), theirs, STEP_SECONDS
+    )
+    through, room = door.flow(passed, gate)
+    return {
+        "symmetry_index": _mean(index, walked & met),
+        "yield_delay_s": _finite(door.yield_delay(theirs)),
+        "faster_first": _share(*door.faster_first(theirs, door.of_pair(rollout.pref_speed, pair))),
+        "yielder_speed_m_per_s": _finite(slowest),
+        "specific_flow_per_m_s": _ratio(through, room),
+    }
 
 
 def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str, Interval]]:
@@ -119,15 +228,24 @@ class ClosedLoopScore(Metric):
         return {name: value for name, value, is_known in zip(NAMES, values, known, strict=True) if is_known}
 
 
-def _ratio(above: Tensor, below: Tensor) -> Ratio:
-    return Ratio(above.double(), below.double())
+def _ratio(above: Tensor, below: Tensor | None = None) -> Ratio:
+    """Return the ratio of what is summed over all but episodes; per episode where there is nothing below."""
+    above = above.flatten(1).sum(1, dtype=torch.float64) if above.dim() > 1 else above.double()
+    if below is None:
+        return Ratio(above, torch.ones_like(above))
+    return Ratio(above, below.flatten(1).sum(1, dtype=torch.float64) if below.dim() > 1 else below.double())
 
 
-def _share(above: Tensor, below: Tensor) -> Ratio:
-    return Ratio(above.double(), below.double(), share=True)
+def _share(above: Tensor, below: Tensor | None = None) -> Ratio:
+    """Return a share of people or episodes."""
+    return _ratio(above, below)._replace(share=True)
+
+
+def _mean(value: Tensor, known: Tensor) -> Ratio:
+    """Return the mean of what is known."""
+    return _ratio(value.where(known, 0), known)
 
 
 def _finite(value: Tensor) -> Ratio:
     """Return the mean of the finite values (E,)."""
-    known = value.isfinite()
-    return _ratio(value.where(known, 0.0), known)
+    return _mean(value, value.isfinite())

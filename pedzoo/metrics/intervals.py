@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -37,10 +38,17 @@ def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, see
         resamples: Drawn with replacement.
         seed: Of the draws.
     """
-    episodes = len(numerator)
-    generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(episodes, (resamples, episodes), generator=generator)
-    below = denominator.double()[chosen].sum(1)
-    found = (numerator.double()[chosen].sum(1) / below)[below > 0]
+    times = _resampled(len(numerator), resamples, seed)
+    below = times @ denominator.double()
+    found = (times @ numerator.double() / below)[below > 0]
     low, high = torch.quantile(found, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
     return low, high
+
+
+@lru_cache(maxsize=2)  # all metrics of a row, and all rows of a table, have the same
+def _resampled(episodes: int, resamples: int, seed: int) -> Tensor:
+    """Return how often each episode is drawn in each resample (resamples, E) float64."""
+    generator = torch.Generator().manual_seed(seed)
+    chosen = torch.randint(episodes, (resamples, episodes), generator=generator)
+    times = torch.zeros(resamples, episodes, dtype=torch.float64)
+    return times.scatter_add_(1, chosen, torch.ones_like(times))

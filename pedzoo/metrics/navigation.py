@@ -53,17 +53,79 @@ def episode_seconds(seconds: Tensor, success: Tensor, mask: Tensor) -> Tensor:
     return torch.where(everybody, last, torch.inf)
 
 
-def deadlocked(trace: Tensor, goal: Tensor, present: Tensor) -> Tensor:
+def planned_metres(planned: Tensor, reached: Tensor, goals: int) -> Tensor:
+    """Return the length of the planner's ways of all goals that everybody had to reach (E, A), metres.
+
+    Of who never reached all of them: of those until the one that they were walking to at the end.
+
+    Args:
+        planned: Ways of all goals until the one being walked to (E, A, T), metres.
+        reached: Goals reached until each point (E, A, T) long.
+        goals: That everybody had to reach.
+    """
+    last = (reached < goals).sum(-1, keepdim=True).clamp_max(reached.shape[-1] - 1)
+    return planned.gather(2, last).squeeze(2)
+
+
+def walked_metres(path: Tensor, scored: Tensor, reached: Tensor, goals: int) -> Tensor:
+    """Return how far everybody went until they had reached all goals (E, A), metres.
+
+    Args:
+        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
+        scored: Who is at each point but the first (E, A, T) bool.
+        reached: Goals reached until each point (E, A, T) long.
+        goals: That everybody had to reach.
+    """
+    until = reached[..., :-1] < goals  # the step in which the last goal is reached counts
+    counts = torch.cat((torch.ones_like(scored[..., :1]), until), dim=2) & scored
+    return path.diff(dim=2).norm(dim=-1).where(counts, 0.0).sum(2)
+
+
+def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
+    """Return each person's success weighted by what it took (E, A): ``S * least / max(least, taken)``.
+
+    With lengths of the planned and of the walked way that is SPL (Anderson et al., "On evaluation of embodied
+    navigation agents", 2018, arXiv 1807.06757); with times STL, for which iGibson takes ORCA's time as the
+    least, and pedzoo that of the planned way at the preferred speed. 1 for who arrives and needs nothing.
+
+    Args:
+        success: Who arrived in time (E, A) bool.
+        least: Length or time that is needed (E, A).
+        taken: That it took (E, A).
+    """
+    most = torch.maximum(least, taken)
+    return torch.where(most > 0, least / most, 1.0).where(success, 0.0)
+
+
+def fewest_goals(reached: Tensor, mask: Tensor) -> Tensor:
+    """Return how many goals the person with the fewest reached in each episode (E,) long.
+
+    Args:
+        reached: Goals reached until each point (E, A, T) long.
+        mask: Who took part (E, A) bool.
+    """
+    last = reached[..., -1]
+    return last.masked_fill(~mask, int(last.max())).amin(1)
+
+
+def most_goals(reached: Tensor, mask: Tensor) -> Tensor:
+    """Return how many goals the person with the most reached in each episode (E,) long."""
+    return reached[..., -1].masked_fill(~mask, 0).amax(1)
+
+
+def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     """Return who once moved less than 0.1 m in 5 s, more than 0.5 m from the goal (E, A) bool.
 
     Args:
         trace: Positions (E, A, T, 2), metres.
         goal: Where everybody was going (E, A, T, 2), metres.
-        present: Who is there in a running episode (E, A, T) bool.
+        scored: Who is at each point (E, A, T) bool; in all of the 5 s.
     """
     if trace.shape[2] <= STILL_POINTS:
-        return torch.zeros_like(present[..., 0])
+        return torch.zeros_like(scored[..., 0])
     before, after = trace[:, :, :-STILL_POINTS], trace[:, :, STILL_POINTS:]
     still = (after - before).norm(dim=-1) < STILL_METRES
     away = (after - goal[:, :, STILL_POINTS:]).norm(dim=-1) > AWAY
-    return (still & away & present[:, :, STILL_POINTS:]).any(-1)
+    count = scored.cumsum(2)
+    stayed = count[..., STILL_POINTS:] - count[..., :-STILL_POINTS] == STILL_POINTS
+    return (still & away & stayed).any(-1)

@@ -81,6 +81,25 @@ class Rollout:
         return torch.cat((self.past[:, :, -1:], self.trace), dim=2)
 
     @property
+    def scored(self) -> Tensor:
+        """Who is scored (E, A, T) bool: controlled, and in the slot already at the point before.
+
+        The step to each such point was walked by that person, so points without a gap are one person's.
+        """
+        return self.controlled & self._stayed
+
+    @property
+    def met(self) -> Tensor:
+        """Who is there and was in the slot already at the point before (E, A, T) bool."""
+        return self.present & self._stayed
+
+    @property
+    def _stayed(self) -> Tensor:
+        there = torch.cat((self.mask.unsqueeze(2), self.present[..., :-1]), dim=2)
+        before = torch.cat((self.person[..., :1], self.person[..., :-1]), dim=2)
+        return there & (self.person == before)
+
+    @property
     def replayed(self) -> bool:
         """Whether somebody is played back, comes later or takes another's slot, as in recorded scenes."""
         theirs = self.mask.unsqueeze(2) & self.controlled & (self.person == self.person[..., :1])
@@ -88,8 +107,9 @@ class Rollout:
 
     def episodes(self, index: slice) -> Rollout:
         """Return some of the episodes."""
-        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Rollout(**{k: v[index] if isinstance(v, Tensor) else v for k, v in values.items()})
+        values = ((field.name, getattr(self, field.name)) for field in fields(self))
+        chosen: dict[str, Any] = {key: v[index] if isinstance(v, Tensor) else v for key, v in values}
+        return Rollout(**chosen)
 
 
 def joined(parts: Sequence[Rollout]) -> Rollout:

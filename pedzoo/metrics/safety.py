@@ -1,6 +1,7 @@
 """Who touches and comes near whom: pure functions over the 0.1 s trace of closed-loop episodes.
 
-E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`.
+E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`. Who is scored may come near
+anybody who is there.
 """
 
 from __future__ import annotations
@@ -8,10 +9,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.types import TRACE_SECONDS
+from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
-_AT_ONCE = 4_000_000
-"""Pairs of positions that are compared at once."""
+PERSONAL_SPACE = 0.5
+"""Metres between centres (iGibson's)."""
+
+IGIBSON_POINTS = 500
+"""Steps of 0.1 s after which an episode of iGibson's ends."""
+
+HORIZON = 10.0
+"""Seconds: collisions farther away count as if they were then."""
+
+_AT_ONCE = 250_000
+"""Pairs of positions that are compared at once: several such tensors fit a cache."""
 
 
 def contact_events(contact: Tensor) -> Tensor:
@@ -26,30 +36,112 @@ def contact_events(contact: Tensor) -> Tensor:
     return (contact & ~before).sum(-1)
 
 
-def person_minutes(present: Tensor) -> Tensor:
-    """Return how long each person took part (E, A), minutes.
+def person_minutes(scored: Tensor) -> Tensor:
+    """Return how long each person was scored (E, A), minutes.
 
     Args:
-        present: Who is there in a running episode (E, A, T) bool.
+        scored: Who is at each point (E, A, T) bool.
     """
-    return present.sum(-1) * TRACE_SECONDS / 60
+    return scored.sum(-1) * TRACE_SECONDS / 60
 
 
-def least_distance(trace: Tensor, present: Tensor) -> Tensor:
-    """Return how near the nearest other ever came (E, A), metres between centres; infinite for who is alone.
+def nearest(trace: Tensor, present: Tensor) -> Tensor:
+    """Return the distance to the nearest other at each point (E, A, T), metres between centres.
+
+    Infinite for who is alone or not there.
 
     Args:
         trace: Positions (E, A, T, 2), metres.
         present: Who is there in a running episode (E, A, T) bool.
     """
-    episodes, agents = trace.shape[:2]
-    least = trace.new_full((episodes, agents), torch.inf)
-    alone = torch.eye(agents, dtype=torch.bool, device=trace.device)
+    found = torch.full_like(trace[..., 0], torch.inf)
+    for points in _parts(present):
+        x, y = trace[:, :, points].permute(3, 0, 2, 1)
+        apart = (x.unsqueeze(3) - x.unsqueeze(2)).square_()
+        apart += (y.unsqueeze(3) - y.unsqueeze(2)).square_()
+        apart += _absent(present[:, :, points]).unsqueeze(2)
+        apart.diagonal(dim1=2, dim2=3).fill_(torch.inf)
+        found[:, :, points] = apart.amin(3).sqrt_().transpose(1, 2)
+    return found.masked_fill(~present, torch.inf)
+
+
+def least_distance(nearest: Tensor, scored: Tensor) -> Tensor:
+    """Return how near the nearest other ever came (E, A), metres between centres; infinite for who is alone.
+
+    Args:
+        nearest: Distance to the nearest other at each point (E, A, T), metres.
+        scored: Who is at each point (E, A, T) bool.
+    """
+    return nearest.masked_fill(~scored, torch.inf).amin(-1)
+
+
+def keeps_distance(nearest: Tensor, scored: Tensor) -> Tensor:
+    """Return at which points nobody is within 0.5 m of each scored person (E, A, T) bool.
+
+    Their share of all scored points is personal-space compliance per frame.
+
+    Args:
+        nearest: Distance to the nearest other at each point (E, A, T), metres.
+        scored: Who is at each point (E, A, T) bool.
+    """
+    return (nearest >= PERSONAL_SPACE) & scored
+
+
+def compliance_igibson(nearest: Tensor, scored: Tensor) -> Tensor:
+    """Return each person's personal-space compliance as iGibson counts it (E, A), 0 to 1.
+
+    ``1 - points with somebody within 0.5 m / 500``: divided by the steps of 0.1 s that an episode of
+    iGibson's social navigation may take, not by those that this one took, so that short episodes look
+    better. Not below 0 in longer ones.
+
+    Args:
+        nearest: Distance to the nearest other at each point (E, A, T), metres.
+        scored: Who is at each point (E, A, T) bool.
+    """
+    intruded = (nearest < PERSONAL_SPACE) & scored
+    return (1 - intruded.sum(-1) / IGIBSON_POINTS).clamp_min(0.0)
+
+
+def time_to_collision(
+    position: Tensor, velocity: Tensor, there: Tensor, radius: float = BODY_RADIUS
+) -> Tensor:
+    """Return after how long each person would touch somebody if all kept their velocities (E, A, S), seconds.
+
+    For two people ``p`` apart with velocity ``v`` relative to each other and ``R`` twice the radius, the
+    smaller root of ``|p + v t| = R``. 0 where they touch already, 10 where they would touch later than in
+    10 s or never; the least over all others who are there, infinite for who is alone or not there.
+
+    Args:
+        position: (E, A, S, 2), metres.
+        velocity: (E, A, S, 2), m/s.
+        there: Who is there, with a known velocity (E, A, S) bool.
+        radius: Of a body, metres.
+    """
+    found = torch.full_like(position[..., 0], torch.inf)
+    for points in _parts(there):
+        x, y = position[:, :, points].permute(3, 0, 2, 1)
+        vx, vy = velocity[:, :, points].permute(3, 0, 2, 1)
+        x, y, vx, vy = (value.unsqueeze(2) - value.unsqueeze(3) for value in (x, y, vx, vy))
+        closing = (x * vx).addcmul_(y, vy).neg_()  # -p.v
+        gap = x.square_().addcmul_(y, y).sub_((2 * radius) ** 2)  # |p|^2 - R^2
+        under = vx.square_().addcmul_(vy, vy).mul_(gap).neg_().addcmul_(closing, closing)
+        # the smaller root, in the form that does not cancel and needs no |v| > 0
+        seconds = gap.clamp(min=0.0).div_(under.clamp(min=0.0).sqrt_().add_(closing))
+        never = (closing <= 0) | (under < 0)
+        seconds = seconds.masked_fill_(never, HORIZON).clamp_(max=HORIZON).masked_fill_(gap <= 0, 0.0)
+        seconds += _absent(there[:, :, points]).unsqueeze(2)
+        seconds.diagonal(dim1=2, dim2=3).fill_(torch.inf)
+        found[:, :, points] = seconds.amin(3).transpose(1, 2)
+    return found.masked_fill(~there, torch.inf)
+
+
+def _absent(there: Tensor) -> Tensor:
+    """Return 0 for who is there (E, A, S), infinity for others, as (E, S, A)."""
+    return torch.zeros(there.shape, device=there.device).masked_fill_(~there, torch.inf).transpose(1, 2)
+
+
+def _parts(there: Tensor) -> list[slice]:
+    """Cut the points of (E, A, T) so that the pairs in each part fit a cache."""
+    episodes, agents, points = there.shape
     size = max(1, _AT_ONCE // max(1, episodes * agents**2))
-    for some, there in zip(trace.split(size, 2), present.split(size, 2), strict=True):
-        position, there = some.transpose(1, 2), there.transpose(1, 2)
-        between = torch.cdist(position, position, compute_mode="donot_use_mm_for_euclid_dist")
-        both = there.unsqueeze(2) & there.unsqueeze(3) & ~alone
-        between = between.masked_fill(~both, torch.inf)
-        least = torch.minimum(least, between.amin(-1).amin(1))
-    return least
+    return [slice(first, first + size) for first in range(0, points, size)]

@@ -1,0 +1,152 @@
+"""Who goes first through a door, and how many: pure functions over the 0.1 s trace of closed-loop episodes.
+
+E episodes of A people (padded), T trace points. A gate (E, 5) is the door's centre c, x and y, the unit
+normal of its wall, x and y, and its clear width: the door line goes through c along the wall, jamb to jamb.
+Nothing here depends on which way the normal points, nor on how people are numbered.
+
+Whom the pair metrics are about: the two people, one from each side, who are nearest to the door's centre when
+the episode begins. Where all come from one side there is no pair.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pedzoo.types import TRACE_SECONDS
+
+
+def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
+    """Return when everybody passed the door for good (E, A), seconds; infinite for who is not through.
+
+    The last of an odd number of crossings of the door line, interpolated between two trace points: who comes
+    back is not through.
+
+    Args:
+        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
+        scored: Who is at each point but the first (E, A, T) bool.
+        gate: Doors (E, 5).
+    """
+    ahead, beside = _from_door(path, gate)
+    side = ahead >= 0
+    at = ahead[..., :-1] / (ahead[..., :-1] - ahead[..., 1:])  # share of the step that is before the line
+    between = beside[..., :-1] + at * beside.diff(dim=2)
+    crossed = side[..., 1:] != side[..., :-1]
+    crossed &= scored & (between.abs() <= gate[:, 4, None, None] / 2)
+    step = torch.arange(crossed.shape[2], device=path.device)
+    seconds = ((step + at.double()) * TRACE_SECONDS).masked_fill(~crossed, -torch.inf)
+    return torch.where(crossed.sum(2) % 2 == 1, seconds.amax(2), torch.inf)
+
+
+def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the two people who meet at the door (E, 2) long, and where there are two (E,) bool.
+
+    Args:
+        start: Where everybody begins (E, A, 2), metres.
+        mask: Who took part (E, A) bool.
+        gate: Doors (E, 5).
+    """
+    ahead, _ = _from_door(start.unsqueeze(2), gate)
+    away = (start - gate[:, None, :2]).norm(dim=-1)
+    sides = torch.stack((ahead[..., 0] < 0, ahead[..., 0] >= 0), dim=1) & mask.unsqueeze(1)
+    nearest = away.unsqueeze(1).masked_fill(~sides, torch.inf).min(2)
+    return nearest.indices, nearest.values.isfinite().all(1)
+
+
+def symmetry_index(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how far a pair is from walking point-symmetrically (E,), and where that is known (E,) bool.
+
+    The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are there. r is their mean distance from the
+    door's centre c when the episode begins, so that the index has no unit. 0: they are mirror images in c all
+    the time, and nobody yields (ORCA, started alike); about 1: one waits at the start until the other is
+    through.
+
+    Args:
+        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
+        scored: Who is at each point but the first (E, A, T) bool.
+        gate: Doors (E, 5).
+        pair: Who meets (E, 2) long.
+    """
+    two, both = of_pair(path, pair), of_pair(scored, pair).all(1)
+    centre = gate[:, None, :2]
+    off = (two.sum(1) - 2 * centre).norm(dim=-1)[:, 1:]
+    size = (two[:, :, 0] - centre).norm(dim=-1).mean(1)
+    points = both.sum(1)
+    index = off.where(both, 0.0).sum(1, dtype=torch.float64) / (points * size).clamp_min(1e-9)
+    return index, (points > 0) & (size > 0)
+
+
+def yield_delay(seconds: Tensor) -> Tensor:
+    """Return how much later than the first the second of a pair passes (E,), seconds.
+
+    Infinite where not both are through.
+
+    Args:
+        seconds: When they passed the door (E, 2), infinite for who is not through.
+    """
+    return torch.where(seconds.isfinite().all(1), seconds.diff(dim=1).abs().squeeze(1), torch.inf)
+
+
+def faster_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -> tuple[Tensor, Tensor]:
+    """Return where the one who likes to walk faster passes first (E,) bool, and where that is known.
+
+    Known where both are through and their preferred speeds differ by more than ``differ``.
+
+    Args:
+        seconds: When they passed the door (E, 2), infinite for who is not through.
+        pref_speed: The speeds that they like (E, 2), m/s.
+        differ: m/s.
+    """
+    faster = pref_speed.diff(dim=1).squeeze(1)
+    known = seconds.isfinite().all(1) & (faster.abs() > differ)
+    later = seconds.where(known.unsqueeze(1), 0.0).diff(dim=1).squeeze(1)
+    return known & (later * faster < 0), known
+
+
+def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor, dt: float) -> Tensor:
+    """Return the least speed of the second of a pair before passing the door (E,), m/s.
+
+    Infinite where not both are through, or the second is after less than a window.
+
+    Args:
+        velocity: Of the pair in windows (E, 2, S, 2), m/s, see `pedzoo.metrics.smoothness`.
+        known: In which windows (E, 2, S) bool.
+        seconds: When they passed the door (E, 2), infinite for who is not through.
+        dt: Length of a window, seconds.
+    """
+    end = dt * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
+    before = known & (end <= seconds.unsqueeze(2))
+    least = velocity.norm(dim=-1).masked_fill(~before, torch.inf).amin(2)
+    second = seconds.argmax(1, keepdim=True)
+    return torch.where(seconds.isfinite().all(1), least.gather(1, second).squeeze(1), torch.inf)
+
+
+def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how many people got through (E,) long, and the door's width times the time they took (E,), m s.
+
+    Their ratio is the specific flow: persons per metre of clear width and second between the first and the
+    last passing. 0 and 0 where fewer than two got through, or all in the same moment. The first of N people
+    passes at the beginning of that time: for small N it is larger than of a steady stream, by N / (N - 1).
+
+    Args:
+        seconds: When everybody passed the door (E, A), infinite for who is not through.
+        gate: Doors (E, 5).
+    """
+    through = seconds.isfinite()
+    last = seconds.where(through, -torch.inf).amax(1)
+    took = (last - seconds.amin(1)).nan_to_num(0.0, posinf=0.0, neginf=0.0)
+    counts = (through.sum(1) >= 2) & (took > 0)
+    return through.sum(1).where(counts, 0), (took * gate[:, 4]).where(counts, 0.0)
+
+
+def of_pair(value: Tensor, pair: Tensor) -> Tensor:
+    """Return what is about the pair (E, 2, ...) of what is about everybody (E, A, ...)."""
+    return value[torch.arange(len(pair), device=pair.device).unsqueeze(1), pair]
+
+
+def _from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how far positions (E, A, N, 2) are along the normal and along the wall (E, A, N), metres."""
+    off = path - gate[:, None, None, :2]
+    normal = gate[:, None, None, 2:4]
+    ahead = (off * normal).sum(-1)
+    return ahead, off[..., 1] * normal[..., 0] - off[..., 0] * normal[..., 1]

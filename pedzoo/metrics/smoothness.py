@@ -1,0 +1,99 @@
+"""How people move: pure functions over the 0.1 s trace of closed-loop episodes.
+
+E episodes of A people (padded), T trace points. Speeds and what follows from them are taken over windows of
+0.4 s: between two decisions a learned model's people walk straight on, so that all of a change of velocity
+falls into one 0.1 s. Windows begin with the episode, as decisions do, and do not overlap: window s of S is
+from point ``4 s`` to ``4 s + 4`` of the path. What has no value is left out, not counted as 0: windows in
+which somebody is scored for a part only, changes of velocity at their ends, headings of who stands still.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from pedzoo.types import STEP_SECONDS, TRACE_SECONDS
+
+WINDOW = round(STEP_SECONDS / TRACE_SECONDS)
+"""Trace points in a window."""
+
+STANDS = 0.1
+"""m/s: who is slower in a window has no heading in it."""
+
+
+def velocities(path: Tensor, scored: Tensor, every: int = WINDOW) -> tuple[Tensor, Tensor]:
+    """Return velocities (E, A, S, 2), m/s, and which of them are known (E, A, S) bool.
+
+    Args:
+        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
+        scored: Who is at each point but the first (E, A, T) bool, see `Rollout.scored`.
+        every: Points in a window; S is ``T // every``.
+    """
+    windows = scored.shape[2] // every
+    known = scored[..., : windows * every].unflatten(2, (windows, every)).all(-1)
+    corners = path[:, :, : windows * every + 1 : every]
+    return corners.diff(dim=2) / (every * TRACE_SECONDS), known
+
+
+def acceleration(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:
+    """Return the amount of acceleration (E, A, S - 1), m/s^2, and where it is known.
+
+    Args:
+        velocity: In windows (E, A, S, 2), m/s.
+        known: In which (E, A, S) bool.
+        dt: Length of a window, seconds.
+    """
+    return velocity.diff(dim=2).norm(dim=-1) / dt, known[..., 1:] & known[..., :-1]
+
+
+def jerk(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:
+    """Return the amount of jerk (E, A, S - 2), m/s^3, and where it is known; see `acceleration`."""
+    known = known[..., 2:] & known[..., 1:-1] & known[..., :-2]
+    return velocity.diff(n=2, dim=2).norm(dim=-1) / dt**2, known
+
+
+def heading_rate(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:
+    """Return how fast headings turn, left or right (E, A, S - 1), rad/s, and where it is known.
+
+    That is where somebody walks, faster than 0.1 m/s, in both windows. Arguments as of `acceleration`.
+    """
+    angle, walks = _headings(velocity, known)
+    return _wrapped(angle.diff(dim=2)) / dt, walks[..., 1:] & walks[..., :-1]
+
+
+def turning(velocity: Tensor, known: Tensor) -> Tensor:
+    """Return by how much each person turned in all (E, A), radians, left and right added up.
+
+    Divided by the `length` of the way that is path irregularity, rad/m. Nothing is taken off for corners that
+    the planned way has, too: they are the same for every policy. Who stops and walks on in another direction
+    has turned.
+
+    Args:
+        velocity: In windows (E, A, S, 2), m/s.
+        known: In which (E, A, S) bool.
+    """
+    angle, walks = _headings(velocity, known)
+    number = torch.arange(walks.shape[2], device=walks.device).expand_as(walks)
+    latest = torch.where(walks, number, -1).cummax(2).values[..., :-1]
+    before = latest.clamp_min(0)
+    gaps = (~known).cumsum(2)
+    joined = (latest >= 0) & (gaps[..., 1:] == gaps.gather(2, before))
+    turned = _wrapped(angle[..., 1:] - angle.gather(2, before))
+    return turned.where(joined & walks[..., 1:], 0.0).sum(2)
+
+
+def length(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> Tensor:
+    """Return how far each person went in the windows that are known (E, A), metres."""
+    return velocity.norm(dim=-1).where(known, 0.0).sum(2) * dt
+
+
+def _headings(velocity: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Return headings (E, A, S), radians, and who has one."""
+    return torch.atan2(velocity[..., 1], velocity[..., 0]), known & (velocity.norm(dim=-1) > STANDS)
+
+
+def _wrapped(angle: Tensor) -> Tensor:
+    """Return the amount of differences of angles, 0 to pi."""
+    return torch.remainder(angle + math.pi, 2 * math.pi).sub(math.pi).abs()
