@@ -29,8 +29,8 @@ def two_episodes() -> Rollout:
     trace[0, 0, :, 0] = torch.tensor([0.0, 0.1, 0.2, 0.3, 0.3])
     trace[0, 1, :, 0] = torch.tensor([1.0, 0.9, 0.6, 0.4, 0.3])
     trace[0, 1, :, 1] = 0.3
-    touching = torch.stack((bits("00110", "00110"), bits("00000", "00000")))
-    wall = torch.stack((bits("01010", "00000"), bits("11101", "00000")))
+    touching = torch.stack((bits("00100", "00110"), bits("00000", "00000")))
+    wall = torch.stack((bits("10100", "00000"), bits("11101", "00000")))
     reached = torch.tensor([[[0, 0, 1, 1, 1], [0, 0, 0, 1, 1]], [[0, 0, 0, 0, 0], [9, 9, 9, 9, 9]]])
     present = torch.stack((bits("11100", "11110"), bits("11111", "00000")))
     return Rollout(
