@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.data import DistributedSampler
 
 
 class Draw(NamedTuple):
@@ -17,13 +18,16 @@ class Draw(NamedTuple):
     seed: int
 
 
-class BucketSampler(torch.utils.data.Sampler[Draw]):
+class BucketSampler(DistributedSampler[Draw]):
     """Batches of scenes of similar crowd size, so that padding is small and pooling runs over few groups.
 
     Scenes are ordered by size with ties in random order and cut into batches of at most ``batch_size``
     scenes and ``max_pairs`` ordered pairs of people; the batches come in random order. An epoch depends
     on nothing but ``seed`` and its number, so a resumed run sees what an uninterrupted one would. Without
     ``shuffle`` all epochs are the same.
+
+    It is a `DistributedSampler`, though nothing is inherited, so that Lightning leaves it alone: of others it
+    takes each process's share, which would be a share of the share.
     """
 
     def __init__(
