@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pedzoo.metrics.realism import Samples
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.metrics.safety import HORIZON
+from pedzoo.metrics.safety import HORIZON, collision_seconds
 from pedzoo.metrics.smoothness import WINDOW, acceleration, heading_rate
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS
 
@@ -41,7 +41,7 @@ _AT_ONCE = 250_000
 
 
 class Steps(NamedTuple):
-    """A rollout every 0.4 s, and two steps before its begin for who is controlled at once.
+    """A rollout every 0.4 s, with its begin, and the step before it of who is controlled at once.
 
     Attributes:
         xy: Positions (E, A, S, 2), metres.
@@ -80,8 +80,9 @@ def every_step(rollout: Rollout) -> Steps:
     """Return the steps of a rollout."""
     last = WINDOW - 1
     person = rollout.person.where(rollout.present, -1)
-    first = person[..., :1].where(rollout.controlled[..., :1], -1)
-    person = torch.cat((first, first, person[..., last::WINDOW]), dim=2)
+    first = person[..., :1]
+    before = first.where(rollout.controlled[..., :1], -1)
+    person = torch.cat((before, first, person[..., last::WINDOW]), dim=2)
     xy = torch.cat((rollout.past[:, :, -1 - WINDOW :: WINDOW], rollout.trace[:, :, last::WINDOW]), dim=2)
     known = torch.zeros_like(person, dtype=torch.bool)
     known[..., 1:] = (person[..., 1:] == person[..., :-1]) & (person[..., 1:] >= 0)
@@ -132,35 +133,39 @@ def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) ->
 def surroundings(steps: Steps) -> Surroundings:
     """Return what is around every scored step; others count whether they are scored or played back."""
     episode, slot, step = steps.scored.nonzero().unbind(1)
+    place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
+    rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): all who are there at once
+    moments, slots = episode * steps.person.shape[2] + step, slot
     size = max(1, _AT_ONCE // steps.xy.shape[1])
     found = [
-        _around(steps, *some)
-        for some in zip(episode.split(size), slot.split(size), step.split(size), strict=True)
+        _around(*(value[moment] for value in rows), own)
+        for moment, own in zip(moments.split(size), slots.split(size), strict=True)
     ]
     nearest, collision, close = (torch.cat(values) for values in zip(*found, strict=True))
     speed = steps.velocity[episode, slot, step].norm(dim=-1)
     return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)
 
 
-def _around(steps: Steps, episode: Tensor, slot: Tensor, step: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return distance, time to collision and number of those close to some steps (N,) each."""
-    others = steps.person[episode, :, step] >= 0
-    others[torch.arange(len(slot)), slot] = False
-    offset = steps.xy[episode, :, step] - steps.xy[episode, slot, step].unsqueeze(1)
-    apart = offset.norm(dim=-1).masked_fill(~others, math.inf)
-    velocity = steps.velocity[episode, :, step] - steps.velocity[episode, slot, step].unsqueeze(1)
-    when = _collision(offset, velocity).masked_fill(~(others & steps.known[episode, :, step]), HORIZON)
+def _around(
+    x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, there: Tensor, known: Tensor, slot: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return distance, time to collision and number of those close to whoever is in a ``slot`` (N,) each.
+
+    Args:
+        x: Where all A slots are (N, A), metres.
+        y: Likewise.
+        vx: Their velocities (N, A), m/s.
+        vy: Likewise.
+        there: Whether there is somebody (N, A) bool.
+        known: Whether they have a velocity (N, A) bool.
+        slot: Whose surroundings are wanted (N,) long.
+    """
+    own = slot.unsqueeze(1)
+    x, y, vx, vy = (value - value.gather(1, own) for value in (x, y, vx, vy))
+    others = there.scatter(1, own, False)
+    apart = x.square().addcmul_(y, y).sqrt_().masked_fill_(~others, math.inf)
+    when = collision_seconds(x, y, vx, vy, 2 * BODY_RADIUS).masked_fill_(~(others & known), HORIZON)
     return apart.amin(1), when.amin(1), (apart < CLOSE).sum(1)
-
-
-def _collision(offset: Tensor, velocity: Tensor, reach: float = 2 * BODY_RADIUS) -> Tensor:
-    """Return when bodies touch (...), given the offset (..., 2) and velocity of one from the other."""
-    closing = -(offset * velocity).sum(-1)
-    gap = offset.square().sum(-1) - reach**2
-    under = closing.square() - velocity.square().sum(-1) * gap
-    when = gap / (under.clamp_min(0).sqrt() + closing)
-    when = torch.where((closing > 0) & (under >= 0), when.clamp(max=HORIZON), HORIZON)
-    return torch.where(gap <= 0, 0.0, when)
 
 
 def _samples(value: Tensor, there: Tensor, person: Tensor) -> Samples:

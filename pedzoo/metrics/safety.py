@@ -122,17 +122,30 @@ def time_to_collision(
         x, y = position[:, :, points].permute(3, 0, 2, 1)
         vx, vy = velocity[:, :, points].permute(3, 0, 2, 1)
         x, y, vx, vy = (value.unsqueeze(2) - value.unsqueeze(3) for value in (x, y, vx, vy))
-        closing = (x * vx).addcmul_(y, vy).neg_()  # -p.v
-        gap = x.square_().addcmul_(y, y).sub_((2 * radius) ** 2)  # |p|^2 - R^2
-        under = vx.square_().addcmul_(vy, vy).mul_(gap).neg_().addcmul_(closing, closing)
-        # the smaller root, in the form that does not cancel and needs no |v| > 0
-        seconds = gap.clamp(min=0.0).div_(under.clamp(min=0.0).sqrt_().add_(closing))
-        never = (closing <= 0) | (under < 0)
-        seconds = seconds.masked_fill_(never, HORIZON).clamp_(max=HORIZON).masked_fill_(gap <= 0, 0.0)
+        seconds = collision_seconds(x, y, vx, vy, 2 * radius)
         seconds += _absent(there[:, :, points]).unsqueeze(2)
         seconds.diagonal(dim1=2, dim2=3).fill_(torch.inf)
         found[:, :, points] = seconds.amin(3).transpose(1, 2)
     return found.masked_fill(~there, torch.inf)
+
+
+def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: float) -> Tensor:
+    """Return when pairs touch who keep their velocities, at most 10 s; see `time_to_collision`.
+
+    Args:
+        x: From one to the other (...), metres; its memory is used for the result, as that of all others.
+        y: Likewise.
+        vx: Velocity of the other less that of the one (...), m/s.
+        vy: Likewise.
+        reach: Distance at which they touch, metres.
+    """
+    closing = (x * vx).addcmul_(y, vy).neg_()  # -p.v
+    gap = x.square_().addcmul_(y, y).sub_(reach**2)  # |p|^2 - R^2
+    under = vx.square_().addcmul_(vy, vy).mul_(gap).neg_().addcmul_(closing, closing)
+    # the smaller root, in the form that does not cancel and needs no |v| > 0
+    seconds = gap.clamp(min=0.0).div_(under.clamp(min=0.0).sqrt_().add_(closing))
+    never = (closing <= 0) | (under < 0)
+    return seconds.masked_fill_(never, HORIZON).clamp_(max=HORIZON).masked_fill_(gap <= 0, 0.0)
 
 
 def _absent(there: Tensor) -> Tensor:

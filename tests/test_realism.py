@@ -1,0 +1,291 @@
+"""Realism against values computed by hand, scipy's, and crowds whose faults are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import wasserstein_distance
+
+from pedzoo.geometry import identity_pose
+from pedzoo.metrics.realism import (
+    Samples,
+    counted,
+    drawn_people,
+    grid,
+    grid_error,
+    halves,
+    resampled,
+    wasserstein,
+)
+from pedzoo.metrics.realism_crowds import crowd, densities, density_speed
+from pedzoo.metrics.realism_features import every_step, features, surroundings
+from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
+from pedzoo.metrics.realism_walks import walks_of
+from pedzoo.metrics.rollout import Rollout
+from pedzoo.metrics.safety import time_to_collision
+
+NAN = float("nan")
+
+
+def a_rollout(positions: torch.Tensor, person: torch.Tensor, controlled: torch.Tensor) -> Rollout:
+    """Walks of (E, A, S, 2) every 0.4 s, straight in between; the first position is where the episode begins.
+
+    ``person`` (E, A, S - 1) says who is there until each further position, ``controlled`` whom a policy
+    moves.
+    """
+    part = torch.arange(1, 5).view(4, 1) / 4
+    dense = positions[:, :, :-1, None] * (1 - part) + positions[:, :, 1:, None] * part
+    trace = dense.flatten(2, 3)
+    person, controlled = (value.repeat_interleave(4, 2) for value in (person, controlled))
+    episodes, agents, points = person.shape
+    nothing = torch.zeros_like(controlled)
+    return Rollout(
+        trace=trace,
+        goal=trace,
+        present=person >= 0,
+        controlled=controlled,
+        person=person,
+        planned=torch.zeros(episodes, agents, points),
+        agent_contact=nothing,
+        wall_contact=nothing,
+        reached=torch.zeros_like(person),
+        late=nothing[..., 0],
+        failed=nothing[:, 0, 0],
+        mask=person[..., 0] >= 0,
+        past=positions[:, :, :1].repeat(1, 1, 29, 1),
+        pref_speed=torch.ones(episodes, agents),
+        way=torch.ones(episodes, agents),
+        map_id=torch.full((episodes,), -1),
+        pose=identity_pose(episodes),
+        goals=1,
+    )
+
+
+def line(*points: tuple[float, float]) -> torch.Tensor:
+    return torch.tensor(points)
+
+
+def found_features(rollout: Rollout, start: torch.Tensor, goal: torch.Tensor) -> dict[str, list[float]]:
+    steps = every_step(rollout)
+    samples = features(steps, surroundings(steps), start, goal)
+    return {name: sorted(value.tolist()) for name, (value, _) in samples.items()}
+
+
+def test_wasserstein_is_how_far_values_are_moved() -> None:
+    values = [torch.tensor(value) for value in ([0.0, 1.0], [3.0, 0.0], [1.0] * 3, [])]
+    assert wasserstein(values[0], values[1]) == pytest.approx(1.0)  # 1 becomes 3, 0 stays
+    assert wasserstein(values[0], values[2]) == pytest.approx(0.5)
+    assert np.isnan(wasserstein(values[0], values[3]))
+
+
+@pytest.mark.parametrize("size", [40, 512])
+@pytest.mark.parametrize("shape", ["normal", "long tail", "capped", "few values"])
+def test_resamples_are_within_the_bound_of_the_exact_distance(shape: str, size: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    people, sides = 30, []
+    for spread, shift in ((1.0, 0.0), (1.3, 0.1)):
+        value = torch.randn(2000, generator=generator).double() * spread + shift
+        if shape in ("long tail", "capped"):
+            value = (2 * value).exp()
+        value = {"capped": value.clamp(max=10.0), "few values": value.round()}.get(shape, value)
+        sides.append(Samples(value, torch.randint(people, (2000,), generator=generator)))
+    edges = grid(sides[0].value, sides[1].value, size)
+    assert len(edges) <= size and (edges.diff() > 0).all()
+    first, second = (counted(side, edges, people) for side in sides)
+    weights = torch.cat((torch.ones(1, people).double(), drawn_people(people, 5)))
+    distance = resampled(first, second, edges, weights, weights)
+    bound = grid_error(first, second, edges)
+    for weight, value in zip(weights, distance.tolist(), strict=True):
+        exact = wasserstein_distance(
+            *(side.value for side in sides), *(weight[side.person] for side in sides)
+        )
+        # weights of people up to 4 can make cells heavier than the bound of equal weights says
+        assert value == pytest.approx(exact, abs=max(bound * float(weight.max()), 1e-9))
+        if size == 512:
+            assert value == pytest.approx(exact, rel=0.01)
+    if shape == "few values":
+        assert bound == 0.0
+
+
+def test_the_same_people_are_drawn_on_both_sides_and_nobody_is_lost() -> None:
+    drawn, split = drawn_people(7, 50), halves(7, 50)
+    assert (drawn.sum(1) == 7).all() and (drawn.std(0) > 0).all()
+    assert set(split.unique().tolist()) == {0.0, 1.0} and (split.sum(1) == 3).all()
+    assert torch.equal(drawn, drawn_people(7, 50)) and torch.equal(split, halves(7, 50))
+    assert not torch.equal(drawn, drawn_people(7, 50, seed=1))
+    side = Samples(torch.rand(40).double(), torch.arange(40) % 7)
+    edges = grid(side.value, side.value)
+    both = counted(side, edges, 7)
+    assert (resampled(both, both, edges, drawn, drawn) == 0).all()
+    assert (resampled(both, both, edges, split, 1 - split) > 0).all()
+
+
+def test_values_beyond_the_grid_are_refused() -> None:
+    with pytest.raises(ValueError, match="beyond the last edge"):
+        counted(Samples(torch.tensor([2.0]), torch.tensor([0])), torch.tensor([0.0, 1.0]), 1)
+
+
+def test_features_of_a_corner() -> None:
+    walk = line((0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.4), (0.8, 0.42))[None, None]
+    nobody = torch.zeros(1, 1, 5).long()
+    # the policy takes over after the first step
+    controlled = torch.tensor([[[False, True, True, True, True]]])
+    found = found_features(a_rollout(walk, nobody, controlled), line((0.4, 0)), line((3.4, 0)))
+    assert found["speed"] == pytest.approx([0.0, 0.05, 1.0, 1.0])
+    # straight on, a corner, a stop, a creep
+    assert found["acceleration"] == pytest.approx([0.0, 0.125, 2.5, 2.5 * 2**0.5], abs=1e-5)
+    assert found["heading_rate"] == pytest.approx([0.0, torch.pi / 2 / 0.4], abs=1e-5)
+    assert found["lateral_deviation"] == pytest.approx([0.0, 0.4, 0.4, 0.42], abs=1e-6)
+    assert found["nearest_distance"] == found["time_to_collision"] == []  # alone
+
+
+def test_who_is_played_back_is_met_and_not_scored_and_slots_are_not_people() -> None:
+    one = line((0, 0), (0.4, 0), (0.8, 0), (1.2, 0))
+    # comes the other way, leaves after the first step; its slot is taken by somebody far away
+    other = line((4, 0), (3.6, 0), (9, 9), (9, 8.6))
+    person = torch.tensor([[[0, 0, 0], [1, 2, 2]]])
+    controlled = torch.tensor([[[True, True, True], [False, True, True]]])
+    rollout = a_rollout(torch.stack((one, other))[None], person, controlled)
+    steps = every_step(rollout)
+    around = surroundings(steps)
+    # the newcomer has no velocity in the first step
+    assert steps.person[steps.scored].tolist() == around.person.tolist() == [0, 0, 0, 2]
+    assert around.speed.tolist() == pytest.approx([1.0] * 4)
+    far = [(8.2**2 + 81) ** 0.5, (7.8**2 + 8.6**2) ** 0.5]
+    assert around.nearest.tolist() == pytest.approx([3.2, far[0], far[1], far[1]])
+    # 3.2 m apart at 2 m/s, they touch after 2.9 m; the velocity of a newcomer is not known
+    assert around.collision.tolist() == pytest.approx([1.45, 10.0, 10.0, 10.0])
+    assert around.close.tolist() == [0, 0, 0, 0]
+
+
+def test_collisions_and_distances_are_those_of_the_safety_metrics() -> None:
+    generator = torch.Generator().manual_seed(3)
+    positions = torch.rand(3, 6, 12, 2, generator=generator).cumsum(2) * 0.5
+    person = torch.arange(6).view(1, 6, 1).expand(3, 6, 11).clone()
+    person[1, 4:] = -1
+    controlled = (torch.rand(3, 6, 11, generator=generator) > 0.4) & (person >= 0)
+    controlled[..., 0] = person[..., 0] >= 0
+    steps = every_step(a_rollout(positions, person, controlled))
+    around = surroundings(steps)
+    there = steps.person >= 0
+    expected = time_to_collision(steps.xy, steps.velocity, there & steps.known)
+    assert around.collision.tolist() == pytest.approx(expected[steps.scored].tolist(), abs=1e-4)
+    apart = torch.cdist(steps.xy.transpose(1, 2), steps.xy.transpose(1, 2)).transpose(1, 2)
+    apart = apart.masked_fill(~there.transpose(1, 2).unsqueeze(1), torch.inf)
+    apart = apart.masked_fill(torch.eye(6).bool().view(1, 6, 1, 6), torch.inf)
+    assert around.nearest.tolist() == pytest.approx(apart.amin(-1)[steps.scored].tolist())
+    assert around.close.tolist() == (apart < 2.0).sum(-1)[steps.scored].tolist()
+    assert (around.collision < 10).float().mean() > 0.2
+
+
+def test_features_do_not_depend_on_the_frame_or_on_slots() -> None:
+    generator = torch.Generator().manual_seed(5)
+    positions = torch.randn(2, 5, 9, 2, generator=generator).cumsum(2) * 0.3
+    person = torch.arange(10).view(2, 5, 1).expand(2, 5, 8)
+    controlled = torch.rand(2, 5, 8, generator=generator) > 0.3
+    start, goal = positions[:, :, 0].flatten(0, 1), positions[:, :, -1].flatten(0, 1)
+    base = found_features(a_rollout(positions, person, controlled), start, goal)
+    turn = torch.tensor([[0.6, -0.8], [0.8, 0.6]])
+    moved = [value @ turn.T + torch.tensor([5.0, -3.0]) for value in (positions, start, goal)]
+    turned = found_features(a_rollout(moved[0], person, controlled), moved[1], moved[2])
+    order = torch.tensor([3, 1, 4, 0, 2])
+    shuffled = found_features(
+        a_rollout(positions[:, order], person[:, order], controlled[:, order]), start, goal
+    )
+    for name, values in base.items():
+        assert len(values) > 20
+        assert turned[name] == pytest.approx(values, abs=2e-3)
+        assert shuffled[name] == pytest.approx(values)
+
+
+def test_speeds_by_density() -> None:
+    # three stand in a row 1 m apart, a fourth walks far away
+    place = torch.tensor([[0.0, 0.0], [1.0, 0.0], [2.5, 0.0], [50.0, 0.0]])
+    positions = place.view(1, 4, 1, 2).repeat(1, 1, 3, 1)
+    positions[0, 3, :, 0] += torch.tensor([0.0, 0.4, 0.8])
+    positions[0, 1, :, 1] += torch.tensor([0.0, 0.08, 0.16])
+    person = torch.arange(4).view(1, 4, 1).expand(1, 4, 2)
+    rollout = a_rollout(positions, person, person >= 0)
+    found = crowd(rollout, every_step(rollout), 1, place, place)
+    speed, steps = density_speed(found, torch.ones(1, 4).double())
+    assert steps[0, :4].tolist() == [2, 4, 2, 0]
+    assert speed[0, :3].tolist() == pytest.approx([1.0, 0.0, 0.2], abs=1e-5)
+    assert densities()[:2].tolist() == pytest.approx([0.0796, 0.1592], abs=1e-4)
+    assert found.minutes.tolist() == pytest.approx([0.8 / 60] * 4)
+    assert found.speed.tolist() == [pytest.approx([0.0, 0.2, 0.0, 1.0], abs=1e-5)]
+
+
+def test_error_over_the_common_duration() -> None:
+    true = torch.zeros(2, 4, 2)
+    xy = torch.tensor([1.0, 2.0, 3.0, 9.0]).view(1, 4, 1) * torch.tensor([0.6, 0.8])
+    both = torch.tensor([[True, True, True, False], [False] * 4])
+    walk = torch.tensor([[0], [1]]).expand(2, 4)
+    found = closed_loop_error(xy.expand(2, 4, 2), true, both, walk, 2)
+    assert found[0] == pytest.approx(2.0) and found[1].isnan()
+
+
+def test_walks_are_put_together_from_alternating_positions() -> None:
+    xy = torch.arange(10.0).view(5, 2)
+    found, length = padded(xy, torch.tensor([1, 0, 1, 1, 0]), 3)
+    assert length.tolist() == [2, 3, 0]
+    assert found[..., 0].tolist() == [[2, 8, 0], [0, 4, 6], [0, 0, 0]]
+
+
+def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = torch.Generator().manual_seed(1)
+    points, others = (torch.randint(0, most, (25,), generator=generator) for most in (9, 14))
+    first, second = (torch.randn(25, most, 2, generator=generator) for most in (9, 14))
+
+    def plain(a: np.ndarray, b: np.ndarray) -> float:
+        cost = np.full((len(a) + 1, len(b) + 1), np.inf)
+        cost[0, 0] = 0
+        for i in range(len(a)):
+            for j in range(len(b)):
+                d = np.linalg.norm(a[i] - b[j])
+                cost[i + 1, j + 1] = min(cost[i, j] + 2 * d, cost[i, j + 1] + d, cost[i + 1, j] + d)
+        return cost[-1, -1] / (len(a) + len(b)) if len(a) and len(b) else NAN
+
+    expected = [plain(first[i, : points[i]].numpy(), second[i, : others[i]].numpy()) for i in range(25)]
+    found = dtw(first, points, second, others)
+    assert found.tolist() == pytest.approx(expected, abs=1e-5, nan_ok=True)
+    monkeypatch.setattr("pedzoo.metrics.realism_paths._AT_ONCE", 500)
+    assert torch.equal(dtw(first, points, second, others).nan_to_num(), found.nan_to_num())
+
+
+def test_dtw_forgives_the_pace_and_not_the_place() -> None:
+    slow = torch.stack((torch.linspace(0, 8, 41), torch.zeros(41)), -1)[None]
+    fast, count = slow[:, ::2], (torch.tensor([41]), torch.tensor([21]))
+    assert float(dtw(slow, count[0], fast, count[1])) < 0.1
+    aside = fast + torch.tensor([0.0, 0.7])
+    assert float(dtw(fast, count[1], aside, count[1])) == pytest.approx(0.7)
+    assert float(dtw(fast, count[1], fast, count[1])) == 0.0
+
+
+def test_walks_of_two_rounds() -> None:
+    goal = line((2.05, 0.0), (0.0, 5.0))
+    there = line((0, 0), (0.4, 0), (0.8, 0), (1.2, 0), (1.6, 0), (2, 0))
+    still = torch.zeros(6, 2)
+    person = torch.tensor([[[0] * 5], [[1] * 5]])
+    controlled = torch.tensor([[[False, True, True, True, True]], [[True] * 5]])
+    up = torch.stack((still[:, 0], torch.linspace(0, 5, 6)), -1)
+    real = a_rollout(torch.stack((there, up))[:, None], person, controlled)
+    slow = there * 0.5
+    # three scenes: the second round was not finished
+    rollout = a_rollout(
+        torch.stack((slow, up, there))[:, None], torch.cat((person, person[:1])), controlled[[0, 1, 0]]
+    )
+    reached = torch.zeros(3, 1, 20).long()
+    reached[1, :, 18:] = reached[2, :, 19:] = 1
+    rollout = replace(rollout, reached=reached)
+    found = walks_of(rollout, every_step(rollout), real, every_step(real), goal)
+    assert found.expected.tolist() == [[True, True], [True, False]]
+    assert found.success.tolist() == [[False, True], [True, False]]
+    assert found.seconds[0, 1] == pytest.approx(1.9) and found.seconds[1, 0] == pytest.approx(1.6)
+    # within 0.3 m of the exit
+    assert found.real_seconds.tolist() == pytest.approx([1.4, 1.9])
+    assert found.ade[0].tolist() == pytest.approx([(0.4 + 0.6 + 0.8 + 1.0) / 4, 0.0])
+    assert found.ade[1, 0] == 0.0 and found.ade[1, 1].isnan() and found.dtw[1, 1].isnan()
+    assert found.dtw[0, 1] == found.dtw[1, 0] == 0.0 and found.dtw[0, 0] > 0.1
