@@ -20,8 +20,8 @@ from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 
-AT_ONCE = {"grid": 64, "bullet": 16}
-"""Scenes run together: pybullet asks about one after the other, so more of them bring nothing."""
+AT_ONCE = {"grid": 64, "bullet": 64}
+"""Scenes run together: the price of a decision grows slowly with them, and so does the memory."""
 
 Progress = Callable[[str, int, int], None]
 

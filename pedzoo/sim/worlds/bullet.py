@@ -25,6 +25,9 @@ from pedzoo.types import BODY_RADIUS
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""
 
+_AFFINES = 1024
+"""Maps between frames that are kept."""
+
 _VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
 """Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
 
@@ -65,6 +68,7 @@ class BulletWorld(World):
         super().__init__(bank, body_radius)
         load_pybullet()
         self._scenes: dict[int, BulletScene] = {}
+        self._affines: dict[tuple[float, ...], Affine] = {}
         self._closed = False
 
     def __getstate__(self) -> dict[str, Any]:
@@ -84,10 +88,21 @@ class BulletWorld(World):
             UserError: The world was closed, or a client is gone.
         """
         rows = self.bank.index(people.map_id[:, 0]).tolist()
-        for index, row in enumerate(rows):
-            affine = scene_to_grid(people.pose[index], self.bank.grids[row] if row >= 0 else None)
-            who = present[index].nonzero()[:, 0].tolist()
-            yield _Asked(index, self._bullet(row), affine, _move(affine, people.position[index]), who)
+        places, poses = _array(people.position), people.pose.tolist()
+        for index, (row, pose, here) in enumerate(zip(rows, poses, present.tolist(), strict=True)):
+            affine = self._affine(row, pose)
+            who = [person for person, there in enumerate(here) if there]
+            yield _Asked(index, self._bullet(row), affine, _move(affine, places[index]), who)
+
+    def _affine(self, row: int, pose: list[float]) -> Affine:
+        """Return the map from a scene to pybullet's frame, made once: poses stay as they are."""
+        key = (row, *pose)
+        if key not in self._affines:
+            if len(self._affines) >= _AFFINES:
+                self._affines.clear()
+            grid = self.bank.grids[row] if row >= 0 else None
+            self._affines[key] = scene_to_grid(torch.tensor(pose), grid)
+        return self._affines[key]
 
     def _bullet(self, row: int) -> BulletScene:
         if self._closed:
@@ -155,10 +170,12 @@ class BulletWorld(World):
         columns = (pairs.scene[pair], pairs.first[pair], pairs.second[pair], trace, step)
         for scene, *meeting in torch.stack(columns, 1).tolist():
             meetings[scene].append(tuple(meeting))
+        ways, rooms = _array(path), far.cpu().numpy()
         for asked in self._asked(people, present):
-            way = _move(asked.affine, path[asked.index])
-            self._meet(asked.bullet, way, meetings[asked.index], agent[asked.index])
-            self._hit(asked, way, far[asked.index].cpu().numpy(), wall[asked.index])
+            if asked.present:
+                way = _move(asked.affine, ways[asked.index])
+                self._meet(asked.bullet, way, meetings[asked.index], agent[asked.index])
+                self._hit(asked, way, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
 
     def _meet(
@@ -200,8 +217,9 @@ class BulletWorld(World):
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `World.rays`: pybullet's batched ray test, at the height of the chest."""
         found = np.full(origin.shape[:2], reach)
+        starts = _array(origin)
         for asked in self._asked(people, self._present(people)):
-            start = _move(asked.affine, origin[asked.index])
+            start = _move(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
             found[asked.index, which] = self._scene_rays(asked, start[which], along[which], reach)
@@ -251,5 +269,9 @@ class BulletWorld(World):
         return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
 
 
-def _move(affine: Affine, points: Tensor) -> NDArray[np.float64]:
-    return points.detach().cpu().double().numpy() @ affine[:, :2].T + affine[:, 2]
+def _array(points: Tensor) -> NDArray[np.float64]:
+    return points.detach().cpu().double().numpy()
+
+
+def _move(affine: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return points @ affine[:, :2].T + affine[:, 2]
