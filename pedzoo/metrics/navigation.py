@@ -121,11 +121,18 @@ def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
         goal: Where everybody was going (E, A, T, 2), metres.
         scored: Who is at each point (E, A, T) bool; in all of the 5 s.
     """
+    return stuck(trace, goal, scored).any(-1)
+
+
+def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
+    """Return at which points 5 s end that make somebody `deadlocked` (E, A, T) bool; arguments as there."""
+    found = torch.zeros_like(scored)
     if trace.shape[2] <= STILL_POINTS:
-        return torch.zeros_like(scored[..., 0])
+        return found
     before, after = trace[:, :, :-STILL_POINTS], trace[:, :, STILL_POINTS:]
     still = (after - before).norm(dim=-1) < STILL_METRES
     away = (after - goal[:, :, STILL_POINTS:]).norm(dim=-1) > AWAY
     count = scored.cumsum(2)
     stayed = count[..., STILL_POINTS:] - count[..., :-STILL_POINTS] == STILL_POINTS
-    return (still & away & stayed).any(-1)
+    found[:, :, STILL_POINTS:] = still & away & stayed
+    return found

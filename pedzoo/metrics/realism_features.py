@@ -79,10 +79,12 @@ class Surroundings(NamedTuple):
 def every_step(rollout: Rollout) -> Steps:
     """Return the steps of a rollout."""
     last = WINDOW - 1
-    person = rollout.person.where(rollout.present, -1)
-    first = person[..., :1]
+    first, person = (
+        rollout.person[..., points].where(rollout.present[..., points], -1)
+        for points in (slice(1), slice(last, None, WINDOW))
+    )
     before = first.where(rollout.controlled[..., :1], -1)
-    person = torch.cat((before, first, person[..., last::WINDOW]), dim=2)
+    person = torch.cat((before, first, person), dim=2)
     xy = torch.cat((rollout.past[:, :, -1 - WINDOW :: WINDOW], rollout.trace[:, :, last::WINDOW]), dim=2)
     known = torch.zeros_like(person, dtype=torch.bool)
     known[..., 1:] = (person[..., 1:] == person[..., :-1]) & (person[..., 1:] >= 0)
@@ -135,12 +137,12 @@ def surroundings(steps: Steps) -> Surroundings:
     episode, slot, step = steps.scored.nonzero().unbind(1)
     place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
     rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): all who are there at once
-    moments, slots = episode * steps.person.shape[2] + step, slot
+    moments = episode * steps.person.shape[2] + step
     size = max(1, _AT_ONCE // steps.xy.shape[1])
-    found = [
-        _around(*(value[moment] for value in rows), own)
-        for moment, own in zip(moments.split(size), slots.split(size), strict=True)
-    ]
+    found = []
+    for moment, own in zip(moments.split(size), slot.split(size), strict=True):
+        x, y, vx, vy, there, known = (value[moment] for value in rows)
+        found.append(_around(x, y, vx, vy, there, known, own))
     nearest, collision, close = (torch.cat(values) for values in zip(*found, strict=True))
     speed = steps.velocity[episode, slot, step].norm(dim=-1)
     return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.metrics.navigation import stuck
 from pedzoo.metrics.realism_features import Steps
 from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
 from pedzoo.metrics.rollout import Rollout
@@ -21,6 +22,7 @@ class Walks(NamedTuple):
 
     Attributes:
         expected: Who takes part: whose scene was run (K, P) bool.
+        deadlock: Who once moved less than 0.1 m in 5 s, more than 0.5 m from the goal (K, P) bool.
         seconds: From when the policy took over until within 0.3 m of the goal; NaN for who never was.
         real_seconds: The same of the recorded walk (P,).
         ade: Mean distance to the recorded positions of the same times, metres; NaN without any.
@@ -28,6 +30,7 @@ class Walks(NamedTuple):
     """
 
     expected: Tensor
+    deadlock: Tensor
     seconds: Tensor
     real_seconds: Tensor
     ade: Tensor
@@ -55,8 +58,12 @@ def walks_of(rollout: Rollout, steps: Steps, real: Rollout, real_steps: Steps, g
     scene[real.person[real.controlled]] = real.controlled.nonzero()[:, 0]
     expected = scene + scenes * torch.arange(rounds).unsqueeze(1) < len(rollout.failed)
     near = (real.trace - goal[real.person.clamp_min(0)]).norm(dim=-1) < GOAL_RADIUS
+    still = stuck(rollout.trace, goal[rollout.person.clamp_min(0)], rollout.controlled)
+    deadlock = torch.zeros_like(expected)
+    deadlock[still.nonzero()[:, 0] // scenes, rollout.person[still]] = True
     return Walks(
         expected,
+        deadlock,
         _seconds(rollout, rollout.reached > 0, scenes, (rounds, people)),
         _seconds(real, near, scenes, (1, people))[0],
         *_paths(steps, real_steps, expected),
