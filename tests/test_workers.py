@@ -1,0 +1,267 @@
+"""Many workers do what one does, and no way of ending leaves anything behind."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import nullcontext
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import torch
+from torchrl.envs.utils import ExplorationType, exploration_type, set_exploration_type
+
+from pedzoo.errors import UserError
+from pedzoo.eval import workers
+from pedzoo.eval.shares import Shares, grouped
+from pedzoo.eval.workers import finished
+
+BACKENDS = [
+    "processes",
+    pytest.param("ray", marks=pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")),
+]
+
+
+@pytest.fixture(autouse=True)
+def neither_hangs_nor_leaves_processes() -> Iterator[None]:
+    def give_up(*_: object) -> None:
+        raise TimeoutError("a test hangs")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(150)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+    assert multiprocessing.active_children() == []
+
+
+def is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def answer(job: tuple[int, str]) -> dict:
+    seed, folder = job
+    with (Path(folder) / "done").open("a") as file:
+        file.write(f"{seed}\n")
+    weights = torch.randn(200, 200, generator=torch.Generator().manual_seed(seed))
+    kind = exploration_type()
+    return {
+        "product": (weights @ weights).sum().item(),
+        "text": "ä" * 1000 * seed,  # results of any length
+        "values": (float("inf"), None, [True]),
+        "state": (torch.get_num_threads(), torch.is_grad_enabled(), kind and kind.name, os.getcwd()),
+        "home": os.environ.get("PEDZOO_HOME"),
+    }
+
+
+def process_of(job: int) -> tuple[int, int]:
+    return job, os.getpid()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_many_workers_give_what_one_gives_and_do_nothing_twice(
+    backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    list(finished(range(2), process_of, 2, "processes"))  # the fork server knows nothing of what follows
+    if backend == "processes":
+        monkeypatch.setenv("PEDZOO_HOME", "elsewhere")
+    monkeypatch.chdir(tmp_path)
+    torch.set_num_threads(2)
+    try:
+        jobs = [(seed, str(tmp_path)) for seed in range(9)]
+        with set_exploration_type(ExplorationType.MEAN):
+            alone = dict(finished(jobs, answer))
+            together = dict(finished(jobs, answer, 3, backend, group=lambda job: job[0] // 2))
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+    assert together == alone
+    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, True, "MEAN", str(tmp_path))
+    done = Counter((tmp_path / "done").read_text().split())
+    assert done == {str(seed): 2 for seed in range(9)}  # once alone, once together
+
+
+def test_results_come_one_by_one_from_other_processes_which_end_with_the_iterator() -> None:
+    results = finished(range(4), process_of, 2)
+    processes = {next(results)[1][1] for _ in range(2)}
+    assert os.getpid() not in processes and all(map(is_alive, processes))
+    results.close()
+    assert not any(map(is_alive, processes))
+
+
+def test_nothing_stays_open() -> None:
+    list(finished(range(4), process_of, 2))
+    before = set(os.listdir("/proc/self/fd")), sorted(os.listdir("/dev/shm"))
+    list(finished(range(4), process_of, 2))
+    assert (set(os.listdir("/proc/self/fd")), sorted(os.listdir("/dev/shm"))) == before
+
+
+def test_no_result_is_lost_while_the_caller_is_busy(tmp_path: Path) -> None:
+    jobs = [(seed, str(tmp_path)) for seed in range(6)]
+    numbers = []
+    for number, _ in finished(jobs, answer, 3):
+        if not numbers:
+            time.sleep(1.3)  # TorchRL's own queue has room for one result, and drops others after a second
+        numbers.append(number)
+    assert sorted(numbers) == list(range(6))
+    assert len((tmp_path / "done").read_text().split()) == 6
+
+
+class OwnError(Exception):
+    """It cannot be unpickled, for it is rebuilt with one argument."""
+
+    def __init__(self, first: str, second: str) -> None:
+        """Take two arguments."""
+        super().__init__(first + second)
+
+
+def fail(job: str) -> None:
+    if job == "user":
+        raise UserError("no map 'x': expected a file")
+    if job == "own":
+        raise OwnError("cannot be ", "rebuilt")
+    if job == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if job == "exit":
+        sys.exit(7)
+    if job == "long":
+        time.sleep(100)
+
+
+@pytest.mark.parametrize(
+    ("job", "kind", "message"),
+    [
+        ("user", UserError, r"^no map 'x': expected a file"),
+        ("own", RuntimeError, r"^OwnError: cannot be rebuilt"),
+        (
+            "kill",
+            RuntimeError,
+            r"^worker \d of 2 is killed by SIGKILL \(in job 1, 'kill'\); .* fewer workers",
+        ),
+        ("exit", RuntimeError, r"^worker \d of 2 is gone with exit code 7 \(in job 1, 'exit'\)"),
+    ],
+)
+def test_errors_of_a_worker_reach_the_caller_while_others_are_busy(job, kind, message) -> None:
+    with pytest.raises(kind, match=message) as caught:
+        list(finished(["long", job], fail, 2))
+    if job in ("user", "own"):
+        assert "in fail" in "".join(caught.value.__notes__)  # where it was raised
+
+
+def test_ctrl_c_ends_all_workers() -> None:
+    results = finished([0, 0, 100, 100], pause, 2)
+    processes = {next(results)[1] for _ in range(2)}
+
+    def press() -> None:
+        for process in [*processes, os.getpid()]:
+            os.kill(process, signal.SIGINT)
+
+    timer = threading.Timer(0.3, press)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+    timer.join()
+    assert not any(map(is_alive, processes))
+
+
+def pause(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def complain(job: int) -> int:
+    warnings.warn(f"job {job} is odd", UserWarning, stacklevel=1)
+    return job
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_warnings_of_jobs_reach_the_caller(count) -> None:
+    with pytest.warns(UserWarning, match="is odd") as caught:
+        assert dict(finished(range(2), complain, count)) == {0: 0, 1: 1}
+    assert sorted(str(warning.message) for warning in caught) == ["job 0 is odd", "job 1 is odd"]
+
+
+def test_jobs_and_functions_of_a_script_or_a_notebook_need_no_guard(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("raise RuntimeError('a worker runs the script')")
+    for file in (str(script), None):
+        main = ModuleType("__main__")
+        if file:
+            main.__file__ = file
+        code = "class Job:\n  size = 2\nclass Odd(Exception): pass\n"
+        code += "def work(job):\n  if job.size > 2: raise Odd('size')\n  return helper(job)\n"
+        exec(code + "def helper(job): return job.size", main.__dict__)
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, "__main__", main)
+            jobs = [main.Job(), main.Job()]
+            assert dict(finished(jobs, main.work, 2)) == {0: 2, 1: 2}
+            jobs[1].size = 3
+            with pytest.raises(main.Odd, match="size"):
+                list(finished(jobs, main.work, 2))
+
+
+def test_what_other_processes_cannot_have_is_a_clear_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match=r"cannot be sent these jobs .*lock.*workers=1"):
+        list(finished([threading.Lock()] * 2, str, 2))
+    gone = ModuleType("gone")
+    exec("def work(job): return job", gone.__dict__)
+    monkeypatch.setitem(sys.modules, "gone", gone)
+    with pytest.raises(UserError, match=r"cannot load the jobs or their function: No module named 'gone'"):
+        list(finished(range(2), gone.work, 2))
+    with pytest.raises(UserError, match=r"^workers 0: expected at least 1"):
+        finished([1], process_of, 0)
+    with pytest.raises(UserError, match=r"unknown backend 'rat': did you mean 'ray'"):
+        finished([1], process_of, 2, "rat")  # pyright: ignore[reportArgumentType]
+    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install ray"):
+        finished([1], process_of, 2, "ray")
+
+
+def test_no_jobs_are_no_work() -> None:
+    assert list(finished([], process_of, 4)) == []
+
+
+def test_one_worker_goes_from_group_to_group() -> None:
+    order = [number for number, _ in finished([5, 6, 7, 8], process_of, group=lambda job: job % 2)]
+    assert order == [0, 2, 1, 3]
+
+
+def test_a_worker_stays_with_its_group_and_then_helps_where_most_is_left() -> None:
+    shares = Shares(grouped(list("abacaba")), [0, 0, 0], nullcontext())  # a: 0 2 4 6, b: 1 5, c: 3
+    assert shares.take(None) == (0, 0)
+    assert shares.take(None) == (1, 1)
+    assert shares.take(1) == (5, 1)
+    assert shares.take(1) == (3, 2)
+    assert shares.take(2) == (2, 0)  # nothing but a is left
+    assert [shares.take(0), shares.take(0), shares.take(0)] == [(4, 0), (6, 0), None]
+
+
+def test_every_job_is_handed_out_once_whoever_asks() -> None:
+    draw = random.Random(0)
+    for _ in range(50):
+        keys = [draw.randrange(5) for _ in range(draw.randrange(1, 30))]
+        groups = grouped(keys)
+        shares = Shares(groups, [0] * len(groups), nullcontext())
+        last: list[int | None] = [None] * 4
+        taken = []
+        while (share := shares.take(last[worker := draw.randrange(4)])) is not None:
+            assert keys[share[0]] == keys[groups[share[1]][0]]
+            taken.append(share[0])
+            last[worker] = share[1]
+        assert sorted(taken) == list(range(len(keys)))
