@@ -9,7 +9,6 @@ import signal
 import sys
 import threading
 import time
-import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -19,7 +18,8 @@ from types import ModuleType
 
 import pytest
 import torch
-from torchrl.envs.utils import ExplorationType, exploration_type, set_exploration_type
+from errands import answer, complain, fail, pause, process_of
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.errors import UserError
 from pedzoo.eval import workers
@@ -51,25 +51,6 @@ def is_alive(process: int) -> bool:
     except ProcessLookupError:
         return False
     return True
-
-
-def answer(job: tuple[int, str]) -> dict:
-    seed, folder = job
-    with (Path(folder) / "done").open("a") as file:
-        file.write(f"{seed}\n")
-    weights = torch.randn(200, 200, generator=torch.Generator().manual_seed(seed))
-    kind = exploration_type()
-    return {
-        "product": (weights @ weights).sum().item(),
-        "text": "ä" * 1000 * seed,  # results of any length
-        "values": (float("inf"), None, [True]),
-        "state": (torch.get_num_threads(), torch.is_grad_enabled(), kind and kind.name, os.getcwd()),
-        "home": os.environ.get("PEDZOO_HOME"),
-    }
-
-
-def process_of(job: int) -> tuple[int, int]:
-    return job, os.getpid()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -121,27 +102,6 @@ def test_no_result_is_lost_while_the_caller_is_busy(tmp_path: Path) -> None:
     assert len((tmp_path / "done").read_text().split()) == 6
 
 
-class OwnError(Exception):
-    """It cannot be unpickled, for it is rebuilt with one argument."""
-
-    def __init__(self, first: str, second: str) -> None:
-        """Take two arguments."""
-        super().__init__(first + second)
-
-
-def fail(job: str) -> None:
-    if job == "user":
-        raise UserError("no map 'x': expected a file")
-    if job == "own":
-        raise OwnError("cannot be ", "rebuilt")
-    if job == "kill":
-        os.kill(os.getpid(), signal.SIGKILL)
-    if job == "exit":
-        sys.exit(7)
-    if job == "long":
-        time.sleep(100)
-
-
 @pytest.mark.parametrize(
     ("job", "kind", "message"),
     [
@@ -176,16 +136,6 @@ def test_ctrl_c_ends_all_workers() -> None:
         next(results)
     timer.join()
     assert not any(map(is_alive, processes))
-
-
-def pause(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
-
-
-def complain(job: int) -> int:
-    warnings.warn(f"job {job} is odd", UserWarning, stacklevel=1)
-    return job
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -34,7 +34,10 @@ def outcomes(
         try:
             frames = iter(collector)
             for _ in jobs:
-                yield next(frames)["next", "outcome"][0]
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # of a policy without weights
+                    frame = next(frames)
+                yield frame["next", "outcome"][0]
         except RayError as error:
             raise RuntimeError(f"a Ray worker died: {error}") from error
         finally:
@@ -43,11 +46,11 @@ def outcomes(
 
 def _collector(sent: Any, groups: Sequence[Sequence[int]], workers: int, jobs: int) -> Any:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of deprecated bases, and of a policy without weights
+        warnings.simplefilter("ignore")  # of deprecated bases and of a policy without weights
         from torchrl.collectors.distributed import RayCollector
 
         shares = ray.remote(num_cpus=0)(Shares).remote(groups, [0] * len(groups), nullcontext())
-        collector = RayCollector(
+        return RayCollector(
             [partial(JobEnv, sent, partial(_take, shares))] * workers,
             frames_per_batch=1,
             total_frames=jobs + 1,  # at the end it would wait for all workers, and they wait for jobs
@@ -57,8 +60,6 @@ def _collector(sent: Any, groups: Sequence[Sequence[int]], workers: int, jobs: i
             weight_sync_schemes={},
             device=torch.device("cpu"),
         )
-        collector.update_policy_weights_(None)  # none; it warns of rollouts without this call
-        return collector
 
 
 def _take(shares: Any, group: int | None) -> tuple[int, int] | None:
