@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.eval.journal import Journal, Rows
 from pedzoo.eval.suite import Request, Suite, Unit, WorldName, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
+from pedzoo.eval.workers import Backend, finished
 from pedzoo.registry import SUITES
 from pedzoo.sim.make import WORLDS
 from pedzoo.sim.policy import load_policy
@@ -19,8 +21,6 @@ from pedzoo.sim.worlds.pybullet_client import load_pybullet
 
 SUITE_NAMES = ("door", "goals", "cards", "replay")
 """What is evaluated unless something else is asked for."""
-
-Backend = Literal["processes", "ray"]
 
 
 class Step(NamedTuple):
@@ -160,21 +160,16 @@ class Evaluation:
             backend: Likewise.
             progress: Likewise.
         """
-        if workers < 1:
-            raise UserError(f"workers {workers}: expected at least 1")
         clock = _Clock(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
-        for number, rows in self._finished(missing, workers, backend, clock):
+        units = [self.units[number] for number in missing]
+        alone = workers == 1 and backend == "processes"
+        do = partial(_telling, clock) if alone else work
+        for place, rows in finished(units, do, workers, backend, lambda unit: unit.group):
+            number = missing[place]
             self._rows[number] = rows
             self._journal.add(self._digests[number], rows)
-            clock.ended(number)
-
-    def _finished(
-        self, numbers: list[int], workers: int, backend: Backend, clock: _Clock
-    ) -> Iterator[tuple[int, Rows]]:
-        """Yield the numbers of units and their rows as they are finished."""
-        for number in numbers:
-            yield number, work(self.units[number], lambda share, number=number: clock.within(number, share))
+            clock.ended(number, rows[0]["seconds"]["wall"])
 
     @property
     def done(self) -> int:
@@ -197,7 +192,7 @@ class Evaluation:
         return {
             "protocol": protocol,
             "seeds": list(self._seeds),
-            "notes": [note for suite in self._suites for note in suite.notes(asked)],
+            "notes": [note for suite in self._suites for note in suite.notes(asked, self._policies)],
             "summary": summary(rows),
             "rows": rows,
         }
@@ -215,20 +210,19 @@ class _Clock:
         self._units, self._done, self._progress = units, set(done), progress
         self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
         self._before = sum(self._weights[number] for number in done)
-        self._start = self._last = time.perf_counter()
+        self._start = time.perf_counter()
 
-    def within(self, number: int, share: float) -> None:
+    def within(self, unit: Unit, share: float) -> None:
         """Tell that a share of a unit is done."""
+        number = self._units.index(unit)
         self._tell(number, share * self._weights[number], None)
 
-    def ended(self, number: int) -> None:
-        """Tell that a unit is done."""
+    def ended(self, number: int, seconds: float) -> None:
+        """Tell that a unit is done, which took so long."""
         self._done.add(number)
-        now = time.perf_counter()
-        spent, self._last = now - self._last, now
-        self._tell(number, 0.0, spent)
+        self._tell(number, 0.0, seconds)
 
-    def _tell(self, number: int, more: float, spent: float | None) -> None:
+    def _tell(self, number: int, more: float, seconds: float | None) -> None:
         if self._progress is None:
             return
         done = more + sum(self._weights[one] for one in self._done)
@@ -236,7 +230,11 @@ class _Clock:
         passed = time.perf_counter() - self._start
         left = passed / mine * (total - done) if mine > 0 else None
         label, units = self._units[number].label, len(self._units)
-        self._progress(Step(label, done / total, len(self._done), units, spent, left))
+        self._progress(Step(label, done / total, len(self._done), units, seconds, left))
+
+
+def _telling(clock: _Clock, unit: Unit) -> Rows:
+    return work(unit, partial(clock.within, unit))
 
 
 def _suite(name: str) -> Suite:

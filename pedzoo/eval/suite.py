@@ -56,6 +56,7 @@ class Case(NamedTuple):
         case: What tells its rows from others.
         inputs: Digest of the files that it reads.
         effort: What an episode costs beside those of other cases: people times goals, about.
+        shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
     """
 
     suite: str
@@ -66,6 +67,7 @@ class Case(NamedTuple):
     case: dict[str, str]
     inputs: str = ""
     effort: float = 2.0
+    shares: str = ""
 
 
 class Unit(NamedTuple):
@@ -84,6 +86,11 @@ class Unit(NamedTuple):
     case: Case
     seeds: tuple[int, ...]
     deterministic: bool
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """What the unit shares with others that should be done by the same process."""
+        return self.case.suite, self.case.shares or self.case.name
 
     @property
     def label(self) -> str:
@@ -126,20 +133,22 @@ class Suite(ABC):
             UserError: Something asked for cannot be.
         """
 
-    def notes(self, request: Request) -> list[str]:
-        """Return what people should know about the cases."""
+    def notes(self, request: Request, policies: Sequence[str]) -> list[str]:
+        """Return what people should know about the cases, and about ``policies`` on them."""
         return []
 
-    def units(self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], fixed: bool) -> list[Unit]:
+    def units(
+        self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
+    ) -> list[Unit]:
         """Return the work on a case.
 
         Args:
             case: One of `cases`.
             policies: Names with settings.
             seeds: Of the scenes.
-            fixed: Without noise.
+            deterministic: Without noise.
         """
-        return [Unit(policy, policy, case, seeds, fixed) for policy in policies]
+        return [Unit(policy, policy, case, seeds, deterministic) for policy in policies]
 
     def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
         """Walk one unit and return its rows, as `pedzoo.eval.closed_loop.row` makes them.

@@ -42,5 +42,8 @@ class Goals(Suite):
                 scenario = f"goals:map={shown},people={people},goals={goals},pool={POOL}"
                 case = {"map": name, "people": str(people), "goals": str(goals)}
                 label = f"{name} {people}/{goals}"
-                found.append(Case(self.name, label, scenario, world, episodes, case, inputs, people * goals))
+                effort = people * goals
+                found.append(
+                    Case(self.name, label, scenario, world, episodes, case, inputs, effort, shares=name)
+                )
         return found
