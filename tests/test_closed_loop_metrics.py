@@ -1,19 +1,20 @@
-"""Closed-loop metrics against values computed by hand, on two little episodes."""
+"""All closed-loop metrics of a rollout: values computed by hand, what they must not depend on, and sums."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import fields, replace
 
 import pytest
 import torch
+from torch import Tensor
+from walks import made, straight
 
 from pedzoo.eval.closed_loop import row
-from pedzoo.geometry import identity_pose
-from pedzoo.metrics.closed_loop import NAMES
-from pedzoo.metrics.intervals import bootstrap, wilson
-from pedzoo.metrics.navigation import deadlocked, episode_seconds, finish_seconds, success
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.metrics.safety import contact_events, least_distance, nearest, person_minutes
+from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop, summarised
+from pedzoo.metrics.intervals import wilson
+from pedzoo.metrics.rollout import OVER_TIME, Rollout, joined
+from pedzoo.metrics.safety import least_distance, nearest
 
 INF = float("inf")
 
@@ -24,65 +25,69 @@ def bits(*rows: str) -> torch.Tensor:
 
 def two_episodes() -> Rollout:
     """Two people in each: both arrive in the first one, in the second one is late and the other absent."""
-    mask = torch.tensor([[True, True], [True, False]])
-    trace = torch.zeros(2, 2, 5, 2)
-    trace[0, 0, :, 0] = torch.tensor([0.0, 0.1, 0.2, 0.3, 0.3])
-    trace[0, 1, :, 0] = torch.tensor([1.0, 0.9, 0.6, 0.4, 0.3])
-    trace[0, 1, :, 1] = 0.3
-    touching = torch.stack((bits("00100", "00110"), bits("00000", "00000")))
-    wall = torch.stack((bits("10100", "00000"), bits("11101", "00000")))
-    reached = torch.tensor([[[0, 0, 1, 1, 1], [0, 0, 0, 1, 1]], [[0, 0, 0, 0, 0], [9, 9, 9, 9, 9]]])
-    present = torch.stack((bits("11100", "11110"), bits("11111", "00000")))
-    return Rollout(
-        trace=trace,
-        goal=trace,
-        present=present,
-        controlled=present,
-        person=torch.arange(2).view(1, 2, 1).expand(2, 2, 5),
-        planned=torch.ones(2, 2, 5),
-        agent_contact=touching,
-        wall_contact=wall,
-        reached=reached,
+    path = torch.zeros(2, 2, 6, 2)
+    path[0, 0, :, 0] = torch.tensor([0.0, 0.0, 0.1, 0.2, 0.3, 0.3])
+    path[0, 1, :, 0] = torch.tensor([0.0, 1.0, 0.9, 0.6, 0.4, 0.3])
+    path[0, 1, 1:, 1] = 0.3
+    return made(
+        path,
+        torch.stack((bits("11100", "11110"), bits("11111", "00000"))),
+        agent_contact=torch.stack((bits("00100", "00110"), bits("00000", "00000"))),
+        wall_contact=torch.stack((bits("10100", "00000"), bits("11101", "00000"))),
+        reached=torch.tensor([[[0, 0, 1, 1, 1], [0, 0, 0, 1, 1]], [[0, 0, 0, 0, 0], [9, 9, 9, 9, 9]]]),
         late=torch.tensor([[False, False], [True, False]]),
-        failed=torch.tensor([False, False]),
-        mask=mask,
-        past=torch.zeros(2, 2, 29, 2),
-        pref_speed=torch.ones(2, 2),
-        way=torch.ones(2, 2),
-        map_id=torch.full((2,), -1),
-        pose=identity_pose(2),
-        goals=1,
+        mask=torch.tensor([[True, True], [True, False]]),
     )
 
 
-def test_success_needs_all_goals_in_time_and_an_episode_that_did_not_fail() -> None:
-    reached = torch.tensor([[[1, 2], [1, 1], [2, 2], [2, 2]], [[2, 2], [2, 2], [2, 2], [2, 2]]])
-    late = torch.tensor([[False, False, True, False]]).expand(2, 4)
-    mask = torch.tensor([[True, True, True, False]]).expand(2, 4)
-    found = success(reached, 2, late, torch.tensor([False, True]), mask)
-    assert found.tolist() == [[True, False, False, False], [False] * 4]
+def busy() -> Rollout:
+    """Three people each meander through a door, touch things and arrive, in five episodes and in double."""
+    generator = torch.Generator().manual_seed(0)
+    wander = torch.randn(5, 3, 30, 2, generator=generator, dtype=torch.float64).repeat_interleave(4, dim=2)
+    side = torch.tensor([-1.0, 1.0, -1.0]).double().view(1, 3, 1, 1)
+    toward = side * torch.tensor([-2.6, 0.0]).double() * (torch.rand(5, 3, 1, 1, generator=generator) + 0.6)
+    start = side * torch.tensor([2.5, 0.1]).double() + torch.tensor([[[0.0, 0.0]], [[0.0, 0.0]], [[-1, 0.2]]])
+    steps = (toward / 2 + 0.6 * wander) * 0.1
+    path = torch.cat((start.expand(5, 3, 1, 2), steps), dim=2).cumsum(2)
+    length = torch.tensor([120, 120, 100, 88, 120]).view(5, 1, 1)
+    present = (torch.arange(120) < length).expand(5, 3, 120)
+    when = torch.tensor([[60, 70, 80], [50, 60, 70], [40, 45, 49], [30, 80, 500], [10, 20, 30]]).unsqueeze(2)
+    speeds = 1.0 + torch.rand(5, 3, generator=generator, dtype=torch.float64)
+    speeds[0] = 1.3  # nobody is faster
+    return made(
+        path,
+        present,
+        planned=torch.rand(5, 3, 1, generator=generator, dtype=torch.float64).expand(5, 3, 120) + 4.0,
+        agent_contact=present & (torch.rand(5, 3, 120, generator=generator) < 0.05),
+        wall_contact=present & (torch.rand(5, 3, 120, generator=generator) < 0.05),
+        reached=(torch.arange(120) >= when).long() + (torch.arange(120) >= 2 * when).long(),
+        pref_speed=speeds,
+        gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 3.0], dtype=torch.float64).expand(5, 5),
+    )
 
 
-def test_people_finish_at_the_point_at_which_the_last_goal_counts() -> None:
-    reached = torch.tensor([[[0, 1, 1, 2], [2, 2, 2, 2], [0, 0, 1, 1]]])
-    assert finish_seconds(reached, 2)[0].tolist() == pytest.approx([0.4, 0.1, INF])
+def permuted(walked: Rollout, order: list[int]) -> Rollout:
+    """Return the rollout with its people in another order."""
+    values = {field.name: getattr(walked, field.name) for field in fields(walked)}
+    people = {*OVER_TIME, "late", "mask", "past", "pref_speed", "way"}
+    return replace(walked, **{name: value[:, order] for name, value in values.items() if name in people})
 
 
-def test_an_episode_takes_as_long_as_its_last_person_and_counts_only_if_all_succeed() -> None:
-    seconds = torch.tensor([[1.0, 3.0, INF], [1.0, 3.0, 2.0], [1.0, INF, 2.0]])
-    done = torch.tensor([[True, True, False], [True, False, True], [True, False, True]])
-    mask = torch.tensor([[True, True, False], [True, True, True], [True, True, True]])
-    assert episode_seconds(seconds, done, mask).tolist() == [3.0, INF, INF]
+def turned(walked: Rollout, angle: float, shift: tuple[float, float]) -> Rollout:
+    """Return the rollout, turned about the origin and shifted."""
+    turn = torch.tensor([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]).double()
+
+    def moved(points: Tensor) -> Tensor:
+        return points @ turn + torch.tensor(shift).double()
+
+    assert walked.gate is not None
+    centre, normal, width = walked.gate.split((2, 2, 1), dim=1)
+    places = {name: moved(getattr(walked, name)) for name in ("trace", "goal", "past")}
+    return replace(walked, **places, gate=torch.cat((moved(centre), normal @ turn, width), dim=1))
 
 
-def test_a_touch_that_lasts_is_one_event() -> None:
-    assert contact_events(bits("0110100", "1111111", "0000000")[None]).tolist() == [[2, 1, 0]]
-
-
-def test_minutes_are_those_in_which_somebody_is_there() -> None:
-    present = torch.zeros(1, 2, 1000, dtype=torch.bool)
-    present[0, 0, :600] = present[0, 1, :30] = True
-    assert person_minutes(present)[0].tolist() == pytest.approx([1.0, 0.05])
+def metrics(walked: Rollout) -> dict[str, float]:
+    return summarised(closed_loop(walked, 0.4))[0]
 
 
 def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
@@ -91,22 +96,6 @@ def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
     expected = [[0.5, 0.5], [INF, INF]]
     found = least_distance(nearest(walked.trace, walked.present), walked.scored)
     assert found.tolist() == [pytest.approx(row) for row in expected]
-
-
-def test_wilson_interval() -> None:
-    # 8 of 10: the interval in Brown, Cai and DasGupta's formula, computed by hand
-    assert wilson(0.8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
-    low, high = wilson(0.0, 20)
-    assert low == 0.0 and high == pytest.approx(3.8415 / 23.8415, abs=1e-4)
-
-
-def test_bootstrap_interval_is_that_of_a_mean_and_weighs_episodes_by_their_length() -> None:
-    value = torch.randn(400, generator=torch.Generator().manual_seed(0)).double()
-    low, high = bootstrap(value, torch.ones(400))
-    half = 1.96 * float(value.std()) / 20
-    assert (low, high) == pytest.approx((float(value.mean()) - half, float(value.mean()) + half), abs=0.02)
-    assert bootstrap(3 * torch.arange(1.0, 6.0), torch.arange(1.0, 6.0)) == pytest.approx((3.0, 3.0))
-    assert bootstrap(torch.tensor([4.0, 0.0]), torch.tensor([2, 0])) == pytest.approx((2.0, 2.0))
 
 
 def test_row_of_two_episodes() -> None:
@@ -170,16 +159,105 @@ def test_nobody_who_fails_at_once_has_rates() -> None:
     assert not {"time_s", "least_distance_m", "agent_contacts_per_min"} & set(metrics)
 
 
-def test_who_stands_still_for_5_s_away_from_the_goal_is_deadlocked() -> None:
-    steps = torch.arange(60.0)
-    x = torch.zeros(1, 5, 60)
-    x[0, 0] = (0.3 * steps).clamp_max(2.4)  # walks until point 8, then stands for 5.1 s
-    x[0, 1] = (0.3 * steps).clamp_max(3.0)  # stands for 4.9 s only
-    x[0, 2] = 0.003 * steps  # creeps: 0.15 m in 5 s
-    trace = torch.stack((x, torch.zeros_like(x)), dim=-1)
-    goal = torch.tensor([4.0, 0.0]).expand(1, 5, 60, 2).clone()
-    goal[0, 3] = torch.tensor([0.4, 0.0])  # stands before its goal
-    present = torch.ones(1, 5, 60, dtype=torch.bool)
-    present[0, 4, 50:] = False  # stands, but leaves before 5 s are over
-    assert deadlocked(trace, goal, present).tolist() == [[True, False, False, False, False]]
-    assert not deadlocked(trace[:, :, 9:59], goal[:, :, 9:59], present[:, :, 9:59]).any()
+def test_metrics_depend_neither_on_the_frame_nor_on_how_people_are_numbered() -> None:
+    walked = busy()
+    expected = metrics(walked)
+    assert tuple(expected) == NAMES
+    trivial = {key for key, value in expected.items() if value in (0.0, 1.0)}
+    assert trivial == {"failed", "deadlock", "agent_contact_episodes", "wall_contact_episodes"}
+    assert metrics(turned(walked, 2.0, (3.0, -7.0))) == pytest.approx(expected, rel=1e-6)
+    assert metrics(permuted(walked, [2, 0, 1])) == pytest.approx(expected, rel=1e-9)
+    assert walked.gate is not None
+    around = walked.gate * torch.tensor([1, 1, -1, -1, 1])
+    assert metrics(replace(walked, gate=around)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_nothing_after_the_end_of_an_episode_counts() -> None:
+    walked = busy()
+    after = ~walked.present.unsqueeze(-1)
+    noise = torch.randn(walked.trace.shape, generator=torch.Generator().manual_seed(1)).double()
+    elsewhere = torch.where(after, noise, walked.trace)
+    found = replace(walked, trace=elsewhere, wall_contact=walked.wall_contact | after[..., 0])
+    assert metrics(found) == pytest.approx(metrics(walked), rel=1e-12)
+    longer = joined([walked, two_episodes_with_door()]).episodes(slice(5))
+    assert metrics(longer) == pytest.approx(metrics(walked), rel=1e-12)
+
+
+def two_episodes_with_door() -> Rollout:
+    """Return three people who stand for 20 s beside a door."""
+    path = torch.tensor([[-1.0, 0.0], [1.0, 0.0], [-2.0, 0.0]], dtype=torch.float64)
+    path = path.view(1, 3, 1, 2).expand(2, 3, 201, 2)
+    return made(path, gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 0.85], dtype=torch.float64).expand(2, 5))
+
+
+def test_a_frozen_crowd_is_deadlocked_and_gets_nowhere() -> None:
+    frozen = two_episodes_with_door()
+    found = metrics(replace(frozen, goal=frozen.goal + 5.0, late=~frozen.late))
+    assert found["deadlock"] == 1.0 and found["success"] == found["spl"] == found["stl"] == 0.0
+    assert found["speed_m_per_s"] == 0.0 and found["symmetry_index"] == pytest.approx(0.0)
+    undefined = {"path_ratio", "time_ratio", "yield_delay_s", "path_irregularity_rad_per_m"}
+    assert not undefined & set(found)
+
+
+def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_as_one() -> None:
+    # slot 0: one person until 4 s, another one from then on, 30 m away; slot 1: played back, 0.4 m beside
+    first, second = straight(1.0, 40), straight(1.5, 40, (30.0, 0.0))
+    path = torch.stack(
+        (torch.cat((first, second[1:])), torch.cat((first, first[1:])) + 0.4 * torch.tensor([0, 1]))
+    )
+    person = torch.tensor([5] * 40 + [8] * 40)
+    controlled = torch.stack((torch.ones(80), torch.zeros(80))).bool()
+    walked = made(
+        path.unsqueeze(0),
+        controlled=controlled.unsqueeze(0),
+        person=torch.stack((person, torch.full((80,), 6))).unsqueeze(0),
+        wall_contact=torch.ones(1, 2, 80, dtype=torch.bool),
+        gate=torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]]),
+    )
+    assert walked.replayed and not busy().replayed
+    found = metrics(walked)
+    # the second's first 0.1 s has no point before it, so that the first of their windows is not whole
+    assert walked.scored.sum() == 79
+    assert found["speed_m_per_s"] == pytest.approx((10 * 1.0 + 9 * 1.5) / 19)
+    assert found["acceleration_m_per_s2"] == pytest.approx(0.0, abs=1e-6)
+    assert found["personal_space"] == pytest.approx(39 / 79)
+    assert found["wall_contacts_per_episode"] == 2.0  # not those of who is played back
+    assert found["least_distance_m"] == pytest.approx(0.4)
+    assert not {"success", "path_ratio", "deadlock", "symmetry_index", "personal_space_igibson"} & set(found)
+
+
+def test_score_of_two_rollouts_is_that_of_both_together_in_one_process_or_two() -> None:
+    walked = busy()
+    parts = walked.episodes(slice(2)), walked.episodes(slice(2, 5))
+    together, one, other = (ClosedLoopScore() for _ in range(3))
+    for part in parts:
+        together.update(part, 0.4)
+    one.update(parts[0], 0.4)
+    other.update(parts[1], 0.4)
+    expected = {key: pytest.approx(value) for key, value in metrics(walked).items()}
+    assert {key: float(value) for key, value in together.compute().items()} == expected
+    one.merge_state(other)  # what processes do at the end
+    assert {key: float(value) for key, value in one.compute().items()} == expected
+    assert tuple(together.compute()) == NAMES
+    together.reset()
+    together.update(parts[0], 0.4)
+    assert float(together.compute()["success"]) == pytest.approx(metrics(parts[0])["success"])
+
+
+def test_score_has_only_what_some_episode_says_something_about() -> None:
+    score = ClosedLoopScore()
+    score.update(made(straight()[None, None]), 0.4)
+    found = score.compute()
+    assert found["success"] == 0.0 and found["speed_m_per_s"] == pytest.approx(1.3)
+    assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(found)
+
+
+def test_shares_have_intervals_of_as_many_trials_as_there_are() -> None:
+    walked = busy()
+    values, intervals = summarised(closed_loop(walked, 0.4))
+    both_through = int((closed_loop(walked, 0.4)["faster_first"].below > 0).sum())
+    assert 0 < both_through < 5
+    assert intervals["faster_first"] == wilson(values["faster_first"], both_through)
+    assert intervals["success"] == wilson(values["success"], 5)
+    for name, (low, high) in intervals.items():
+        assert low <= values[name] <= high

@@ -1,0 +1,49 @@
+"""Rollouts made by hand for tests of what is said about them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pedzoo.geometry import identity_pose
+from pedzoo.metrics.rollout import Rollout
+
+
+def made(path: Tensor, present: Tensor | None = None, **more: Any) -> Rollout:
+    """Return the rollout of people who walk ``path`` (E, A, 1 + T, 2), metres, and reach no goal.
+
+    Everybody is there until the end unless ``present`` (E, A, T) says otherwise; ``more`` are fields of their
+    own instead of those made up here.
+    """
+    episodes, agents, points = path.shape[0], path.shape[1], path.shape[2] - 1
+    there = torch.ones(episodes, agents, points, dtype=torch.bool) if present is None else present
+    people = torch.zeros(episodes, agents)
+    fields = {
+        "trace": path[:, :, 1:],
+        "goal": path[:, :, -1:].expand(-1, -1, points, -1),
+        "present": there,
+        "controlled": there,
+        "person": torch.arange(agents).view(1, -1, 1).expand(episodes, -1, points),
+        "planned": torch.ones(episodes, agents, points),
+        "agent_contact": torch.zeros_like(there),
+        "wall_contact": torch.zeros_like(there),
+        "reached": torch.zeros(episodes, agents, points, dtype=torch.long),
+        "late": people.bool(),
+        "failed": torch.zeros(episodes, dtype=torch.bool),
+        "mask": ~people.bool(),
+        "past": path[:, :, :1].expand(-1, -1, 29, -1),
+        "pref_speed": people + 1.0,
+        "way": people + 1.0,
+        "map_id": torch.full((episodes,), -1),
+        "pose": identity_pose(episodes),
+        "goals": 1,
+    }
+    return Rollout(**fields | more)
+
+
+def straight(speed: float = 1.3, points: int = 200, start: tuple[float, float] = (0.0, 0.0)) -> Tensor:
+    """Return a path (1 + T, 2) along x at ``speed``, m/s."""
+    x = start[0] + 0.1 * speed * torch.arange(points + 1, dtype=torch.float64)
+    return torch.stack((x, torch.full_like(x, start[1])), dim=-1)
