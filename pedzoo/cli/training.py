@@ -26,7 +26,7 @@ from pedzoo.errors import UserError
 from pedzoo.models.zoo import read_checkpoint
 from pedzoo.train.closed_loop import ClosedLoopValidation
 from pedzoo.train.module import ForecastModule
-from pedzoo.train.run import RunFolder, Wandb
+from pedzoo.train.run import RunFolder, Wandb, finish_wandb
 from pedzoo.versions import versions
 
 Command = Literal["fit", "validate", "test"]
@@ -129,12 +129,15 @@ class TrainingCLI(LightningCLI):
         options, rollout = self.config_init["trainer"], self.config_init["rollout"]
         if self.command != "test":
             rollout.check(cast("ForecastModule", self.model).generator, self.datamodule)
-        callbacks = list(options.get("callbacks") or [])
+        callbacks = options.get("callbacks") or []
+        callbacks = [*callbacks] if isinstance(callbacks, list) else [callbacks]
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
         if self.command != "fit":
             kwargs |= {"logger": False, "enable_checkpointing": False}
-        elif not options.get("fast_dev_run"):
+        elif options.get("fast_dev_run"):
+            kwargs |= {"logger": False}
+        else:
             monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
             rollout.check_monitor(monitor)
             self.run = self.run or RunFolder.claim(self._base())
@@ -167,6 +170,8 @@ class TrainingCLI(LightningCLI):
             print(f"\ninterrupted{hint}")
             return 130  # Lightning turns Ctrl-C into exit code 1
         finally:
+            if self.config["wandb"] != "off":
+                finish_wandb(self.trainer.state.finished)
             if run:
                 run.discard_if_empty()
         if not self.trainer.is_global_zero:

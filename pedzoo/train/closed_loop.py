@@ -11,12 +11,13 @@ from typing import Any, Literal, NamedTuple, cast
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
+from torch import Tensor
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.eval.closed_loop import Walked
 from pedzoo.eval.rollout import AT_ONCE, walk
 from pedzoo.metrics.closed_loop import ClosedLoopScore
-from pedzoo.metrics.rollout import Rollout, joined
+from pedzoo.metrics.rollout import joined
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
@@ -148,17 +149,18 @@ class ClosedLoopValidation(Callback):
         if self.scenarios and observed != OBS_LEN:
             raise UserError(
                 f"people walk by the last {OBS_LEN} steps, and --data.obs_len is {observed}: "
-                "train without walking, --rollout.scenarios null"
+                "train with --rollout.scenarios null"
             )
         walker = _copied(model)
         for name, scenario in self.scenarios.items():
             env = make_env(scenario, world=self.world, seed=self.seed)
             with _apart(self.seed), closing(env.world):
                 walker.bind(env.bank)
-                action = env.step(walker(env.reset()))["agents", "action"]
-            if not bool(action.isfinite().all()):
-                who = type(model).__name__
-                raise UserError(f"{who} gives no numbers in {name}: train without, --rollout.scenarios null")
+                decided = walker(env.reset())
+                if not bool(decided["agents", "action"].isfinite().all()):
+                    who = type(model).__name__
+                    raise UserError(f"{who} gives no numbers in {name}: train with --rollout.scenarios null")
+                env.step(decided)
         self._checked = model
 
     def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
@@ -200,24 +202,29 @@ class ClosedLoopValidation(Callback):
         with _apart(self.seed):
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
             for stage in self._stages:
-                walked, score = self._walk(stage), ClosedLoopScore()
-                if walked is not None:
-                    score.update(walked.rollout, walked.env.decision_dt)
-                found = score.to(pl_module.device).compute()  # sums of all processes
-                values = {key: found.get(key, torch.tensor(math.nan)) for key in METRICS}
-                named = {f"rollout/{stage.name}/{key}": value for key, value in values.items()}
-                pl_module.log_dict(named, sync_dist=True)
-                if walked is not None and (self.picture or self.video):
-                    show(trainer, stage.name, walked, self.picture, self.video)
+                found = self._measure(stage, trainer, pl_module.device)
+                nothing = torch.tensor(math.nan)
+                values = {f"rollout/{stage.name}/{key}": found.get(key, nothing) for key in METRICS}
+                pl_module.log_dict(values, sync_dist=True)
+
+    def _measure(self, stage: _Stage, trainer: L.Trainer, device: torch.device) -> dict[str, Tensor]:
+        """Return the metrics of a scenario over the episodes of all processes."""
+        walked, score = self._walk(stage), ClosedLoopScore()
+        if walked is not None:
+            score.update(walked.rollout, walked.env.decision_dt)
+            if self.picture or self.video:
+                show(trainer, stage.name, walked, self.picture, self.video)
+        return score.to(device).compute()
 
     def _walk(self, stage: _Stage) -> Walked | None:
+        """Return what the current weights do in this process's episodes; None where it has none."""
         walker, env = self._walker, stage.env
         if walker is None or env is None:
             return None
         walker.bind(env.bank)
         env.set_seed(self.seed)
-        rollout: Rollout = joined(list(walk(walker, env, stage.episodes, self.deterministic)))
-        return Walked(type(walker.model).__name__, rollout, env)
+        walked = joined(list(walk(walker, env, stage.episodes, self.deterministic)))
+        return Walked(type(walker.model).__name__, walked, env)
 
     def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
         """Close the environments."""

@@ -104,6 +104,14 @@ class RunFolder:
         return [*found, best, last]
 
 
+def finish_wandb(succeeded: bool) -> None:
+    """Write what Weights & Biases still holds back; the next run of this process begins another one."""
+    import wandb
+
+    if wandb.run is not None:
+        wandb.finish(exit_code=int(not succeeded))
+
+
 class Record(Callback):
     """Writes configuration and versions."""
 
