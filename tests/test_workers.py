@@ -26,10 +26,8 @@ from pedzoo.eval import workers
 from pedzoo.eval.shares import Shares, grouped
 from pedzoo.eval.workers import finished
 
-BACKENDS = [
-    "processes",
-    pytest.param("ray", marks=pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")),
-]
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
+BACKENDS = ["processes", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
 
 
 @pytest.fixture(autouse=True)
@@ -120,6 +118,24 @@ def test_errors_of_a_worker_reach_the_caller_while_others_are_busy(job, kind, me
         list(finished(["long", job], fail, 2))
     if job in ("user", "own"):
         assert "in fail" in "".join(caught.value.__notes__)  # where it was raised
+
+
+@needs_ray
+@pytest.mark.slow
+def test_ray_tells_of_errors_and_of_actors_that_die_and_its_cluster_stays() -> None:
+    import ray  # pyright: ignore[reportMissingImports]
+
+    ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        with pytest.raises(UserError, match=r"^no map 'x': expected a file"):
+            list(finished(["long", "user"], fail, 2, "ray"))
+        with pytest.raises(RuntimeError, match=r"^a Ray worker died"):
+            list(finished(["long", "kill"], fail, 2, "ray"))
+        with pytest.raises(UserError, match=r"^workers 3: the Ray cluster has 2 processors"):
+            list(finished(range(3), process_of, 3, "ray"))
+        assert ray.is_initialized()
+    finally:
+        ray.shutdown()
 
 
 def test_ctrl_c_ends_all_workers() -> None:
