@@ -172,13 +172,15 @@ def test_metrics_depend_neither_on_the_frame_nor_on_how_people_are_numbered() ->
     assert metrics(replace(walked, gate=around)) == pytest.approx(expected, rel=1e-9)
 
 
-def test_nothing_after_the_end_of_an_episode_counts() -> None:
+def test_neither_the_warm_start_counts_nor_anything_after_the_end_of_an_episode() -> None:
     walked = busy()
     after = ~walked.present.unsqueeze(-1)
     noise = torch.randn(walked.trace.shape, generator=torch.Generator().manual_seed(1)).double()
     elsewhere = torch.where(after, noise, walked.trace)
     found = replace(walked, trace=elsewhere, wall_contact=walked.wall_contact | after[..., 0])
     assert metrics(found) == pytest.approx(metrics(walked), rel=1e-12)
+    warm_start = torch.cat((noise[:, :, :28], walked.past[:, :, 28:]), dim=2)
+    assert metrics(replace(walked, past=warm_start)) == pytest.approx(metrics(walked), rel=1e-12)
     longer = joined([walked, two_episodes_with_door()]).episodes(slice(5))
     assert metrics(longer) == pytest.approx(metrics(walked), rel=1e-12)
 

@@ -108,6 +108,7 @@ def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
     ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says.
+    In a replay slots are not people: what each of them did `pedzoo.eval.realism` says.
 
     Args:
         name: The policy as it was given.
@@ -122,7 +123,7 @@ def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
         "n": len(rollout.failed),
         "metrics": metrics,
         "ci95": intervals,
-        "per_agent": _People.of(rollout).listed(rollout),
+        "per_agent": [] if rollout.replayed else _People.of(rollout).listed(rollout),
     }
 
 
