@@ -58,16 +58,18 @@ class Draws:
 
     Attributes:
         key: One key per scene (B,) int64: scene ``episode`` of ``seed``.
+        episode: Numbers of the scenes (B,) long, for scenarios that go through a list; None where only the
+            keys are known.
     """
 
-    def __init__(self, key: Tensor) -> None:
+    def __init__(self, key: Tensor, episode: Tensor | None = None) -> None:
         """Take the scenes' keys; see `of`."""
-        self.key = key
+        self.key, self.episode = key, episode
 
     @classmethod
     def of(cls, seed: int, episode: Tensor) -> Draws:
         """Return the numbers of the scenes ``episode`` (B,) long of a seed."""
-        return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode))
+        return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode), episode)
 
     def keys(self, what: str, *shape: int) -> Tensor:
         """Return keys (B, *shape). A larger first dimension keeps the numbers of a smaller one."""

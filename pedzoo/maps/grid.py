@@ -133,6 +133,23 @@ class OccupancyGrid:
         walls = self.cells == OCCUPIED
         return walls | (self.cells == UNKNOWN) if unknown == "wall" else walls
 
+    def coarser(self, side: float) -> OccupancyGrid:
+        """Return the floor plan in cells of about ``side`` metres, a whole number of its own.
+
+        A cell is occupied where any of its own is, else free where any is: walls only grow, by less than a
+        cell. Rows and columns that are missing to a whole cell are unknown.
+        """
+        times = int(side / self.resolution + 1e-6)
+        if times < 2:
+            return self
+        height, width = self.cells.shape
+        padding = (0, -height % times), (0, -width % times)
+        cells = np.pad(self.cells, padding, constant_values=UNKNOWN)
+        cells = cells.reshape(cells.shape[0] // times, times, cells.shape[1] // times, times)
+        has_wall, has_floor = ((cells == value).any(axis=(1, 3)) for value in (OCCUPIED, FREE))
+        cells = np.where(has_wall, OCCUPIED, np.where(has_floor, FREE, UNKNOWN))
+        return OccupancyGrid(cells, times * self.resolution, self.origin, name=self.name)
+
     def signed_distance(self, unknown: Unknown) -> NDArray[np.float32]:
         """Return the distance from cell centres to the nearest wall (H, W), metres, negative inside it.
 

@@ -32,19 +32,34 @@ class Planner:
         bank: The floor plans.
         clearance: Metres that ways keep from walls, at the centres of the cells they lead through.
         snap: Metres that a goal may be moved to the nearest open cell.
+        cell: Metres to which finer cells are joined before ways are looked for.
+        share: Side of squares, metres, in which all goals have the ways to one of them.
     """
 
-    def __init__(self, bank: MapBank, clearance: float = 0.25, snap: float = 0.5) -> None:
+    def __init__(
+        self,
+        bank: MapBank,
+        clearance: float = 0.25,
+        snap: float = 0.5,
+        cell: float = 0.0,
+        share: float = 0.0,
+    ) -> None:
         """Take the floor plans; nothing is computed before the first goal.
 
+        Fields of hundreds of goals take minutes on 0.05 m cells. ``cell`` and ``share`` make them coarser:
+        people still walk to the goal itself once it is in sight.
+
         Raises:
-            UserError: The clearance or the snap is negative.
+            UserError: A length is negative.
         """
-        if clearance < 0 or snap < 0:
-            raise UserError(f"planner clearance {clearance} and snap {snap} must be metres, at least 0")
+        if min(clearance, snap, cell, share) < 0:
+            raise UserError(
+                f"planner clearance {clearance}, snap {snap}, cell {cell}, share {share} must be metres, at "
+                "least 0"
+            )
         self.bank = bank
         self.clearance = clearance
-        self.snap = snap
+        self.snap, self.cell, self.share = snap, cell, share
         self._graphs: dict[int, OpenGraph] = {}
         self._corners: dict[int, CornerGraph] = {}
         self._ids: dict[tuple[int, float, float], int] = {}
@@ -61,7 +76,9 @@ class Planner:
     def graph(self, row: int) -> OpenGraph:
         """Return the open cells of the bank's map ``row``."""
         if row not in self._graphs:
-            self._graphs[row] = OpenGraph(self.bank.grids[row], self.bank.unknown, self.clearance)
+            self._graphs[row] = OpenGraph(
+                self.bank.grids[row].coarser(self.cell), self.bank.unknown, self.clearance
+            )
         return self._graphs[row]
 
     def corners(self, row: int) -> CornerGraph:
@@ -114,22 +131,28 @@ class Planner:
             maps = [self.graph(r) if r in self._rows else None for r in range(len(self.bank.grids))]
             tables = tables.with_maps(maps, self.clearance) if tables else Tables.build(maps, self.clearance)
         if fresh:
-            tables = tables.with_goals(fresh, self._build(fresh))
+            tables = tables.with_goals(fresh, *self._build(fresh))
         self._tables, self._with_fields = tables, len(self._goals)
         return tables
 
-    def _build(self, goals: Sequence[Goal]) -> list[Fields]:
-        """Return the fields of goals, one each; all of a map are built together."""
-        nothing = Fields(torch.zeros(1, 0, dtype=torch.int32), torch.zeros(1, 0))
-        fields = [nothing] * len(goals)
+    def _build(self, goals: Sequence[Goal]) -> tuple[list[Fields], list[int]]:
+        """Return fields, and which of them each goal has; all of a map are built together."""
+        fields = [Fields(torch.zeros(1, 0, dtype=torch.int32), torch.zeros(1, 0))]
+        which = [0] * len(goals)
         for row in {goal.row for goal in goals} - {-1}:
             mine = [i for i, goal in enumerate(goals) if goal.row == row]
             graph = self.graph(row)
-            points = graph.to_place(np.array([goals[i].point for i in mine]))
-            built = build_fields(graph, np.array([goals[i].cell for i in mine]), points)
-            for k, i in enumerate(mine):
-                fields[i] = Fields(built.waypoint[k : k + 1], built.length[k : k + 1])
-        return fields
+            points = np.array([goals[i].point for i in mine])
+            cells = np.array([goals[i].cell for i in mine])
+            first, of = np.arange(len(mine)), np.arange(len(mine))
+            if self.share:
+                squares = np.column_stack((points // self.share, graph.component[cells]))
+                _, first, of = np.unique(squares, axis=0, return_index=True, return_inverse=True)
+            built = build_fields(graph, cells[first], graph.to_place(points[first]))
+            for i, field in zip(mine, of.ravel().tolist(), strict=True):
+                which[i] = len(fields) + field
+            fields += [Fields(built.waypoint[k : k + 1], built.length[k : k + 1]) for k in range(len(first))]
+        return fields, which
 
     def look(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> Look:
         """Return everybody's next waypoints and how far their goals are.

@@ -105,10 +105,17 @@ class Tables:
             length=torch.zeros(1),
         )
 
-    def with_goals(self, goals: Sequence[Goal], fields: Sequence[Fields]) -> Tables:
-        """Return the tables with more goals, whose fields are (1, N) each; (1, 0) without a map."""
+    def with_goals(self, goals: Sequence[Goal], fields: Sequence[Fields], which: Sequence[int]) -> Tables:
+        """Return the tables with more goals.
+
+        Args:
+            goals: The goals.
+            fields: Fields (1, N) each; (1, 0) without a map.
+            which: Number of the field that each goal has.
+        """
         counts = np.array([field.waypoint.shape[1] for field in fields])
         starts = len(self.waypoint) + np.cumsum([0, *(counts + 1)[:-1]])
+        starts, counts = starts[list(which)], counts[list(which)]
         device = self.waypoint.device
         rows = np.stack((starts, counts, [goal.row + 1 for goal in goals]))
         x, y = torch.tensor([goal.point for goal in goals]).to(device, torch.float32).t()

@@ -19,7 +19,7 @@ from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.simulation import Outcome, Simulation
-from pedzoo.sim.state import State
+from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
@@ -94,6 +94,11 @@ class PedestrianEnv(EnvBase):
         trace_points = round(decision_dt / TRACE_SECONDS)
         if abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
             raise UserError(f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s")
+        if scenario.script is not None and TRACE_PER_STEP % trace_points:
+            raise UserError(
+                f"decision_dt {decision_dt}: people of recordings come and are handed over every "
+                f"{STEP_SECONDS} s, so a decision takes 0.1, 0.2 or 0.4 s"
+            )
         if num_envs < 1 or (stride is not None and stride < 1):
             raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
@@ -170,9 +175,9 @@ class PedestrianEnv(EnvBase):
         return self._ahead.rows(rows)
 
     def _begin(self, rows: Tensor) -> _Scenes:
-        key = Draws.of(self._seed, self._number[rows]).key
+        draws = Draws.of(self._seed, self._number[rows])
         self._number = self._number.index_add(0, rows, torch.full_like(rows, self._stride))
-        state = self._episodes.begin(key)
+        state = self._episodes.begin(draws)
         return _Scenes(state, self._simulation.guide(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

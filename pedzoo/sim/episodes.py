@@ -15,6 +15,7 @@ from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import arrived, deadline, planned, renewed
 from pedzoo.sim.scenario import Layout, Scenario
+from pedzoo.sim.script import Opening
 from pedzoo.sim.state import PAST_LEN, State
 from pedzoo.types import TRACE_SECONDS
 
@@ -43,25 +44,26 @@ class Episodes:
         self._walls = WallSegments(scenario.bank, most=warm.ORCA.max_obstacles)
 
     @torch.no_grad()
-    def begin(self, key: Tensor) -> State:
-        """Return the first state of the episodes with draws of ``key`` (B,) long.
+    def begin(self, draws: Draws) -> State:
+        """Return the first state of the episodes of ``draws``.
 
         Raises:
             UserError: Somebody's goal cannot be reached.
         """
-        layout = self._scenario.layout(Draws(key))
+        key, layout = draws.key, self._scenario.layout(draws)
+        opening = layout.opening or _everybody(layout)
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
         goal, drawn = layout.goal, torch.zeros_like(layout.goal)
-        if self._warm_start == "static":
-            past = warm.standing(layout)
-        elif self._warm_start == "recorded":
+        if self._warm_start == "recorded" or layout.opening is not None:
             past = warm.recorded(layout)
+        elif self._warm_start == "static":
+            past = warm.standing(layout)
         else:
             past, goal, drawn = self._rolled(key, layout, pose)
         position = past[:, :, -1]
         look = self._look(position, goal, layout, pose)
         way = look.distance.view_as(layout.pref_speed)
-        cut_off = (layout.mask & way.isinf()).nonzero()
+        cut_off = (opening.controlled & way.isinf()).nonzero()
         if len(cut_off):
             scene, slot = cut_off[0].tolist()
             here, there = (
@@ -73,28 +75,32 @@ class Episodes:
                 f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
                 f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
             )
+        if layout.opening is not None:  # who is played back may be where no way leads from
+            way = torch.where(way.isfinite(), way, 0.0)
         clock = way.new_zeros(len(key))
+        velocity, until = opening.velocity, opening.deadline
         return State(
             key=key,
             map_id=layout.map_id,
             pose=pose,
+            scene=opening.scene,
             clock=clock,
             failed=torch.zeros_like(clock, dtype=torch.bool),
             mask=layout.mask,
-            controlled=layout.mask,
-            person=torch.where(layout.mask, torch.arange(layout.mask.shape[1], device=key.device), -1),
-            known=torch.full_like(goal, PAST_LEN),
+            controlled=opening.controlled,
+            person=opening.person,
+            known=opening.known,
             past=past,
-            velocity=(position - past[:, :, -2]) / TRACE_SECONDS,
+            velocity=(position - past[:, :, -2]) / TRACE_SECONDS if velocity is None else velocity,
             pref_speed=layout.pref_speed,
             goal_id=goal,
             goal_point=look.goal_point.view_as(position),
             drawn=drawn,
             reached=torch.zeros_like(goal),
-            deadline=deadline(clock, way, layout.pref_speed),
+            deadline=deadline(clock, way, layout.pref_speed) if until is None else until,
             late=torch.zeros_like(layout.mask),
             way=way,
-            planned=torch.where(layout.mask, planned(way), 0.0),
+            planned=torch.where(opening.controlled, planned(way), 0.0),
         )
 
     def _rolled(self, key: Tensor, layout: Layout, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -122,3 +128,14 @@ class Episodes:
             layout.map_id.repeat_interleave(agents),
             pose.repeat_interleave(agents, 0),
         )
+
+
+def _everybody(layout: Layout) -> Opening:
+    """Return the opening of scenes without a script: all are there, seen before, and moved by the policy."""
+    slot = torch.arange(layout.mask.shape[1], device=layout.mask.device)
+    return Opening(
+        scene=torch.zeros_like(layout.map_id),
+        person=torch.where(layout.mask, slot, -1),
+        controlled=layout.mask,
+        known=torch.full_like(layout.goal, PAST_LEN),
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,6 +14,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planner import Planner
 from pedzoo.types import STEP_SECONDS
+
+if TYPE_CHECKING:
+    from pedzoo.sim.script import Opening, Script
 
 SLOWEST = 0.3
 """m/s: nobody likes to walk slower."""
@@ -34,6 +37,7 @@ class Layout(NamedTuple):
         pose: Scene poses (B, 4); None for scenes that lie as their map.
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
+        opening: Who is there in scenes with a script, which always begin as they were recorded.
     """
 
     map_id: Tensor
@@ -43,6 +47,7 @@ class Layout(NamedTuple):
     goal: Tensor
     pose: Tensor | None = None
     history: Tensor | None = None
+    opening: Opening | None = None
 
 
 def door_at_origin(width: Tensor) -> Tensor:
@@ -59,6 +64,7 @@ class Scenario(ABC):
         goals: Goals that everybody has to reach.
         finished: Whoever has reached them all will ``leave`` the scene, or ``continue`` to further goals
             until everybody has.
+        script: Says who is played back and who comes when; None where everybody is there from the beginning.
         unknown: What unknown cells of the floor plans count as.
         bank: The floor plans; there after `prepare`.
         planner: Ways to goals; there after `prepare`.
@@ -68,6 +74,7 @@ class Scenario(ABC):
     finished: Literal["leave", "continue"] = "leave"
     goals: int = 1
     people: int
+    script: Script | None = None
     bank: MapBank
     planner: Planner
 

@@ -89,6 +89,9 @@ class Simulation:
         velocity = limit_speed(velocity, TOP_SPEED_RATIO * state.pref_speed)
         walls = self.scenario.bank.walls_of_people(state.map_id, state.pose, state.mask.shape[1])
         path = self._path(state, velocity, walls)
+        script = self.scenario.script
+        if script is not None:
+            path = script.played(state, path, broken)
         people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose)
         contacts = self.world.contacts(path.detach(), people, walls)
         trace = path[:, :, :, -1]
@@ -107,7 +110,7 @@ class Simulation:
             clock=clock,
             failed=state.failed | broken,
             mask=there,
-            controlled=there,
+            controlled=state.controlled & ~leaving,
             person=torch.where(there, state.person, -1),
             past=moved,
             velocity=(moved[:, :, -1] - moved[:, :, -2]) / TRACE_SECONDS,
@@ -116,15 +119,22 @@ class Simulation:
             reached=reached[..., -1],
             late=late,
         )
+        set_out = hit & (goal_id >= 0)
+        if script is not None:
+            after, set_out = script.cue(state, after, self.trace_points)
         guidance = self.guide(after)
         # whoever has squeezed into a corner that no planned way leads out of is as far as before
-        way = torch.where(guidance.distance.isfinite(), guidance.distance, state.way)
+        way = torch.where(guidance.distance.isfinite(), guidance.distance, after.way)
         progress = state.way - torch.where(hit, 0.0, way)
-        until = torch.where(hit, deadline(clock, way.detach(), state.pref_speed), state.deadline)
-        way_of_all = state.planned + torch.where(hit & (goal_id >= 0), planned(way), 0.0)
-        after = after._replace(way=way, planned=way_of_all, goal_point=guidance.goal_point, deadline=until)
+        until = torch.where(hit, deadline(clock, way.detach(), state.pref_speed), after.deadline)
         terminated = (finished | ~state.mask).all(1) & ~broken
         settled = (finished | late | ~state.mask).all(1) | after.failed
+        if script is not None:
+            terminated, settled, until = script.over(after) & ~broken, after.failed, after.deadline
+            # whoever has taken the slot of somebody whose time was up has another way
+            progress = torch.where(hit | (after.person == state.person), progress, 0.0)
+        way_of_all = after.planned + torch.where(set_out, planned(way), 0.0)
+        after = after._replace(way=way, planned=way_of_all, goal_point=guidance.goal_point, deadline=until)
         touched = (contacts.agent | contacts.wall).any(-1)
         reward = torch.where(moving, progress - CONTACT_COST * touched, 0.0)
         outcome = Outcome(

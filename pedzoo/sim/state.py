@@ -23,6 +23,7 @@ class State(NamedTuple):
         key: Key of each scene's draws (B,) long.
         map_id: Floor plan (B,) long, -1 for none.
         pose: Scene poses (B, 4).
+        scene: Which scene of the scenario's script is played (B,) long; 0 where there is none.
         clock: Time since the warm start (B,), seconds.
         failed: A policy gave no number (B,) bool.
         mask: Who is there (B, A) bool.
@@ -46,6 +47,7 @@ class State(NamedTuple):
     key: Tensor
     map_id: Tensor
     pose: Tensor
+    scene: Tensor
     clock: Tensor
     failed: Tensor
     mask: Tensor

@@ -1,0 +1,96 @@
+"""A recorded crowd in the form of a rollout, so that it is measured like everything else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.metrics.rollout import Rollout, joined
+from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.script import Script
+from pedzoo.sim.state import TRACE_PER_STEP, State
+from pedzoo.sim.worlds.base import People
+from pedzoo.sim.worlds.grid import GridWorld
+from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TOP_SPEED_RATIO
+
+_AT_ONCE = 64
+"""Scenes: as many as are walked together."""
+
+
+def real_rollout(scenario: Scenario, scenes: int) -> Rollout:
+    """Return the first ``scenes`` of a prepared scenario with a script as everybody really walked in them.
+
+    On the same slots and trace as any rollout of them. ``controlled`` are the people whom a policy would
+    have, until they really left; they have ``reached`` their goal with that.
+    """
+    assert scenario.script is not None
+    fine = substeps(scenario.fastest * TOP_SPEED_RATIO)
+    episodes, world = Episodes(scenario, "recorded", fine, BODY_RADIUS), GridWorld(scenario.bank)
+    parts = []
+    for number in torch.arange(scenes).split(_AT_ONCE):
+        start = episodes.begin(Draws.of(0, number))
+        parts.append(_walked(scenario, scenario.script, world, start, fine))
+    return joined(parts)
+
+
+def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, fine: int) -> Rollout:
+    """Return what really happened in scenes that begin so, with ``fine`` sub-steps per trace point."""
+    people, scene = script.people, start.scene
+    origin = script.scenes.origin[scene]
+    goal_point = people.goal.float()
+    planned = (people.way.float() - GOAL_RADIUS).clamp_min(0)
+    steps: list[dict[str, Tensor]] = []
+    position = start.position
+    # nobody whom a policy would have is there any more in the frame `end`
+    end = script.scenes.left[scene]
+    for frame in range(int((end - origin).max())):
+        now = origin + frame
+        person = script.due(scene, now)
+        at = now.unsqueeze(1).expand_as(person)
+        there = (person >= 0) & (at < people.last[person]) & (now < end).unsqueeze(1)
+        tick = torch.full_like(scene, frame * TRACE_PER_STEP)
+        path = script.path(scene, person, tick, TRACE_PER_STEP, fine)
+        path = torch.where(there[..., None, None, None], path, position[:, :, None, None])
+        position = torch.where(there.unsqueeze(2), script.places(person, at), position)
+        contacts = world.contacts(path, People(position, there, start.map_id.unsqueeze(1), start.pose))
+        position = path[:, :, -1, -1]
+        had = script.scored(scene, person) & there & (at >= people.taken[person])
+        arrives = had & (at + 1 == people.last[person])
+        last_point = torch.arange(TRACE_PER_STEP) == TRACE_PER_STEP - 1
+        step = {
+            "trace": path[:, :, :, -1],
+            "agent_contact": contacts.agent,
+            "wall_contact": contacts.wall,
+            "reached": (arrives.unsqueeze(2) & last_point).long(),
+        }
+        always = {
+            "goal": goal_point[person],
+            "present": there,
+            "controlled": had,
+            "person": torch.where(there, person, -1),
+            "planned": torch.where(had, planned[person], 0.0),
+        }
+        step |= {
+            key: value.unsqueeze(2).expand(*value.shape[:2], TRACE_PER_STEP, *value.shape[2:])
+            for key, value in always.items()
+        }
+        steps.append(step)
+    walked: dict[str, Any] = {key: torch.cat([step[key] for step in steps], dim=2) for key in steps[0]}
+    return Rollout(
+        **walked,
+        late=torch.zeros_like(start.mask),
+        failed=torch.zeros_like(start.failed),
+        mask=start.mask,
+        past=start.past,
+        pref_speed=start.pref_speed,
+        way=start.way,
+        map_id=start.map_id,
+        pose=start.pose,
+        goals=scenario.goals,
+        gate=scenario.gate(Draws(start.key)),
+    )

@@ -1,0 +1,209 @@
+"""Recorded people, simulated from their real entry to their real exit among those who are played back."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import Dataset, open_fold
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError, unknown
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.library import load_plan
+from pedzoo.maps.planner import Planner
+from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.people import People, SpeedOf, people_of
+from pedzoo.sim.real import real_rollout
+from pedzoo.sim.scenario import Layout, Scenario
+from pedzoo.sim.script import Scenes, Script
+from pedzoo.sim.slots import pieces, slots, table
+from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+
+Simulated = Literal["all", "one"]
+
+CELL, SHARE = 0.1, 0.2
+"""Metres: cells on which ways are planned, and squares in which exits share them; see `Planner`."""
+
+
+class Replay(Scenario):
+    """Everybody of a recording, on the true clock: played back for 8 steps, then walked by the policy.
+
+    Whoever arrives within 0.3 m of where they really left the scene leaves; whoever has not after twice the
+    time that they really took is taken out. Nobody is put back to where they really were in between. Tracks
+    of at most 8 steps, and people who have no way to go, are played back as a whole: they are met, but do
+    not react. Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
+    most. Unknown cells are free, and everybody's preferred speed is what was observed in their first 8 steps.
+
+    A recording is cut where nobody can be left (in a recording of sparse crowds), so that its parts run side
+    by side: part i of R is scene i, i + R, ... of every seed; what differs is the policy's noise. With
+    ``simulated=one`` every person has a scene of their own in which all others are played back.
+
+    Attributes:
+        persons: The recorded people: row p is ``person`` p of states and rollouts. There after `prepare`.
+        scenes: R, scenes of one round. There after `prepare`.
+    """
+
+    unknown: Unknown = "free"
+    persons: People
+    scenes: int
+
+    def __init__(
+        self,
+        fold: str = "embedded",
+        root: str | None = None,
+        files: list[str] | None = None,
+        dt: float | None = None,
+        map: str | None = None,
+        homography: str | None = None,
+        simulated: Simulated = "all",
+        share: float = 1.0,
+        speed: SpeedOf = "observed",
+    ) -> None:
+        """Set what `prepare` will read.
+
+        Args:
+            fold: Whose test recordings: eth, hotel, univ, zara1, zara2, ``embedded``, or ``file.py:Class``.
+            root: Folder of the recordings; the environment variable PEDZOO_DATA if not given.
+            files: Your own recordings (text or CSV) instead of a fold.
+            dt: Seconds between consecutive frame numbers of ``files``.
+            map: The floor plan of ``files``; without one there are no walls.
+            homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
+            simulated: ``all``, or one person per scene among all others as they were recorded.
+            share: Only people who come in this first share of the time are simulated, others are played back:
+                a tenth gives a quick look.
+            speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole
+                ``track``, which nobody could know; at least 0.3 m/s.
+
+        Raises:
+            UserError: There are no such recordings, or a setting is out of range.
+        """
+        super().__init__(people=1)
+        if simulated not in get_args(Simulated):
+            raise unknown("simulated", simulated, get_args(Simulated))
+        if speed not in get_args(SpeedOf):
+            raise unknown("speed", speed, get_args(SpeedOf))
+        if not 0 < share <= 1:
+            raise UserError(f"replay: share {share}: expected a part of the time, above 0 and at most 1")
+        if not files and (dt or map or homography):
+            raise UserError(f"replay: dt, map and homography are of files; the fold {fold!r} has its own")
+        self.name = "files" if files else fold
+        self.simulated: Simulated = simulated
+        self.share = share
+        self.speed_of: SpeedOf = speed
+        self._source: Dataset | OwnFiles = (
+            OwnFiles(files, dt, "0,0,1", map, homography) if files else open_fold(fold, root, "true")
+        )
+        self._grids: list[OccupancyGrid | None] = []
+
+    @property
+    def fastest(self) -> float:
+        """What decides about sub-steps: the largest preferred speed, or a faster one that was recorded."""
+        recorded = (self._xy[1:] - self._xy[:-1])[self._person[1:] == self._person[:-1]].norm(dim=1)
+        fastest = max(float(recorded.max()) / STEP_SECONDS / TOP_SPEED_RATIO, 0.0) if len(recorded) else 0.0
+        return max(fastest, float(self.persons.pref_speed.max()))
+
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans of the recordings."""
+        return [grid for grid in self._grids if grid is not None]
+
+    def prepare(self, clearance: float) -> None:
+        """Read the recordings, find everybody's way to their exit, and say who has which slot when.
+
+        Prints how many people are simulated and played back.
+
+        Raises:
+            UserError: A recording is refused, or nobody can be simulated.
+        """
+        recordings = self._source.recordings("test")
+        # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
+        tracks = [recording.tracks.resampled(STEP_SECONDS) for recording in recordings]
+        read = {recording.plan: load_plan(recording.plan) for recording in recordings if recording.plan}
+        self._grids = [read[recording.plan] if recording.plan else None for recording in recordings]
+        self.bank = MapBank(self.plans(), self.unknown)
+        planner = Planner(self.bank, clearance, cell=CELL, share=SHARE)
+        self._map_id = torch.tensor([grid.map_id if grid else -1 for grid in self._grids])
+        rows = self.bank.index(self._map_id).tolist()
+        self.persons, self._xy = people_of(tracks, rows, planner, self.share, self.speed_of)
+        sizes = self.persons.last - self.persons.first + 1
+        self._person = torch.arange(len(sizes)).repeat_interleave(sizes)
+        if not self.persons.controlled.any():
+            raise UserError(f"replay: nobody in {self.name!r} can be simulated: {self.persons.counts}")
+        self.script = self._all() if self.simulated == "all" else self._one()
+        self.scenes = len(self.script.scenes.table)
+        self.people = self.script.who.shape[1]
+        self.planner = planner
+        print(f"replay {self.name}: {self.summary()}")
+
+    def summary(self) -> str:
+        """Return in one line who is simulated and who is played back."""
+        kinds = ", ".join(f"{count} {name}" for name, count in self.persons.counts.items())
+        return f"{len(self.persons.agent)} people in {self.scenes} scenes of at most {self.people}: {kinds}"
+
+    def _all(self) -> Script:
+        """Return the script in which everybody is simulated who can be."""
+        people = self.persons
+        frames = int(people.until.max()) + 1
+        slot, found = torch.full_like(people.first, -1), []
+        for recording in range(len(self._map_id)):
+            mine = (people.recording == recording).nonzero()[:, 0]
+            slot[mine] = slots(people.first[mine], people.until[mine])
+            for piece in pieces(people.first[mine], people.until[mine]):
+                who = mine[piece]
+                scored = who[people.controlled[who]]
+                if len(scored):
+                    origin = people.first[who].min() + OBS_LEN - 1
+                    last, left = people.taken[scored].max(), people.last[scored].max()
+                    found.append((recording, origin, people.until[who].max(), last, left, -1))
+        return self._scripted(slot, people.until, frames, int(slot.max()) + 1, found)
+
+    def _one(self) -> Script:
+        """Return the script with a scene for everybody; those who stay equally long follow each other."""
+        people = self.persons
+        frames = int(people.last.max()) + 1
+        slot = torch.full_like(people.first, -1)
+        for recording in range(len(self._map_id)):
+            mine = (people.recording == recording).nonzero()[:, 0]
+            slot[mine] = slots(people.first[mine], people.last[mine])
+        leads = people.controlled.nonzero()[:, 0]
+        leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
+        found = [
+            (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p)
+            for p in leads
+        ]
+        return self._scripted(slot, people.last, frames, int(slot.max()) + 2, found)
+
+    def _scripted(self, slot: Tensor, end: Tensor, frames: int, most: int, found: list[tuple]) -> Script:
+        people = self.persons
+        mine = (people.recording == number for number in range(len(self._map_id)))
+        tables = [table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine]
+        columns = (torch.tensor([int(value) for value in column]) for column in zip(*found, strict=True))
+        return Script(people, self._xy, torch.stack(tables), Scenes(*columns))
+
+    def layout(self, draws: Draws) -> Layout:
+        """Return the recorded beginning of scenes; they follow one another in the order of episodes."""
+        if draws.episode is None or self.script is None:
+            raise ValueError("a replay needs the numbers of its episodes, Draws.of(seed, episode)")
+        scene = draws.episode % self.scenes
+        opening, history = self.script.opening(scene)
+        there = opening.person >= 0
+        return Layout(
+            map_id=self._map_id[self.script.scenes.table[scene]],
+            start=history[:, :, 0],
+            mask=there,
+            pref_speed=torch.where(there, self.persons.pref_speed[opening.person], self.speed),
+            goal=torch.where(there, self.persons.goal_id[opening.person], -1),
+            history=history,
+            opening=opening,
+        )
+
+    def real(self) -> Rollout:
+        """Return the recorded crowd as a rollout of one round: on the same slots and trace.
+
+        ``controlled`` are the people whom a policy would have, from where it takes them over to their real
+        exit. Contacts are those of a `GridWorld`.
+        """
+        return real_rollout(self, self.scenes)
