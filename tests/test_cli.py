@@ -24,7 +24,7 @@ ROOT = Path(pedzoo.__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
 QUICK = [
     f"--trainer.{key}=1" for key in ("limit_train_batches", "limit_val_batches", "check_val_every_n_epoch")
-]
+] + ["--rollout.episodes=1"]
 QUIET = ["--trainer.enable_progress_bar", "false", "--model.samples", "2", "--model.generator.best_k", "2"]
 
 

@@ -108,14 +108,14 @@ def test_values_are_those_of_pedzoo_rollout(world: str) -> None:
     """The weights of the latest epoch walk, not those of an earlier one, and validate says the same again."""
     if world == "bullet":
         pytest.importorskip("pybullet")
-    options = [f"--rollout.world={world}", "--rollout.scenarios=door:width=0.9,people=3,circle:people=3"]
+    options = [f"--rollout.world={world}", "--rollout.scenarios=door:width=0.9,people=3,circle:people=2"]
     assert main([*FIT, *QUICK, "--trainer.max_epochs=2", "--model.lr=0.05", *options]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
     last = str(run / "checkpoints" / "last.ckpt")
     assert main(["validate", "--ckpt_path", last, "--json", "validate.json"]) == 0
     rows = json.loads(Path("validate.json").read_text())["rows"]
     assert "case" not in rows[0] and rows[0]["metrics"]["ade"] > 0
-    for name, again in zip(("door:width=0.9,people=3", "circle:people=3"), rows[1:], strict=True):
+    for name, again in zip(("door:width=0.9,people=3", "circle:people=2"), rows[1:], strict=True):
         first, second = measured(run, f"rollout/{name}/success")
         walked, env = rollout(last, name, world, 3)
         wanted = row(last, walked, env.decision_dt)["metrics"]
@@ -138,9 +138,8 @@ class Noisy(SGAN):
 
 def make_module() -> PlainModule:
     torch.manual_seed(0)
-    model = Noisy(
-        best_k=2, goal_dim=4, goal_protocol="window_end", bottleneck_dim=4, map="patch", map_dropout=0.5
-    )
+    settings: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end", "residual": "bent_line"}
+    model = Noisy(best_k=2, bottleneck_dim=4, map="patch", map_dropout=0.5, **settings)
     return PlainModule(model, samples=2)
 
 
@@ -186,7 +185,7 @@ def trainer_data(module: L.LightningModule) -> TrajectoryDataModule:
 def test_training_does_not_notice(tmp_path: Path) -> None:
     """Weights, optimizer, random state, modes and floor plans are bit-equal with and without rollouts."""
     ends, noted = [], []
-    for callbacks in ([], [ClosedLoopValidation(["door", "circle:people=3"], episodes=2)]):
+    for callbacks in ([], [ClosedLoopValidation(["door", "circle:people=2"], episodes=1)]):
         module, watch = make_module(), Watch()
         trainer = make_trainer(*callbacks, watch)
         trainer.fit(module, make_data())
@@ -200,6 +199,8 @@ def test_training_does_not_notice(tmp_path: Path) -> None:
 
 class Scripted(ClosedLoopValidation):
     """Nobody walks; the shares of success are given."""
+
+    check, _env = (lambda *_: None), (lambda *_: None)  # type: ignore[assignment]
 
     def __init__(self, script: list[float], **options: Any) -> None:
         """Log ``script``, one value per rollout."""

@@ -19,9 +19,12 @@ def test_config_trains(
         monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
     options = {"data.fold": "embedded", "runs": str(tmp_path), "trainer.enable_progress_bar": "false"}
     options |= {"trainer.max_epochs": "1", "trainer.check_val_every_n_epoch": "1"}
-    options |= {"trainer.limit_train_batches": "2", "trainer.limit_val_batches": "1"}
+    options |= {"trainer.limit_train_batches": "2", "trainer.limit_val_batches": "1", "rollout.episodes": "1"}
     words = [word for key, value in options.items() for word in (f"--{key}", value)]
     assert main(["fit", "--config", name, *words]) == 0
     (run,) = (tmp_path / name).iterdir()
     assert (run / "checkpoints" / "best.ckpt").is_file()
-    assert "val/ade" in (run / "metrics.csv").read_text().splitlines()[0]
+    logged = (run / "metrics.csv").read_text().splitlines()[0]
+    assert "val/ade" in logged
+    # who has a goal walks; the demo is to last a minute
+    assert ("rollout/door/success" in logged) == name.startswith("sgan_goal")
