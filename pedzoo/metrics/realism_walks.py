@@ -42,7 +42,7 @@ class Walks(NamedTuple):
         return self.expected & ~self.seconds.isnan()
 
 
-def walks_of(rollout: Rollout, steps: Steps, real: Rollout, real_steps: Steps, goal: Tensor) -> Walks:
+def walks_of(rollout: Rollout, steps: Steps, real: Rollout, real_steps: Steps, people: int) -> Walks:
     """Return the walks of a rollout.
 
     Args:
@@ -50,28 +50,33 @@ def walks_of(rollout: Rollout, steps: Steps, real: Rollout, real_steps: Steps, g
         steps: The same every 0.4 s.
         real: The recorded crowd in the same slots, one round.
         real_steps: The same every 0.4 s.
-        goal: Where everybody goes (P, 2), metres.
+        people: P.
     """
-    scenes, people = len(real.failed), len(goal)
+    scenes = len(real.failed)
     rounds = -(-len(rollout.failed) // scenes)
     scene = torch.full((people,), len(rollout.failed))
     scene[real.person[real.controlled]] = real.controlled.nonzero()[:, 0]
     expected = scene + scenes * torch.arange(rounds).unsqueeze(1) < len(rollout.failed)
-    near = (real.trace - goal[real.person.clamp_min(0)]).norm(dim=-1) < GOAL_RADIUS
-    still = stuck(rollout.trace, goal[rollout.person.clamp_min(0)], rollout.controlled)
+    still = stuck(rollout.trace, rollout.goal, rollout.controlled)
     deadlock = torch.zeros_like(expected)
     deadlock[still.nonzero()[:, 0] // scenes, rollout.person[still]] = True
     return Walks(
         expected,
         deadlock,
-        _seconds(rollout, rollout.reached > 0, scenes, (rounds, people)),
-        _seconds(real, near, scenes, (1, people))[0],
+        _seconds(rollout, scenes, (rounds, people)),
+        _seconds(real, scenes, (1, people))[0],
         *_paths(steps, real_steps, expected),
     )
 
 
-def _seconds(rollout: Rollout, there: Tensor, scenes: int, shape: tuple[int, int]) -> Tensor:
-    """Return after how long each person was ``there`` (E, A, T) for the first time (K, P), seconds or NaN."""
+def _seconds(rollout: Rollout, scenes: int, shape: tuple[int, int]) -> Tensor:
+    """Return after how long each person was at the goal for the first time (K, P), seconds or NaN.
+
+    Recorded people were not taken out there, so they are looked for; whose exit was moved a little has
+    ``reached`` it at the end.
+    """
+    there = (rollout.trace - rollout.goal).norm(dim=-1) < GOAL_RADIUS
+    there |= rollout.reached > 0
     first = []
     for when in (rollout.controlled, rollout.controlled & there):
         episode, _, point = when.nonzero().unbind(1)
