@@ -11,9 +11,11 @@ from torch import Tensor
 from walks import made, straight
 
 from pedzoo.eval.closed_loop import row
-from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop, summarised
+from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
 from pedzoo.metrics.intervals import wilson
+from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.rollout import OVER_TIME, Rollout, joined
+from pedzoo.metrics.runs import Runs
 from pedzoo.metrics.safety import least_distance, nearest
 
 INF = float("inf")
@@ -214,6 +216,8 @@ def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_
         controlled=controlled.unsqueeze(0),
         person=torch.stack((person, torch.full((80,), 6))).unsqueeze(0),
         wall_contact=torch.ones(1, 2, 80, dtype=torch.bool),
+        reached=((torch.arange(80) == 39) & torch.tensor([[True], [False]])).long().unsqueeze(0),
+        planned=torch.full((1, 2, 80), 3.2),
         gate=torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]]),
     )
     assert walked.replayed and not busy().replayed
@@ -225,7 +229,19 @@ def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_
     assert found["personal_space"] == pytest.approx(39 / 79)
     assert found["wall_contacts_per_episode"] == 2.0  # not those of who is played back
     assert found["least_distance_m"] == pytest.approx(0.4)
-    assert not {"success", "path_ratio", "deadlock", "symmetry_index", "personal_space_igibson"} & set(found)
+    # the first person arrives after 4 m, the second never does
+    assert found["success"] == 0.5 and found["failed"] == found["deadlock"] == 0.0
+    assert found["path_ratio"] == pytest.approx(4.0 / 3.2) and found["spl"] == pytest.approx(0.8 / 2)
+    assert not {"time_ratio", "goals_per_person", "symmetry_index", "personal_space_igibson"} & set(found)
+
+
+def test_runs_are_told_apart_by_gaps() -> None:
+    runs = Runs.of(bits("0110111", "1000000", "0000000").unsqueeze(0))
+    assert runs.there.tolist() == [[[True, True], [True, False], [False, False]]]
+    number = torch.arange(7).expand(1, 3, 7)
+    assert runs.sums(number).tolist() == [[[3, 15], [0, 0], [0, 0]]]
+    assert runs.last(number).tolist() == [[[2, 6], [0, 0], [0, 0]]]
+    assert runs.any(number == 5).tolist() == [[[False, True], [False, False], [False, False]]]
 
 
 def test_score_of_two_rollouts_is_that_of_both_together_in_one_process_or_two() -> None:

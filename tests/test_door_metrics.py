@@ -13,7 +13,8 @@ from walks import made
 from pedzoo.draws import Draws
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics import door
-from pedzoo.metrics.closed_loop import closed_loop, summarised
+from pedzoo.metrics.closed_loop import closed_loop
+from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.smoothness import velocities
 from pedzoo.registry import SCENARIOS

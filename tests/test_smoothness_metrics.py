@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 from walks import made, straight
 
-from pedzoo.metrics.closed_loop import closed_loop, summarised
+from pedzoo.metrics.closed_loop import closed_loop
+from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.smoothness import acceleration, heading_rate, jerk, length, turning, velocities
 
 SECONDS = 0.1 * torch.arange(41, dtype=torch.float64)

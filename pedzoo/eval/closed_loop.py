@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.metrics.closed_loop import closed_loop, summarised
+from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.navigation import finish_seconds, success
+from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 from torchmetrics import Metric
 
 from pedzoo.metrics import door, navigation, safety, smoothness
-from pedzoo.metrics.intervals import Interval, bootstrap, wilson
+from pedzoo.metrics.ratios import Ratio, finite, mean, ratio, share
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.metrics.runs import Runs
 from pedzoo.types import STEP_SECONDS
 
 NAMES = (
@@ -28,20 +26,6 @@ NAMES = (
     *("symmetry_index", "yield_delay_s", "faster_first", "yielder_speed_m_per_s", "specific_flow_per_m_s"),
 )
 """Every metric there is, in the order of tables; `closed_loop` says what each of them is."""
-
-
-class Ratio(NamedTuple):
-    """A metric: ``above.sum() / below.sum()``; episodes about which it says nothing have 0 in both.
-
-    Attributes:
-        above: Of each episode (E,) float64.
-        below: Likewise: how many episodes, people, frames, ... the sum above is over.
-        share: Whether it is a share of episodes or people.
-    """
-
-    above: Tensor
-    below: Tensor
-    share: bool = False
 
 
 def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
@@ -61,8 +45,9 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
     * ``speed_m_per_s``, ``acceleration_m_per_s2``, ``jerk_m_per_s3``, ``heading_rate_rad_per_s``: means over
       people and 0.4 s windows; ``path_irregularity_rad_per_m``: all turning by all way.
 
-    Of ordinary scenes only, not of replays, in which people come and go (there people are scored one by one,
-    against the real ones):
+    Of goals. In a replay, in which people come and go, there are ``success``, ``deadlock``, ``failed``,
+    ``path_ratio`` and ``spl``, of people from when the policy takes over until they leave; the rest of it and
+    of what follows is of ordinary scenes only.
 
     * ``success``, ``deadlock``: shares of people; ``episode_success`` (all succeed) and ``failed`` (the
       policy gave no number): of episodes.
@@ -84,10 +69,12 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
     near = safety.nearest(rollout.trace, rollout.present)
     moves = smoothness.velocities(rollout.path, scored)
     found = _meeting(rollout, scored, near) | _ahead(rollout, scored) | _moving(*moves)
-    if not rollout.replayed:
+    if rollout.replayed:
+        found |= _leaving(rollout, scored)
+    else:
         found |= _arriving(rollout, scored, decision_dt)
-        intruded = safety.compliance_igibson(near, scored).where(rollout.mask, 0.0)
-        found["personal_space_igibson"] = _ratio(intruded, rollout.mask)
+        kept = safety.compliance_igibson(near, scored).where(rollout.mask, 0.0)
+        found["personal_space_igibson"] = ratio(kept, rollout.mask)
         if rollout.gate is not None:
             found |= _at_door(rollout, scored, rollout.gate, *moves)
     return {name: found[name] for name in NAMES if name in found}
@@ -106,20 +93,35 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
     fewest, most = navigation.fewest_goals(reached, mask), navigation.most_goals(reached, mask)
     stuck = navigation.deadlocked(rollout.trace, rollout.goal, scored)
     return {
-        "success": _share(arrived, mask),
-        "episode_success": _share((arrived | ~mask).all(1) & ~rollout.failed),
-        "failed": _share(rollout.failed),
-        "deadlock": _share(stuck, mask),
-        "goals_per_person": _ratio(reached[..., -1].where(mask, 0), mask),
-        "goals_per_person_min": _ratio(fewest),
-        "goals_per_person_max": _ratio(most),
-        "goals_parity": _mean(fewest.double() / most.clamp_min(1), most > 0),
-        "time_s": _finite(time),
-        "decisions": _finite((time / decision_dt - 1e-6).ceil()),
-        "time_ratio": _mean(seconds / needed, compared),
-        "path_ratio": _mean(walked / planned, compared),
-        "spl": _ratio(navigation.weighted(arrived, planned, walked), mask),
-        "stl": _ratio(navigation.weighted(arrived, needed, seconds), mask),
+        "success": share(arrived, mask),
+        "episode_success": share((arrived | ~mask).all(1) & ~rollout.failed),
+        "failed": share(rollout.failed),
+        "deadlock": share(stuck, mask),
+        "goals_per_person": ratio(reached[..., -1].where(mask, 0), mask),
+        "goals_per_person_min": ratio(fewest),
+        "goals_per_person_max": ratio(most),
+        "goals_parity": mean(fewest.double() / most.clamp_min(1), most > 0),
+        "time_s": finite(time),
+        "decisions": finite((time / decision_dt - 1e-6).ceil()),
+        "time_ratio": mean(seconds / needed, compared),
+        "path_ratio": mean(walked / planned, compared),
+        "spl": ratio(navigation.weighted(arrived, planned, walked), mask),
+        "stl": ratio(navigation.weighted(arrived, needed, seconds), mask),
+    }
+
+
+def _leaving(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
+    """Return what is about goals of people who come and go: a replay takes out who is late."""
+    runs = Runs.of(scored)
+    there = runs.there
+    arrived = there & (runs.last(rollout.reached) >= rollout.goals) & ~rollout.failed[:, None, None]
+    walked, planned = runs.sums(rollout.path.diff(dim=2).norm(dim=-1)), runs.last(rollout.planned)
+    return {
+        "success": share(arrived, there),
+        "failed": share(rollout.failed),
+        "deadlock": share(runs.any(navigation.stuck(rollout.trace, rollout.goal, scored)), there),
+        "path_ratio": mean(walked / planned, arrived & (planned > 0)),
+        "spl": ratio(navigation.weighted(arrived, planned, walked), there),
     }
 
 
@@ -129,12 +131,12 @@ def _meeting(rollout: Rollout, scored: Tensor, near: Tensor) -> dict[str, Ratio]
     minutes = safety.person_minutes(scored)
     for what, contact in (("agent", rollout.agent_contact), ("wall", rollout.wall_contact)):
         events = safety.contact_events(contact & scored)
-        found[f"{what}_contacts_per_min"] = _ratio(events, minutes)
-        found[f"{what}_contacts_per_episode"] = _ratio(events.sum(1))
-        found[f"{what}_contact_episodes"] = _share((events > 0).any(1))
+        found[f"{what}_contacts_per_min"] = ratio(events, minutes)
+        found[f"{what}_contacts_per_episode"] = ratio(events.sum(1))
+        found[f"{what}_contact_episodes"] = share((events > 0).any(1))
     return found | {
-        "personal_space": _ratio(safety.keeps_distance(near, scored), scored),
-        "least_distance_m": _finite(safety.least_distance(near, scored).amin(1)),
+        "personal_space": ratio(safety.keeps_distance(near, scored), scored),
+        "least_distance_m": finite(safety.least_distance(near, scored).amin(1)),
     }
 
 
@@ -145,8 +147,8 @@ def _ahead(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
     seconds = safety.time_to_collision(rollout.trace[:, :, ends], velocity, there)
     meets = seconds.isfinite() & scored[:, :, ends]
     return {
-        "time_to_collision_s": _mean(seconds, meets),
-        "time_to_collision_capped": _mean(seconds >= safety.HORIZON, meets),
+        "time_to_collision_s": mean(seconds, meets),
+        "time_to_collision_capped": mean(seconds >= safety.HORIZON, meets),
     }
 
 
@@ -154,11 +156,11 @@ def _moving(velocity: Tensor, known: Tensor) -> dict[str, Ratio]:
     """Return how people move in 0.4 s windows."""
     turned, length = smoothness.turning(velocity, known), smoothness.length(velocity, known)
     return {
-        "speed_m_per_s": _mean(velocity.norm(dim=-1), known),
-        "acceleration_m_per_s2": _mean(*smoothness.acceleration(velocity, known)),
-        "jerk_m_per_s3": _mean(*smoothness.jerk(velocity, known)),
-        "heading_rate_rad_per_s": _mean(*smoothness.heading_rate(velocity, known)),
-        "path_irregularity_rad_per_m": _ratio(turned, length),
+        "speed_m_per_s": mean(velocity.norm(dim=-1), known),
+        "acceleration_m_per_s2": mean(*smoothness.acceleration(velocity, known)),
+        "jerk_m_per_s3": mean(*smoothness.jerk(velocity, known)),
+        "heading_rate_rad_per_s": mean(*smoothness.heading_rate(velocity, known)),
+        "path_irregularity_rad_per_m": ratio(turned, length),
     }
 
 
@@ -175,31 +177,12 @@ def _at_door(
     )
     through, room = door.flow(passed, gate)
     return {
-        "symmetry_index": _mean(index, walked & met),
-        "yield_delay_s": _finite(door.yield_delay(theirs)),
-        "faster_first": _share(*door.faster_first(theirs, door.of_pair(rollout.pref_speed, pair))),
-        "yielder_speed_m_per_s": _finite(slowest),
-        "specific_flow_per_m_s": _ratio(through, room),
+        "symmetry_index": mean(index, walked & met),
+        "yield_delay_s": finite(door.yield_delay(theirs)),
+        "faster_first": share(*door.faster_first(theirs, door.of_pair(rollout.pref_speed, pair))),
+        "yielder_speed_m_per_s": finite(slowest),
+        "specific_flow_per_m_s": ratio(through, room),
     }
-
-
-def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str, Interval]]:
-    """Return the values of metrics and their 95 % intervals over episodes.
-
-    A metric about which no episode says anything is in neither; one about which all say the same has no
-    interval, unless it is a share: a bootstrap knows nothing then.
-    """
-    metrics: dict[str, float] = {}
-    intervals: dict[str, Interval] = {}
-    for name, (above, below, share) in ratios.items():
-        if not float(below.sum()) > 0:
-            continue  # nobody arrived, nobody met, nobody walked
-        metrics[name] = float(above.sum() / below.sum())
-        trials = int((below > 0).sum())
-        interval = wilson(metrics[name], trials) if share else bootstrap(above, below)
-        if interval[0] < interval[1]:
-            intervals[name] = interval
-    return metrics, intervals
 
 
 class ClosedLoopScore(Metric):
@@ -217,35 +200,12 @@ class ClosedLoopScore(Metric):
 
     def update(self, rollout: Rollout, decision_dt: float) -> None:
         """Add episodes whose policy decided every ``decision_dt`` seconds."""
-        for name, ratio in closed_loop(rollout, decision_dt).items():
-            self.above[NAMES.index(name)] += ratio.above.sum()
-            self.below[NAMES.index(name)] += ratio.below.sum()
+        for name, (above, below, _) in closed_loop(rollout, decision_dt).items():
+            self.above[NAMES.index(name)] += above.sum()
+            self.below[NAMES.index(name)] += below.sum()
 
     def compute(self) -> dict[str, Tensor]:
         """Return every metric about which an episode said something, as `NAMES` orders them."""
         values = (self.above / self.below).unbind()
         known = (self.below > 0).tolist()
         return {name: value for name, value, is_known in zip(NAMES, values, known, strict=True) if is_known}
-
-
-def _ratio(above: Tensor, below: Tensor | None = None) -> Ratio:
-    """Return the ratio of what is summed over all but episodes; per episode where there is nothing below."""
-    above = above.flatten(1).sum(1, dtype=torch.float64) if above.dim() > 1 else above.double()
-    if below is None:
-        return Ratio(above, torch.ones_like(above))
-    return Ratio(above, below.flatten(1).sum(1, dtype=torch.float64) if below.dim() > 1 else below.double())
-
-
-def _share(above: Tensor, below: Tensor | None = None) -> Ratio:
-    """Return a share of people or episodes."""
-    return _ratio(above, below)._replace(share=True)
-
-
-def _mean(value: Tensor, known: Tensor) -> Ratio:
-    """Return the mean of what is known."""
-    return _ratio(value.where(known, 0), known)
-
-
-def _finite(value: Tensor) -> Ratio:
-    """Return the mean of the finite values (E,)."""
-    return _mean(value, value.isfinite())
