@@ -16,6 +16,7 @@ from pedzoo.eval.closed_loop import Comparison, row
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.rollout import OVER_TIME, Rollout
 from pedzoo.sim.make import make_env
+from pedzoo.types import GOAL_RADIUS
 
 BROKEN = '''
 from pedzoo.sim.policy import Policy
@@ -83,6 +84,30 @@ def test_trace_goes_on_from_the_warm_start_at_possible_speeds() -> None:
     assert (speed <= 1.3 * walked.pref_speed.unsqueeze(-1) + 1e-3).all()
     assert (walked.past[:, :, -1, 0].abs() >= 2.4).all()  # before the door when counting begins
     assert (walked.reached[:, :, 0] == 0).all() and walked.goals == env.scenario.goals == 1
+
+
+def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> None:
+    walked, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "grid", 3)
+    assert not walked.replayed and walked.gate is None
+    assert torch.equal(walked.scored, walked.present) and torch.equal(walked.met, walked.present)
+    assert torch.equal(walked.path[:, :, 1:], walked.trace)
+    torch.testing.assert_close(walked.planned[:, :, 0], (walked.way - GOAL_RADIUS).clamp_min(0))
+    # another way is added when a goal is reached, and only then
+    there = walked.present[..., 1:]
+    more, hit = walked.planned.diff(dim=2)[there], walked.reached.diff(dim=2)[there]
+    assert (more >= 0).all() and float(more.sum()) > 0
+    assert abs(int((more > 0).sum()) - int(hit.sum())) <= walked.mask.sum()  # goals of the last decision
+
+
+def test_a_lone_person_walks_the_planned_way_in_the_time_that_it_takes() -> None:
+    walked, env = rollout("go_to_goal", "door:people=1", "grid", 6)
+    assert walked.gate is not None
+    assert walked.gate.tolist() == [pytest.approx([0.0, 0.0, 1.0, 0.0, 0.85])] * 6
+    metrics = row("go_to_goal", walked, env.decision_dt)["metrics"]
+    assert metrics["path_ratio"] == pytest.approx(1.0, abs=0.03)
+    assert metrics["time_ratio"] == pytest.approx(1.0, abs=0.03)
+    assert metrics["spl"] > 0.97 and metrics["stl"] > 0.97
+    assert "symmetry_index" not in metrics and "specific_flow_per_m_s" not in metrics
 
 
 def test_both_worlds_see_the_same_walk() -> None:
