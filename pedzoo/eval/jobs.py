@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 import traceback
@@ -11,7 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from pickle import PicklingError
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import cloudpickle
 import torch
@@ -87,6 +88,7 @@ class JobEnv(EnvBase):
         """Do the jobs that ``take`` hands out, as `pedzoo.eval.shares.Shares` does."""
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([]))
         torch.set_num_threads(1)
+        threading.Thread(target=_end_with_the_parent, daemon=True).start()
         self.sent = sent
         self.take = take
         self.group: int | None = None
@@ -104,7 +106,8 @@ class JobEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         taken = self.take(self.group)
         if taken is None:
-            _wait_for_the_end()
+            threading.Event().wait()  # until this process is ended
+        assert taken is not None
         job, self.group = taken
         outcome = torch.frombuffer(bytearray(self._do(job)), dtype=torch.uint8)
         over = torch.zeros(1, dtype=torch.bool)
@@ -157,11 +160,9 @@ def _portable(error: Exception, job: int) -> Exception:
     return error
 
 
-def _wait_for_the_end() -> NoReturn:
-    """Wait until this process is ended, or the one that started it is gone."""
+def _end_with_the_parent() -> None:
+    """End this process when the one that started it is gone, even killed, and not only after the job."""
     parent = multiprocessing.parent_process()
-    if parent is None:
-        threading.Event().wait()
-    else:
+    if parent is not None:  # Ray looks after its own
         parent.join()
-    raise SystemExit
+        os.kill(os.getpid(), signal.SIGTERM)
