@@ -118,7 +118,7 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
     walked = np.concatenate(([0.0], np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1).cumsum()))
     measured = taken if speed == "observed" else end
     seconds = np.maximum(measured - begin, 1) * STEP_SECONDS
-    what = np.where(first > share * (tracks.frame.max() - OBS_LEN + 1), LATER, CONTROLLED)
+    what = np.where(first > share * tracks.frame.max(), LATER, CONTROLLED)
     what = np.where(count <= OBS_LEN, SHORT, what)
 
     def places(rows: np.ndarray) -> Tensor:
@@ -143,6 +143,10 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
 
 def _with_goals(people: People, mine: Tensor, row: int, planner: Planner) -> People:
     """Return people of whom those of one recording, ``mine`` (P,) bool, have goals where they can."""
+    gone = people.until[mine & people.controlled]
+    if not len(gone):
+        return people
+    mine = mine & (people.first < gone.max())  # others are never seen
     goal = people.goal.clone()
     blocked = torch.zeros_like(mine)
     if row >= 0:

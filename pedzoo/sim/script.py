@@ -162,6 +162,10 @@ class Script:
         tick = _tick(before.clock) + points
         at = self.scenes.origin[after.scene] * TRACE_PER_STEP + tick
         frame, sharp = at // TRACE_PER_STEP, (at % TRACE_PER_STEP == 0).unsqueeze(1)
+        known = (after.known + points).clamp_max(PAST_LEN)
+        after = after._replace(clock=tick * TRACE_SECONDS, known=known)
+        if not bool(sharp.any()):
+            return after, torch.zeros_like(after.mask)
         due = self.due(after.scene, frame)
         now = frame.unsqueeze(1).expand_as(due)
         there = due >= 0
@@ -174,11 +178,10 @@ class Script:
         velocity = (self.places(due, now + 1) - here) / STEP_SECONDS
         come = comes.unsqueeze(2)
         return after._replace(
-            clock=tick * TRACE_SECONDS,
             mask=mask,
             controlled=(after.controlled & stays) | taken,
             person=torch.where(mask, due, -1),
-            known=torch.where(comes, 1, (after.known + points).clamp_max(PAST_LEN)),
+            known=known.masked_fill(comes, 1),
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),
             pref_speed=torch.where(comes, self._pref_speed[due], after.pref_speed),

@@ -44,11 +44,13 @@ class Replay(Scenario):
 
     Attributes:
         persons: The recorded people: row p is ``person`` p of states and rollouts. There after `prepare`.
+        recordings: Names of the recordings. There after `prepare`.
         scenes: R, scenes of one round. There after `prepare`.
     """
 
     unknown: Unknown = "free"
     persons: People
+    recordings: list[str]
     scenes: int
 
     def __init__(
@@ -97,6 +99,7 @@ class Replay(Scenario):
         self._source: Dataset | OwnFiles = (
             OwnFiles(files, dt, "0,0,1", map, homography) if files else open_fold(fold, root, "true")
         )
+        self._data = (fold, root, files, dt, map, homography, share, speed)
         self._grids: list[OccupancyGrid | None] = []
 
     @property
@@ -121,6 +124,7 @@ class Replay(Scenario):
         recordings = self._source.recordings("test")
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
         tracks = [recording.tracks.resampled(STEP_SECONDS) for recording in recordings]
+        self.recordings = [recording.name for recording in tracks]
         read = {recording.plan: load_plan(recording.plan) for recording in recordings if recording.plan}
         self._grids = [read[recording.plan] if recording.plan else None for recording in recordings]
         self.bank = MapBank(self.plans(), self.unknown)
@@ -132,10 +136,24 @@ class Replay(Scenario):
         self._person = torch.arange(len(sizes)).repeat_interleave(sizes)
         if not self.persons.controlled.any():
             raise UserError(f"replay: nobody in {self.name!r} can be simulated: {self.persons.counts}")
+        self.planner = planner
+        self._stage()
+
+    def adopt(self, other: Scenario) -> bool:
+        """Take people and their ways of the same recordings, whether all are simulated there or one."""
+        if not isinstance(other, Replay) or other._data != self._data:
+            return False
+        own = vars(self).keys() | {"script", "scenes"}
+        vars(self).update({key: value for key, value in vars(other).items() if key not in own})
+        self._grids = other._grids
+        self._stage()
+        return True
+
+    def _stage(self) -> None:
+        """Say who has which slot when, and print how many people are simulated and played back."""
         self.script = self._all() if self.simulated == "all" else self._one()
         self.scenes = len(self.script.scenes.table)
         self.people = self.script.who.shape[1]
-        self.planner = planner
         print(f"replay {self.name}: {self.summary()}")
 
     def summary(self) -> str:

@@ -1,0 +1,644 @@
+"""Replay: recorded people come, are taken over and leave exactly when they should, whoever walks them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+from pedzoo.draws import Draws
+from pedzoo.errors import UserError
+from pedzoo.eval.rollout import rollout
+from pedzoo.eval.rollout import run as walk_all
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from pedzoo.maps.planner import Planner
+from pedzoo.metrics.rollout import Rollout
+from pedzoo.models.walker import Walker
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env
+from pedzoo.sim.people import REASONS
+from pedzoo.sim.policies.go_to_goal import GoToGoal
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.scenarios.replay import Replay
+from pedzoo.sim.slots import pieces, slots, table
+
+# a room of 12 m x 8 m with a wall from x = 8 to 10 that leaves a room of 2 m x 8 m behind it
+SIDE = 0.1
+GRID = np.full((80, 120), FREE, dtype=np.uint8)
+GRID[:, 80:100] = OCCUPIED
+
+ALICE, SHORT, STANDS, DEEP, EDGE, BEHIND, LATE = 1, 2, 3, 4, 5, 6, 7
+
+
+def straight(agent: int, first: int, count: int, start: tuple, step: tuple) -> list[tuple[float, ...]]:
+    """Return rows (frame, agent, x, y) of somebody who walks ``step`` metres per frame."""
+    return [(first + i, agent, start[0] + i * step[0], start[1] + i * step[1]) for i in range(count)]
+
+
+ROWS = [
+    *straight(ALICE, 0, 17, (1.0, 1.0), (0.3, 0.0)),  # leaves at (5.8, 1)
+    *straight(SHORT, 2, 8, (1.0, 2.0), (0.4, 0.0)),
+    *straight(STANDS, 3, 20, (2.0, 6.0), (0.01, 0.0)),  # 0.12 m in the last 12 steps
+    *straight(DEEP, 4, 21, (3.0, 3.0), (0.3, 0.0)),  # leaves at (9, 3): a metre inside the wall
+    *straight(EDGE, 5, 21, (2.1, 4.0), (0.3, 0.0)),  # leaves at (8.1, 4): 0.1 m inside it
+    *straight(BEHIND, 6, 21, (1.0, 5.0), (0.5, 0.0)),  # leaves at (11, 5): no way leads there
+    *straight(LATE, 40, 15, (1.0, 1.5), (0.0, 0.2)),  # comes when everybody is gone
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a recording, another one and their floor plan."""
+    path = tmp_path_factory.mktemp("recordings")
+    OccupancyGrid(GRID, SIDE, name="rooms").save(path / "rooms.yaml")
+    save(path / "first.txt", ROWS)
+    save(path / "second.txt", [(f, a + 10, x, 8 - y) for f, a, x, y in ROWS if a in (ALICE, SHORT, LATE)])
+    return path
+
+
+def save(path: Path, rows: list[tuple[float, ...]]) -> None:
+    path.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
+
+
+def replay(folder: Path, files: str = "first", **settings: Any) -> Replay:
+    """Return the prepared scenario of recordings in ``folder``."""
+    names = [str(folder / f"{name}.txt") for name in files.split()]
+    scenario = Replay(files=names, dt=0.4, map=str(folder / "rooms.yaml"), **settings)
+    scenario.ready(0.25)
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def plaza() -> Replay:
+    """Return the prepared replay of the recording that ships."""
+    scenario = Replay()
+    scenario.ready(0.25)
+    return scenario
+
+
+class Stands(GoToGoal):
+    """Stays where it is."""
+
+    def forward(self, tensordict: Any) -> Any:
+        """Write no velocity at all."""
+        tensordict["agents", "action"] = torch.zeros_like(tensordict["agents", "velocity"])
+        return tensordict
+
+
+class Drunk(GoToGoal):
+    """Walks anywhere, and gives no number for people whom it does not move."""
+
+    def forward(self, tensordict: Any) -> Any:
+        """Write velocities by the clock."""
+        agents = tensordict["agents"]
+        angle = 9 * tensordict["time"] + agents["id"]
+        action = 1.5 * torch.stack((angle.cos(), angle.sin()), dim=-1)
+        tensordict["agents", "action"] = torch.where(agents["controlled"].unsqueeze(2), action, torch.nan)
+        return tensordict
+
+
+class Truth(GoToGoal):
+    """Walks everybody as they really did."""
+
+    def __init__(self, env: PedestrianEnv) -> None:
+        """Take the environment whose script it knows."""
+        super().__init__(env.decision_dt)
+        self.env = env
+
+    def forward(self, tensordict: Any) -> Any:
+        """Write the velocity to the next recorded place."""
+        script, state = self.env.scenario.script, self.env.state
+        assert script is not None
+        tick = (state.clock / 0.1).round().long()
+        points = round(self.decision_dt / 0.1)
+        there = script.path(state.scene, state.person, tick, points, 1)[:, :, -1, 0]
+        tensordict["agents", "action"] = (there - state.position) / self.decision_dt
+        return tensordict
+
+
+def walked(env: PedestrianEnv, policy: Any) -> list[dict[str, Tensor]]:
+    """Return the observations from the reset to the end of the first scene, with everybody's trace."""
+    policy.bind(env.bank)
+    now, found, done = env.reset(), [], False
+    while not done:
+        agents: Any = now["agents"]
+        keys = ("id", "mask", "controlled", "valid", "history", "pref_speed", "velocity")
+        found.append({key: agents[key][0] for key in keys})
+        result = env.step(policy(now))
+        found[-1]["trace"] = result["next", "agents", "info", "trace"][0]
+        done, now = bool(result["next", "done"][0]), step_mdp(result)
+        found[-1]["over"] = now["agents", "controlled"][0]
+    return found
+
+
+def at(track: list[tuple[float, ...]], agent: int, frame: np.ndarray) -> np.ndarray:
+    """Return where somebody is at (fractions of) frames (T,): (T, 2)."""
+    rows = np.array([row for row in track if row[1] == agent])
+    return np.column_stack([np.interp(frame, rows[:, 0], rows[:, axis]) for axis in (2, 3)])
+
+
+def person(scenario: Replay, agent: int) -> int:
+    return int((scenario.persons.agent == agent).nonzero()[0, 0])
+
+
+def times(result: Rollout, who: Tensor, number: int) -> list[int]:
+    """Return the first and the last trace point, counted from 1, at which somebody is marked in ``who``."""
+    points = ((result.person == number) & who).any(1).any(0).nonzero()[:, 0] + 1
+    return [int(points[0]), int(points[-1])] if len(points) else []
+
+
+# The people
+
+
+def test_who_is_simulated_and_why_others_are_not(folder: Path) -> None:
+    people = replay(folder).persons
+    reasons = dict(zip(people.agent.tolist(), (REASONS[what] for what in people.what.tolist()), strict=True))
+    assert reasons == {
+        ALICE: "controlled",
+        SHORT: "too short",
+        STANDS: "no way to go",
+        DEEP: "exit in a wall",
+        EDGE: "controlled",
+        BEHIND: "no path to the exit",
+        LATE: "controlled",
+    }
+    assert people.counts == {
+        "controlled": 3, "too short": 1, "no way to go": 1, "exit in a wall": 1, "no path to the exit": 1
+    }  # fmt: skip
+    assert sum(people.counts.values()) == len(people.agent) == 7
+
+
+def test_starts_goals_ways_and_times(folder: Path) -> None:
+    scenario = replay(folder)
+    people, alice, edge = scenario.persons, person(scenario, ALICE), person(scenario, EDGE)
+    assert scenario.recordings == ["first"]
+    # 8 steps are frames 0 to 7; the last of 17 is frame 16
+    assert float(people.begin_s[alice]) == pytest.approx(2.8)
+    assert float(people.end_s[alice]) == pytest.approx(6.4)
+    assert people.start[alice].tolist() == pytest.approx([1 + 7 * 0.3, 1])
+    assert people.exit[alice].tolist() == people.goal[alice].tolist() == pytest.approx([5.8, 1])
+    assert float(people.way[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
+    assert float(people.pref_speed[alice]) == pytest.approx(0.3 / 0.4)
+    # (8.1, 4) is not in an open cell: the nearest one's centre is 0.25 m or more from the wall at x = 8
+    assert people.exit[edge].tolist() == pytest.approx([8.1, 4])
+    assert people.goal[edge].tolist() == pytest.approx([7.75, 4], abs=0.101)
+    assert float(people.goal[edge, 0]) <= 7.75 + 1e-6
+    # somebody who stands likes 0.3 m/s all the same
+    assert float(people.pref_speed[person(scenario, STANDS)]) == pytest.approx(0.3)
+
+
+def test_the_speed_of_the_whole_track(folder: Path, tmp_path: Path) -> None:
+    slow_then_fast = [(i, 1, 1 + 0.2 * i + 0.3 * max(0, i - 7), 1.0) for i in range(15)]
+    save(tmp_path / "one.txt", slow_then_fast)
+    (tmp_path / "rooms.yaml").write_text((folder / "rooms.yaml").read_text())
+    (tmp_path / "rooms.png").write_bytes((folder / "rooms.png").read_bytes())
+    assert float(replay(tmp_path, "one").persons.pref_speed[0]) == pytest.approx(0.5)
+    # 14 steps of 0.2 m and 7 times 0.3 m more in 5.6 s
+    assert float(replay(tmp_path, "one", speed="track").persons.pref_speed[0]) == pytest.approx(4.9 / 5.6)
+
+
+def test_a_share_of_the_time(folder: Path) -> None:
+    scenario = replay(folder, share=0.5)
+    assert scenario.persons.counts["later"] == 1
+    assert scenario.persons.what[person(scenario, LATE)] == REASONS.index("later")
+    assert scenario.scenes == 1  # nobody is simulated in the second half
+
+
+def test_a_hole_in_a_track_makes_two_people(folder: Path, tmp_path: Path) -> None:
+    rows = straight(1, 0, 12, (1.0, 1.0), (0.3, 0.0)) + straight(1, 20, 12, (1.0, 2.0), (0.3, 0.0))
+    save(tmp_path / "hole.txt", rows)
+    scenario = Replay(files=[str(tmp_path / "hole.txt")], dt=0.4)
+    scenario.ready(0.25)
+    assert scenario.persons.counts == {"controlled": 2}
+    assert scenario.persons.first.tolist() == [0, 20]
+
+
+def test_without_a_floor_plan(folder: Path) -> None:
+    scenario = Replay(files=[str(folder / "first.txt")], dt=0.4)
+    scenario.ready(0.25)
+    assert scenario.persons.counts == {"controlled": 5, "too short": 1, "no way to go": 1}
+    result, _ = rollout("go_to_goal", scenario, "grid", scenario.scenes)  # type: ignore[arg-type]
+    assert len(result.person[result.controlled & (result.reached > 0)].unique()) == 5
+
+
+# When they come, are taken over and go
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("policy", [Stands, Drunk])
+def test_everybody_comes_and_goes_on_time_whoever_walks(folder: Path, dt: float, policy: type) -> None:
+    scenario = replay(folder)
+    env = make_env(scenario, num_envs=1, decision_dt=dt)
+    seen = walked(env, policy(dt))
+    # the clock is 0 in frame 7; alice is taken over there, and has twice the 9 frames until frame 16
+    spans = {
+        ALICE: (0, 0, 2 * 9 * 0.4),
+        SHORT: (0, None, (9 - 7) * 0.4),
+        STANDS: (0, None, (22 - 7) * 0.4),
+        DEEP: (0, None, (24 - 7) * 0.4),
+        EDGE: (0, (12 - 7) * 0.4, (12 - 7 + 2 * 13) * 0.4),
+        BEHIND: (0, None, (26 - 7) * 0.4),
+    }
+    for agent, (comes, taken, goes) in spans.items():
+        number = person(scenario, agent)
+        for i, now in enumerate(seen):
+            clock = i * dt
+            mine = (now["id"] == number) & now["mask"]
+            due = comes - 1e-6 <= clock < goes - 1e-6
+            if policy is Stands or taken is None:  # whom nobody moves never arrives
+                assert bool(mine.any()) == due, (agent, clock)
+            expected = due and taken is not None and clock > taken - 1e-6
+            if policy is Stands or not expected:
+                assert bool((mine & now["controlled"]).any()) == expected, (agent, clock)
+    assert len(seen) * dt == pytest.approx((12 - 7 + 2 * 13) * 0.4) or policy is Drunk
+
+
+def test_people_are_played_back_exactly(folder: Path) -> None:
+    """To the last bit of float32 at frames, and on straight lines between them, whatever anybody does."""
+    scenario = replay(folder)
+    for dt in (0.1, 0.4):
+        result = run(scenario, Drunk(dt), dt)
+        met = 0
+        for agent in (SHORT, STANDS, DEEP, EDGE, BEHIND):
+            number = person(scenario, agent)
+            mine = (result.person == number) & result.present & ~result.controlled
+            slot = int(mine[0].any(1).nonzero()[0, 0])
+            points = mine[0, slot].nonzero()[:, 0]
+            expected = at(ROWS, agent, 7 + (points.numpy() + 1) / 4)
+            there = result.trace[0, slot, points]
+            assert np.abs(there.numpy() - expected).max() < 1e-6
+            at_frames = (points + 1) % 4 == 0
+            assert torch.equal(there[at_frames], torch.from_numpy(expected).float()[at_frames])
+            met += len(points)
+        # 2, 15, 17, 5 and 19 frames of 4 trace points
+        assert met == 4 * (2 + 15 + 17 + 5 + 19)
+
+
+def run(scenario: Replay, policy: Any, dt: float = 0.4, episodes: int = 1) -> Rollout:
+    """Return what a policy did."""
+    env = make_env(scenario, num_envs=episodes, decision_dt=dt)
+    policy = policy(env) if isinstance(policy, type) else policy
+    policy.bind(env.bank)
+    with torch.no_grad():
+        return walk_all(policy, env)
+
+
+def test_newcomers_are_known_as_far_as_they_were_seen(folder: Path) -> None:
+    scenario = replay(folder)
+    env = make_env(scenario)
+    seen = walked(env, Stands())
+    number = person(scenario, EDGE)  # comes in frame 5, two frames before the clock is 0
+    slot = int((seen[0]["id"] == number).nonzero()[0, 0])
+    for i in range(8):
+        valid = seen[i]["valid"][slot]
+        assert valid.tolist() == [k >= max(0, 5 - i) for k in range(8)]
+        history = seen[i]["history"][slot].numpy()
+        frames = np.clip(np.arange(i, i + 8), 5, None)
+        if i <= 5:  # until it is taken over
+            assert np.abs(history - at(ROWS, EDGE, frames)).max() < 1e-5
+    assert seen[0]["valid"][int((seen[0]["id"] == person(scenario, ALICE)).nonzero()[0, 0])].all()
+    # who comes is on the way already
+    rows = straight(1, 0, 20, (1.0, 1.0), (0.3, 0.0)) + straight(2, 12, 20, (1.0, 2.0), (0.0, 0.2))
+    save(folder / "two.txt", rows)
+    for i, now in enumerate(walked(make_env(replay(folder, "two")), Stands())):
+        if i == 5:  # frame 12
+            slot = int((now["id"] == 1).nonzero()[0, 0])
+            assert now["velocity"][slot].tolist() == pytest.approx([0, 0.5], abs=1e-6)
+            assert now["valid"][slot].tolist() == [False] * 7 + [True]
+            assert now["history"][slot].tolist() == [pytest.approx([1, 2])] * 8
+
+
+def test_the_truth_arrives_with_everybody(folder: Path) -> None:
+    for dt in (0.1, 0.4):
+        scenario = replay(folder, "first second")
+        result = run(scenario, Truth, dt, scenario.scenes)
+        real = scenario.real()
+        arrived = result.person[result.controlled & (result.reached > 0)].unique()
+        everybody = scenario.persons.controlled.nonzero()[:, 0]
+        assert torch.equal(arrived, everybody)
+        both = result.controlled & real.controlled[..., : result.trace.shape[2]]
+        assert torch.equal(result.person[both], real.person[..., : both.shape[2]][both])
+        apart = (result.trace - real.trace[:, :, : both.shape[2]]).norm(dim=-1)
+        assert float(apart[both].max()) < 1e-3
+        for number in everybody.tolist():
+            first, last = times(result, result.controlled, number)
+            really = times(real, real.controlled, number)
+            assert first == really[0] and last <= really[1]
+        assert not (result.controlled & ~real.controlled[..., : both.shape[2]]).any()
+
+
+def test_real_is_the_recording(folder: Path) -> None:
+    for simulated in ("all", "one"):
+        scenario = replay(folder, "first second", simulated=simulated)
+        real, people = scenario.real(), scenario.persons
+        script = scenario.script
+        assert script is not None
+        for scene in range(scenario.scenes):
+            origin = int(script.scenes.origin[scene])
+            tracks = ROWS if int(script.scenes.table[scene]) == 0 else None
+            for slot, point in real.present[scene].nonzero().tolist():
+                if tracks is None or (point + 1) % 4:
+                    continue
+                agent = int(people.agent[real.person[scene, slot, point]])
+                expected = at(tracks, agent, np.array([origin + (point + 1) / 4]))
+                assert np.abs(real.trace[scene, slot, point].numpy() - expected).max() < 1e-5
+        for number in people.controlled.nonzero()[:, 0].tolist():
+            scene = int((real.controlled & (real.person == number)).any(-1).any(-1).nonzero()[0, 0])
+            begun = 0.4 * int(script.scenes.origin[scene])
+            first, last = times(real, real.controlled, number)
+            assert begun + 0.1 * (first - 1) == pytest.approx(float(people.begin_s[number]))
+            assert begun + 0.1 * last == pytest.approx(float(people.end_s[number]))
+        assert not real.controlled[~real.present].any()
+        scored = real.person[real.controlled].unique()
+        assert torch.equal(scored, people.controlled.nonzero()[:, 0])
+
+
+# Slots and scenes
+
+
+def test_slots_are_never_shared(plaza: Replay) -> None:
+    begin, end = torch.tensor([0, 3, 5, 5, 9, 9]), torch.tensor([5, 9, 6, 5, 12, 10])
+    assert slots(begin, end).tolist() == [0, 1, 0, -1, 0, 1]
+    assert table(slots(begin, end), begin, end, 12, 2).tolist() == [
+        [0, 0, 0, 0, 0, 2, -1, -1, -1, 4, 4, 4],
+        [-1, -1, -1, 1, 1, 1, 1, 1, 1, 5, -1, -1],
+    ]
+    assert [piece.tolist() for piece in pieces(begin, end)] == [[0, 1, 2, 3], [4, 5]]
+    scenario, people = plaza, plaza.persons
+    assert scenario.script is not None
+    (who,) = scenario.script.who
+    for number in range(len(people.agent)):
+        slot, frames = (who == number).nonzero(as_tuple=True)
+        assert len(slot.unique()) == 1
+        assert torch.equal(frames, torch.arange(int(people.first[number]), int(people.until[number])))
+    assert ((who >= 0).sum(0) <= scenario.people).all()
+    busy = torch.tensor([int(((people.first <= f) & (people.until > f)).sum()) for f in range(who.shape[1])])
+    assert int(busy.max()) == scenario.people  # no fewer slots would do
+
+
+def test_recordings_are_cut_where_nobody_can_be_left(folder: Path) -> None:
+    scenario = replay(folder, "first second")
+    # alice and others, the late one (frame 40 and later), and both again in the second recording
+    assert scenario.scenes == 4
+    assert scenario.script is not None
+    assert scenario.script.scenes.origin.tolist() == [7, 47, 7, 47]
+    assert scenario.script.scenes.table.tolist() == [0, 0, 1, 1]
+
+
+def test_a_scene_alone_and_in_a_batch_are_the_same(folder: Path) -> None:
+    """Bit by bit, though scenes end at different times, and noise differs between rounds."""
+    scenario = replay(folder, "first second")
+    policy = load_policy("orca:dt=0.4")
+
+    def scenes(count: int, first: int) -> list[Any]:
+        env = make_env(scenario, num_envs=count, seed=2, first_episode=first)
+        policy.bind(env.bank)
+        now, found = env.reset(), []
+        for _ in range(36):
+            found.append(env.step(policy(now)))
+            now = step_mdp(found[-1])
+        return found
+
+    whole = scenes(8, 0)
+    for i in (0, 3, 6):
+        for one, many in zip(scenes(1, i), whole, strict=True):
+            for key in (
+                "history",
+                "id",
+                "controlled",
+                "mask",
+                "goal",
+                "valid",
+                ("info", "reached"),
+                "reward",
+            ):
+                assert torch.equal(one["next", "agents", key][0], many["next", "agents", key][i]), key
+            for key in ("done", "terminated", "time"):
+                assert torch.equal(one["next", key][0], many["next", key][i]), key
+    last = whole[8]["next", "agents"]
+    assert torch.equal(last["mask"][:4], last["mask"][4:])
+    played = last["mask"][0] & ~last["controlled"][0]
+    assert torch.equal(last["history"][0][played], last["history"][4][played]) and played.any()
+    assert not torch.equal(last["history"][0], last["history"][4])  # another round, other noise
+
+
+def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
+    every, one = replay(folder, "first second"), replay(folder, "first second", simulated="one")
+    assert one.scenes == 5
+    result = run(one, Drunk(), 0.4, 5)
+    real = every.real()
+    scored = [result.person[i][result.controlled[i]].unique().tolist() for i in range(5)]
+    assert (
+        sorted(number for scene in scored for number in scene)
+        == every.persons.controlled.nonzero()[:, 0].tolist()
+    )
+    script, whole = one.script, every.script
+    assert script is not None and whole is not None
+    same = 0
+    for scene in range(5):
+        table_, origin = int(script.scenes.table[scene]), int(script.scenes.origin[scene])
+        others = result.present[scene] & ~result.controlled[scene]
+        for slot, point in others.nonzero().tolist():
+            number = int(result.person[scene, slot, point])
+            assert number not in scored[scene]
+            tick = 4 * origin + point  # on the recording's clock
+            for of in (whole.scenes.table == table_).nonzero()[:, 0].tolist():
+                there = tick - 4 * int(whole.scenes.origin[of])
+                if 0 <= there < real.trace.shape[2]:
+                    found = (real.person[of, :, there] == number).nonzero()[:, 0]
+                    for place in found.tolist():
+                        assert torch.equal(result.trace[scene, slot, point], real.trace[of, place, there])
+                        same += 1
+    assert same > 300
+
+
+def test_adopting_is_preparing(folder: Path) -> None:
+    every, one = replay(folder), replay(folder, simulated="one")
+    names = [str(folder / "first.txt")]
+    again = Replay(files=names, dt=0.4, map=str(folder / "rooms.yaml"), simulated="one")
+    assert again.adopt(every) and again.planner is every.planner
+    for mine, theirs in zip(run(again, GoToGoal()).trace, run(one, GoToGoal()).trace, strict=True):
+        assert torch.equal(mine, theirs)
+    assert every.scenes != again.scenes and not Replay().adopt(every)
+
+
+# The environment
+
+
+def test_partial_resets_and_auto_reset(folder: Path) -> None:
+    scenario = replay(folder, "first second")
+    env = make_env(scenario, num_envs=3)
+    policy = GoToGoal()
+    now = env.reset()
+    for _ in range(3):
+        result = env.step(policy(now))
+        now = step_mdp(result)
+    before = env.state
+    flags = torch.tensor([[False], [True], [False]])
+    env.reset(result["next"].clone().set("_reset", flags))
+    after = env.state
+    assert after.scene.tolist() == [0, 0, 2]  # scene 4 of the seed is the first again
+    assert after.clock.tolist() == pytest.approx([1.2, 0, 1.2])
+    for key in ("past", "person", "controlled", "known"):
+        assert torch.equal(getattr(after, key)[[0, 2]], getattr(before, key)[[0, 2]])
+    long = make_env(scenario, num_envs=3).rollout(120, policy, break_when_any_done=False)
+    keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
+    for row, found in enumerate(keys):
+        assert found == Draws.of(0, torch.arange(len(found)) * 3 + row).key.tolist()
+    assert all(len(row) > 2 for row in keys)
+
+
+def test_both_worlds_show_the_same_people(folder: Path) -> None:
+    scenario = replay(folder, "first second")
+    grid, bullet = (make_env(scenario, num_envs=4, world=world) for world in ("grid", "bullet"))
+    found = []
+    for env in (grid, bullet):
+        policy, now, steps = load_policy("go_to_goal"), env.reset(), []
+        for _ in range(34):
+            result = env.step(policy(now))
+            steps.append(result["next"])
+            now = step_mdp(result)
+        found.append(steps)
+    bullet.world.close()
+    touched = 0
+    for one, other in zip(*found, strict=True):
+        for key in ("trace", "agent_contact", "wall_contact", "reached"):
+            assert torch.equal(one["agents", "info", key], other["agents", "info", key]), key
+        touched += int(one["agents", "info", "wall_contact"].sum())
+    assert touched  # somebody is played back into the wall
+
+
+def test_many_people_in_bullet(plaza: Replay) -> None:
+    env = make_env(plaza, num_envs=2, world="bullet")
+    assert env.scenario.people == 34
+    env.rollout(6, GoToGoal())
+    env.world.close()
+
+
+def test_decisions_in_step_with_the_recording(folder: Path) -> None:
+    scenario = replay(folder)
+    for dt in (0.3, 0.5, 0.8):
+        with pytest.raises(UserError, match=r"every 0\.4 s, so a decision takes 0\.1, 0\.2 or 0\.4 s"):
+            make_env(scenario, decision_dt=dt)
+
+
+def test_a_replay_begins_as_it_was_recorded(folder: Path) -> None:
+    scenario = replay(folder)
+    histories = [make_env(scenario, warm_start=w).reset()["agents", "history"] for w in ("orca", "static")]
+    assert torch.equal(*histories)
+
+
+def test_only_the_actions_of_the_controlled_matter(folder: Path) -> None:
+    class Breaks(Drunk):
+        """Gives no number for everybody in the fifth decision."""
+
+        def forward(self, tensordict: Any) -> Any:
+            super().forward(tensordict)
+            if abs(float(tensordict["time"][0, 0]) - 1.6) < 1e-3:
+                tensordict["agents", "action"] = torch.full_like(tensordict["agents", "action"], torch.nan)
+            return tensordict
+
+    scenario = replay(folder)
+    assert not run(scenario, Drunk()).failed.any()
+    with pytest.warns(UserWarning, match=f"agent {person(scenario, ALICE)} of scene 0"):
+        assert run(scenario, Breaks()).failed.all()
+
+
+def test_noise_is_drawn_by_the_person(plaza: Replay) -> None:
+    env = make_env(plaza)
+    now: Any = env.reset()
+    swapped = now.clone()
+    ids = swapped["agents", "id"][0]
+    first, second = now["agents", "mask"][0].nonzero()[:2, 0].tolist()
+    ids[[first, second]] = ids[[second, first]]
+    walker = load_policy("sgan_goal.zara1")
+    assert isinstance(walker, Walker)
+    noise, other = walker._drawn(now), walker._drawn(swapped)
+    assert noise is not None and other is not None
+    assert torch.equal(noise[0, [second, first]], other[0, [first, second]])
+    assert not torch.equal(noise[0, first], other[0, first])
+
+
+def test_rewards_are_the_way_that_got_shorter(folder: Path) -> None:
+    env = make_env(replay(folder))
+    policy, now, total = GoToGoal(), env.reset(), 0.0
+    slot = int((now["agents", "id"][0] == 0).nonzero()[0, 0])
+    way, length = float(env.state.way[0, slot]), 0.0
+    while bool(env.state.controlled[0, slot]):
+        result = env.step(policy(now))
+        touched = result["next", "agents", "info", "agent_contact"][0, slot].any()
+        total += float(result["next", "agents", "reward"][0, slot, 0]) + float(touched)
+        length, now = float(env.state.planned[0, slot]), step_mdp(result)
+        assert (result["next", "agents", "reward"][0, :, 0][~env.state.controlled[0]][1:] <= 0).all()
+    assert total == pytest.approx(way, abs=1e-4)
+    assert length == pytest.approx(way - 0.3, abs=1e-4)
+
+
+# Bad input
+
+
+def test_settings_that_cannot_be(folder: Path) -> None:
+    with pytest.raises(UserError, match="did you mean 'one'"):
+        Replay(simulated="ome")  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="did you mean 'track'"):
+        Replay(speed="trak")  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="share 0: expected a part of the time"):
+        Replay(share=0)
+    with pytest.raises(UserError, match="the fold 'embedded' has its own"):
+        Replay(map="flat")
+    with pytest.raises(UserError, match="did you mean 'zara1'"):
+        make_env("replay:fold=zara11")
+    save(folder / "short.txt", straight(1, 0, 8, (1.0, 1.0), (0.3, 0.0)))
+    with pytest.raises(UserError, match=r"nobody in 'files' can be simulated: \{'too short': 1\}"):
+        replay(folder, "short")
+
+
+# Ways to many exits
+
+
+def test_coarser_floor_plans() -> None:
+    cells = np.array([[0, 0, 2, 2, 0], [0, 1, 2, 2, 2], [0, 0, 0, 2, 0]])
+    coarse = OccupancyGrid(cells.astype(np.uint8), 0.05, (1.0, 2.0, 0.0), name="small").coarser(0.1)
+    assert coarse.cells.tolist() == [[OCCUPIED, UNKNOWN, FREE], [FREE, FREE, FREE]]
+    assert (coarse.resolution, coarse.origin, coarse.name) == (0.1, (1.0, 2.0, 0.0), "small")
+    assert coarse.coarser(0.15) is coarse
+
+
+def test_goals_that_share_ways_are_still_their_own() -> None:
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    cells[40:60, :70] = OCCUPIED  # a wall with a way round its right end
+    bank = MapBank([OccupancyGrid(cells, 0.05)])
+    goals = np.array([[1.02, 4.01], [1.11, 4.12], [1.19, 4.03], [4.0, 4.0]])
+    start = torch.tensor([[1.0, 1.0], [1.1, 3.5]])
+    looks = []
+    for cell, share in ((0.0, 0.0), (0.1, 0.2)):
+        planner = Planner(bank, cell=cell, share=share)
+        ids = planner.add_goals(0, goals)
+        many = ids.repeat_interleave(2)
+        map_id, pose = torch.full((8,), bank.grids[0].map_id), torch.tensor([[0.0, 1, 0, 0]]).repeat(8, 1)
+        looks.append(planner.look(start.repeat(4, 1), many, map_id, pose))
+    exact, rough = looks
+    assert torch.allclose(rough.goal_point, torch.from_numpy(goals).float().repeat_interleave(2, 0))
+    assert float((exact.distance - rough.distance).abs().max()) < 0.3
+    assert torch.equal(exact.distance[1::2][:3], rough.distance[1::2][:3])  # in sight: to the goal itself
+
+
+def test_recordings_of_a_fold(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
+    result, env = rollout("go_to_goal", "replay:fold=zara1,share=0.1", "grid", 1)
+    scenario: Any = env.scenario
+    people, counts = scenario.persons, scenario.persons.counts
+    assert sum(counts.values()) == 148 and counts["later"] > 100
+    assert torch.equal(
+        people.first[people.controlled] * 10 <= people.last.max(), people.controlled[people.controlled]
+    )
+    scored = result.person[result.controlled].unique()
+    assert len(scored) == counts["controlled"] > 10
+    assert len(result.person[result.controlled & (result.reached > 0)].unique()) > 0.9 * len(scored)
+    assert 1.0 < float(people.pref_speed.median()) < 1.3
