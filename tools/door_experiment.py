@@ -18,6 +18,7 @@ from page import median, percent, share, table
 from torch import Tensor
 
 from pedzoo.eval.rollout import rollout
+from pedzoo.metrics.door import passing_seconds, yield_delay
 from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.paths import shipped, write_whole
@@ -207,15 +208,13 @@ def analysis(result: Rollout, agent: Tensor, wall: Tensor) -> list[str]:
     away = result.trace.norm(dim=-1)
     at_walls = away[result.wall_contact]
     jamb = float((at_walls < 0.6).double().mean()) if len(at_walls) else math.nan
-    start = result.past[:, :, -1:]
-    moved = torch.cat((start, result.trace), dim=2).diff(dim=2).norm(dim=-1) / 0.1
+    moved = result.path.diff(dim=2).norm(dim=-1) / 0.1
     near = result.present & (away < 2.0)
     slowest = torch.where(near, moved, torch.inf).amin(2) / result.pref_speed
     slowest = slowest[slowest.isfinite()]
-    side = start[..., 0].sign()
-    beyond = result.present & (result.trace[..., 0] * side < 0)
-    crossed = beyond.any(2).all(1)
-    delay = beyond.int().argmax(2).diff(dim=1).abs()[crossed, 0] * 0.1
+    assert result.gate is not None
+    delay = yield_delay(passing_seconds(result.path, result.scored, result.gate))
+    delay = delay[delay.isfinite()]
     close = result.present & ((result.trace - result.goal).norm(dim=-1) < 1.0)
     missed = close.any(2) & (result.present.sum(2) - close.int().argmax(2) > 30)
     late = ~arrived(result)
