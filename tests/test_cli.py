@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from jsonargparse import ArgumentParser
 from torch.utils._pytree import tree_flatten
 
 import pedzoo
 from pedzoo.cli.main import COMMANDS, main
 from pedzoo.cli.output import write_json
+from pedzoo.cli.parsing import PARSER_SETTINGS, parse
 from pedzoo.errors import UserError
 from pedzoo.models.header import read_config
 from pedzoo.paths import config_names
@@ -99,6 +101,30 @@ def test_unknown_command_suggests(capsys):
 def test_misspelt_options_and_wrong_types_are_refused(given, expected, capsys, elsewhere):
     assert expected in refused(capsys, *FIT, *given)
     assert not list(elsewhere.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("typed", "wanted"),
+    [
+        (["--names", "a.csv,b.csv"], ["a.csv", "b.csv"]),
+        (["--names=door"], ["door"]),
+        (
+            ["--names", "door:width=[0.7,0.9],people=4,circle,f.py:Mine:a=1,b=2,hallway"],
+            ["door:width=[0.7,0.9],people=4", "circle", "f.py:Mine:a=1,b=2", "hallway"],
+        ),
+        (["--names", "[a,b]"], ["a", "b"]),
+        (["--names", "null"], None),
+        (["--devices", "2"], 2),
+        (["--devices", "0,1"], [0, 1]),
+        (["--devices", "auto"], "auto"),
+    ],
+)
+def test_lists_need_no_brackets(typed, wanted):
+    parser = ArgumentParser(**PARSER_SETTINGS)
+    parser.add_argument("--names", type=list[str] | None)
+    parser.add_argument("--devices", type=list[int] | int | str)
+    found = parse(parser, typed)
+    assert (found.names if "names" in typed[0] else found.devices) == wanted
 
 
 @pytest.mark.parametrize(

@@ -203,9 +203,10 @@ class ClosedLoopValidation(Callback):
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
             for stage in self._stages:
                 found = self._measure(stage, trainer, pl_module.device)
-                nothing = torch.tensor(math.nan)
-                values = {f"rollout/{stage.name}/{key}": found.get(key, nothing) for key in METRICS}
-                pl_module.log_dict(values, sync_dist=True)
+                for key in METRICS:
+                    value = found.get(key, torch.tensor(math.nan))
+                    shown = key == "success"
+                    pl_module.log(f"rollout/{stage.name}/{key}", value, prog_bar=shown, sync_dist=True)
 
     def _measure(self, stage: _Stage, trainer: L.Trainer, device: torch.device) -> dict[str, Tensor]:
         """Return the metrics of a scenario over the episodes of all processes."""
@@ -214,7 +215,9 @@ class ClosedLoopValidation(Callback):
             score.update(walked.rollout, walked.env.decision_dt)
             if self.picture or self.video:
                 show(trainer, stage.name, walked, self.picture, self.video)
-        return score.to(device).compute()
+        if trainer.world_size > 1:
+            score.to(device)  # where processes talk to each other
+        return score.compute()
 
     def _walk(self, stage: _Stage) -> Walked | None:
         """Return what the current weights do in this process's episodes; None where it has none."""
