@@ -270,6 +270,12 @@ def test_score_has_only_what_some_episode_says_something_about() -> None:
     assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(found)
 
 
+def test_an_episode_may_be_shorter_than_a_window() -> None:
+    found = metrics(made(torch.stack((straight(1.0, 3), straight(1.0, 3, (0.0, 1.0)))).unsqueeze(0)))
+    assert found["least_distance_m"] == pytest.approx(1.0) and found["personal_space"] == 1.0
+    assert not {"speed_m_per_s", "jerk_m_per_s3", "time_to_collision_s"} & set(found)
+
+
 def test_shares_have_intervals_of_as_many_trials_as_there_are() -> None:
     walked = busy()
     values, intervals = summarised(closed_loop(walked, 0.4))

@@ -6,6 +6,8 @@ anybody who is there.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 from torch import Tensor
 
@@ -20,7 +22,7 @@ IGIBSON_POINTS = 500
 HORIZON = 10.0
 """Seconds: collisions farther away count as if they were then."""
 
-_AT_ONCE = 250_000
+_AT_ONCE = 100_000
 """Pairs of positions that are compared at once: several such tensors fit a cache."""
 
 
@@ -32,8 +34,13 @@ def contact_events(contact: Tensor) -> Tensor:
     Args:
         contact: Touching within each 0.1 s (E, A, T) bool, false where nobody is.
     """
+    return begins(contact).sum(-1)
+
+
+def begins(contact: Tensor) -> Tensor:
+    """Return where touches begin (E, A, T) bool, given those of every 0.1 s (E, A, T) bool."""
     before = torch.cat((torch.zeros_like(contact[..., :1]), contact[..., :-1]), dim=-1)
-    return (contact & ~before).sum(-1)
+    return contact & ~before
 
 
 def person_minutes(scored: Tensor) -> Tensor:
@@ -54,15 +61,14 @@ def nearest(trace: Tensor, present: Tensor) -> Tensor:
         trace: Positions (E, A, T, 2), metres.
         present: Who is there in a running episode (E, A, T) bool.
     """
-    found = torch.full_like(trace[..., 0], torch.inf)
-    for points in _parts(present):
-        x, y = trace[:, :, points].permute(3, 0, 2, 1)
-        apart = (x.unsqueeze(3) - x.unsqueeze(2)).square_()
-        apart += (y.unsqueeze(3) - y.unsqueeze(2)).square_()
-        apart += _absent(present[:, :, points]).unsqueeze(2)
-        apart.diagonal(dim1=2, dim2=3).fill_(torch.inf)
-        found[:, :, points] = apart.amin(3).sqrt_().transpose(1, 2)
-    return found.masked_fill(~present, torch.inf)
+    parts = []
+    for x, y, absent in _frames(present, trace):
+        apart = (x.unsqueeze(2) - x.unsqueeze(1)).square_()
+        across = y.unsqueeze(2) - y.unsqueeze(1)
+        apart = apart.addcmul_(across, across).add_(absent)
+        apart.diagonal(dim1=1, dim2=2).fill_(torch.inf)
+        parts.append(apart.amin(2).sqrt_())
+    return _of_people(parts, present)
 
 
 def least_distance(nearest: Tensor, scored: Tensor) -> Tensor:
@@ -117,16 +123,13 @@ def time_to_collision(
         there: Who is there, with a known velocity (E, A, S) bool.
         radius: Of a body, metres.
     """
-    found = torch.full_like(position[..., 0], torch.inf)
-    for points in _parts(there):
-        x, y = position[:, :, points].permute(3, 0, 2, 1)
-        vx, vy = velocity[:, :, points].permute(3, 0, 2, 1)
-        x, y, vx, vy = (value.unsqueeze(2) - value.unsqueeze(3) for value in (x, y, vx, vy))
-        seconds = collision_seconds(x, y, vx, vy, 2 * radius)
-        seconds += _absent(there[:, :, points]).unsqueeze(2)
-        seconds.diagonal(dim1=2, dim2=3).fill_(torch.inf)
-        found[:, :, points] = seconds.amin(3).transpose(1, 2)
-    return found.masked_fill(~there, torch.inf)
+    parts = []
+    for *values, absent in _frames(there, position, velocity):
+        x, y, vx, vy = (value.unsqueeze(1) - value.unsqueeze(2) for value in values)
+        seconds = collision_seconds(x, y, vx, vy, 2 * radius).add_(absent)
+        seconds.diagonal(dim1=1, dim2=2).fill_(torch.inf)
+        parts.append(seconds.amin(2))
+    return _of_people(parts, there)
 
 
 def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: float) -> Tensor:
@@ -148,13 +151,28 @@ def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: float
     return seconds.masked_fill_(never, HORIZON).clamp_(max=HORIZON).masked_fill_(gap <= 0, 0.0)
 
 
-def _absent(there: Tensor) -> Tensor:
-    """Return 0 for who is there (E, A, S), infinity for others, as (E, S, A)."""
-    return torch.zeros(there.shape, device=there.device).masked_fill_(~there, torch.inf).transpose(1, 2)
+def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
+    """Yield the points of all episodes, F at once so that their pairs fit a cache.
+
+    Args:
+        there: Who is there (E, A, T) bool.
+        vectors: (E, A, T, 2) each.
+
+    Yields:
+        x and y of each of the vectors (F, A), and 0 for others who are there and infinity for those who are
+        not, (F, 1, A): to be added to what pairs (F, A, A) have.
+    """
+    agents = there.shape[1]
+    by_frame = [value for one in vectors for value in one.permute(3, 0, 2, 1).reshape(2, -1, agents)]
+    absent = torch.zeros_like(by_frame[0]).masked_fill_(~there.transpose(1, 2).reshape(-1, agents), torch.inf)
+    size = max(1, _AT_ONCE // max(1, agents**2))
+    for first in range(0, max(1, len(absent)), size):
+        some = slice(first, first + size)
+        yield [*(value[some] for value in by_frame), absent[some].unsqueeze(1)]
 
 
-def _parts(there: Tensor) -> list[slice]:
-    """Cut the points of (E, A, T) so that the pairs in each part fit a cache."""
+def _of_people(parts: list[Tensor], there: Tensor) -> Tensor:
+    """Return what the frames have (F, A) as (E, A, T), infinite for who is not there."""
     episodes, agents, points = there.shape
-    size = max(1, _AT_ONCE // max(1, episodes * agents**2))
-    return [slice(first, first + size) for first in range(0, points, size)]
+    found = torch.cat(parts).view(episodes, points, agents).transpose(1, 2)
+    return found.masked_fill(~there, torch.inf)
