@@ -28,8 +28,9 @@ from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.video import read_video
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.train.closed_loop import METRICS, ClosedLoopValidation, share
+from pedzoo.train.closed_loop import METRICS, ClosedLoopValidation
 from pedzoo.train.plain import PlainModule
+from pedzoo.train.stage import Stage, share
 
 ROOT = Path(__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]
@@ -202,14 +203,15 @@ def test_training_does_not_notice(tmp_path: Path) -> None:
 class Scripted(ClosedLoopValidation):
     """Nobody walks; the shares of success are given."""
 
-    check, _env = (lambda *_: None), (lambda *_: None)  # type: ignore[assignment]
-
     def __init__(self, script: list[float], **options: Any) -> None:
         """Log ``script``, one value per rollout."""
         super().__init__(["door"], **options)
         self.script = list(script)
 
-    def _measure(self, stage: Any, trainer: L.Trainer, device: torch.device) -> dict[str, Tensor]:
+    def check(self, model: Any, data: Any = None) -> None:
+        """Everybody may walk."""
+
+    def _measure(self, *_: Any) -> dict[str, Tensor]:
         return {"success": torch.tensor(self.script.pop(0))}
 
 
@@ -247,14 +249,14 @@ def test_epochs_without_a_rollout_log_nothing() -> None:
 
 def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     walked: list[int] = []
-    measure = ClosedLoopValidation._walk
+    walk = Stage.walk
 
-    def counted(self: ClosedLoopValidation, stage: Any) -> Any:
-        found = measure(self, stage)
+    def counted(self: Stage, walker: Any, deterministic: bool) -> Any:
+        found = walk(self, walker, deterministic)
         walked.append(len(cast("Any", found).rollout.failed))
         return found
 
-    monkeypatch.setattr(ClosedLoopValidation, "_walk", counted)
+    monkeypatch.setattr(Stage, "walk", counted)
     assert main([*FIT, "--trainer.fast_dev_run", "true"]) == 0
     assert walked == [1] and not Path("runs").exists()
 
@@ -266,7 +268,7 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
 
     class End(Callback):
         def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-            worlds.add(cast("Any", callback._stages[0].env).world)
+            worlds.add(cast("Any", callback._stages[0]._env).world)
             for copied in (copy.deepcopy(callback), pickle.loads(pickle.dumps(callback))):
                 assert copied.names == callback.names and not copied._stages
             if trainer.current_epoch == 1:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from typing import Any, Literal, NamedTuple, cast
+from contextlib import closing
+from typing import Any, Literal, cast
 
 import lightning as L
 import torch
@@ -14,17 +12,13 @@ from lightning.pytorch.callbacks import Callback
 from torch import Tensor
 
 from pedzoo.errors import UserError, unknown
-from pedzoo.eval.closed_loop import Walked
-from pedzoo.eval.rollout import AT_ONCE, walk
 from pedzoo.metrics.closed_loop import ClosedLoopScore
-from pedzoo.metrics.rollout import joined
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
-from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import WORLDS, make_env, make_scenario
-from pedzoo.sim.scenario import Scenario
 from pedzoo.train.module import ForecastModule
 from pedzoo.train.show import show
+from pedzoo.train.stage import Stage, apart, share, walking_copy
 from pedzoo.types import OBS_LEN
 
 METRICS = (
@@ -33,20 +27,6 @@ METRICS = (
     *("time_ratio", "path_ratio"),
 )
 """What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
-
-
-class _Stage(NamedTuple):
-    """This process's share of a scenario.
-
-    Attributes:
-        name: The scenario as it was given.
-        env: Its environment; None where no episode falls to this process.
-        episodes: Episodes of this process.
-    """
-
-    name: str
-    env: PedestrianEnv | None
-    episodes: int
 
 
 class ClosedLoopValidation(Callback):
@@ -109,7 +89,7 @@ class ClosedLoopValidation(Callback):
 
     def _forget(self) -> None:
         self._walker: Walker | None = None
-        self._stages: list[_Stage] = []
+        self._stages: list[Stage] = []
         self._walked = False
 
     @property
@@ -151,10 +131,10 @@ class ClosedLoopValidation(Callback):
                 f"people walk by the last {OBS_LEN} steps, and --data.obs_len is {observed}: "
                 "train with --rollout.scenarios null"
             )
-        walker = _copied(model)
+        walker = walking_copy(model)
         for name, scenario in self.scenarios.items():
             env = make_env(scenario, world=self.world, seed=self.seed)
-            with _apart(self.seed), closing(env.world):
+            with apart(self.seed), closing(env.world):
                 walker.bind(env.bank)
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
@@ -174,20 +154,11 @@ class ClosedLoopValidation(Callback):
         if self._checked is not pl_module.generator:
             self.check(pl_module.generator, getattr(trainer, "datamodule", None))
         self.close()
-        self._walker = _copied(pl_module.generator)
+        self._walker = walking_copy(pl_module.generator)
         episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
         first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
         for name, scenario in self.scenarios.items():
-            self._stages.append(_Stage(name, self._env(scenario, first, episodes), episodes))
-
-    def _env(self, scenario: Scenario, first: int, episodes: int) -> PedestrianEnv | None:
-        if not episodes:
-            return None
-        rounds = -(-episodes // AT_ONCE[self.world])
-        at_once = -(-episodes // rounds)
-        env = make_env(scenario, at_once, self.world, seed=self.seed, first_episode=first)
-        env.policy_name = "the model in training"
-        return env
+            self._stages.append(Stage(name, scenario, self.world, self.seed, first, episodes))
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Walk, and log."""
@@ -199,18 +170,20 @@ class ClosedLoopValidation(Callback):
             return
         self._walked = True
         assert isinstance(pl_module, ForecastModule)
-        with _apart(self.seed):
+        with apart(self.seed):
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
             for stage in self._stages:
-                found = self._measure(stage, trainer, pl_module.device)
+                found = self._measure(stage, self._walker, trainer, pl_module.device)
                 for key in METRICS:
                     value = found.get(key, torch.tensor(math.nan))
                     shown = key == "success"
                     pl_module.log(f"rollout/{stage.name}/{key}", value, prog_bar=shown, sync_dist=True)
 
-    def _measure(self, stage: _Stage, trainer: L.Trainer, device: torch.device) -> dict[str, Tensor]:
+    def _measure(
+        self, stage: Stage, walker: Walker, trainer: L.Trainer, device: torch.device
+    ) -> dict[str, Tensor]:
         """Return the metrics of a scenario over the episodes of all processes."""
-        walked, score = self._walk(stage), ClosedLoopScore()
+        walked, score = stage.walk(walker, self.deterministic), ClosedLoopScore()
         if walked is not None:
             score.update(walked.rollout, walked.env.decision_dt)
             if self.picture or self.video:
@@ -218,16 +191,6 @@ class ClosedLoopValidation(Callback):
         if trainer.world_size > 1:
             score.to(device)  # where processes talk to each other
         return score.compute()
-
-    def _walk(self, stage: _Stage) -> Walked | None:
-        """Return what the current weights do in this process's episodes; None where it has none."""
-        walker, env = self._walker, stage.env
-        if walker is None or env is None:
-            return None
-        walker.bind(env.bank)
-        env.set_seed(self.seed)
-        walked = joined(list(walk(walker, env, stage.episodes, self.deterministic)))
-        return Walked(type(walker.model).__name__, walked, env)
 
     def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
         """Close the environments."""
@@ -241,9 +204,8 @@ class ClosedLoopValidation(Callback):
 
     def close(self) -> None:
         """Let go of model and environments."""
-        for _, env, _ in self._stages:
-            if env is not None:
-                env.world.close()
+        for stage in self._stages:
+            stage.close()
         self._forget()
 
     def state_dict(self) -> dict[str, Any]:
@@ -257,26 +219,3 @@ class ClosedLoopValidation(Callback):
     def __getstate__(self) -> dict[str, Any]:
         """Copy and pickle without what belongs to a run."""
         return self.__dict__ | {"_walker": None, "_stages": [], "_walked": False, "_checked": None}
-
-
-def share(episodes: int, rank: int, processes: int) -> tuple[int, int]:
-    """Return the first episode of the process ``rank``, and how many it has, as equal as can be."""
-    each, more = divmod(episodes, processes)
-    return rank * each + min(rank, more), each + (rank < more)
-
-
-def _copied(model: Forecaster) -> Walker:
-    """Return a copy that walks: on the CPU, where environments are, and in eval mode."""
-    return Walker(copy.deepcopy(model).cpu().eval())
-
-
-@contextmanager
-def _apart(seed: int) -> Iterator[None]:
-    """Leave no traces in a training.
-
-    Outside of inference mode, in which Lightning validates: environments keep what they make from one
-    validation to the next. Random numbers that are not drawn by scene come from a state of their own.
-    """
-    with torch.inference_mode(False), torch.no_grad(), torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from pathlib import Path
 
@@ -35,6 +36,7 @@ def show(trainer: L.Trainer, scenario: str, walked: Walked, picture: bool, video
     from pedzoo.eval.trajectories import plot_rollouts
     from pedzoo.eval.video import film
 
+    key = "rollout/" + re.sub(r"[^\w.,=-]", "_", scenario)  # names files, too
     shown = [walked._replace(name=f"{walked.name}, epoch {trainer.current_epoch}")]
     step = trainer.fit_loop.epoch_loop._batches_that_stepped  # by which Lightning logs everything else
     with tempfile.TemporaryDirectory() as folder:
@@ -45,6 +47,6 @@ def show(trainer: L.Trainer, scenario: str, walked: Walked, picture: bool, video
             film(shown, walk, size=FILM, seconds=FILM_SECONDS)
         for logger in loggers:
             if picture:
-                logger.log_image(f"rollout/{scenario}/ways", [str(ways)], step)
+                logger.log_image(f"{key}/ways", [str(ways)], step)
             if video:
-                logger.log_video(f"rollout/{scenario}/video", [str(walk)], step)
+                logger.log_video(f"{key}/video", [str(walk)], step)
