@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from pedzoo.paths import write_whole
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from pedzoo.eval.results import Page
+    from pedzoo.eval.results import Page, Shown
 
 
 def check_outputs(**files: str | None) -> None:
@@ -84,18 +84,18 @@ def print_report(report: dict[str, Any]) -> None:
         console.print(table)
 
 
-def print_pages(report: dict[str, Any], tables: Sequence[Page]) -> None:
-    """Print tables under the protocol of a report, each in as many parts as the terminal's width needs.
+def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
+    """Print the tables of an evaluation under its protocol, in as many parts as the terminal's width needs.
 
     Where the terminal is narrow an interval is written below its number.
     """
+    from pedzoo.eval.results import pages, said
+
     console = _console()
-    said = ", ".join(f"{key} {value}" for key, value in report["protocol"].items())
-    console.print(f"{said}, seeds {' '.join(map(str, report['seeds']))}", highlight=False, markup=False)
-    for note in report["notes"]:
-        console.print(f"note: {note}", highlight=False, markup=False)
-    for table in tables:
-        _print_page(console, table)
+    for line in [said(report, shown), *(f"note: {note}" for note in report["notes"])]:
+        console.print(line, highlight=False, markup=False)
+    for page in pages(report, shown):
+        _print_page(console, page)
 
 
 def _console() -> Console:
@@ -112,20 +112,24 @@ _NARROW = 120
 def _print_page(console: Console, page: Page) -> None:
     from rich.table import Table
 
-    rows = [
-        [cell.replace(" [", "\n[") for cell in row] if console.width < _NARROW else row for row in page.rows
-    ]
+    narrow = console.width < _NARROW
+    rows = [[cell.replace(" [", "\n[") for cell in row] if narrow else row for row in page.rows]
     names, columns = range(page.names), range(page.names, len(page.head))
-    widths = [
-        max(map(_width, [_broken(head), *(row[i] for row in rows)])) + 3 for i, head in enumerate(page.head)
-    ]
+    cells = [max(_width(row[i]) for row in rows) for i in range(len(page.head))]
+    heads = [_head(head, cell) for head, cell in zip(page.head, cells, strict=True)]
+    widths = [max(_width(head), cell) + 3 for head, cell in zip(heads, cells, strict=True)]
+    console.print(f"\n{page.title}", style="bold", highlight=False, markup=False)
     for part in _parted(list(columns), widths, console.width - sum(widths[i] for i in names) - 1):
-        table = Table(title=page.title, title_justify="left", title_style="bold")
+        table = Table(show_lines=narrow)
         for i in (*names, *part):
-            table.add_column(_broken(page.head[i]), justify="left" if i == 0 else "right", no_wrap=i > 0)
+            table.add_column(heads[i], justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
         for row in rows:
             table.add_row(*(row[i] for i in (*names, *part)))
         console.print(table)
+
+
+def _head(name: str, width: int) -> str:
+    return "\n".join(_broken(part, max(width, 9)) for part in name.split(" "))
 
 
 def _width(text: str) -> int:
@@ -133,7 +137,7 @@ def _width(text: str) -> int:
 
 
 def _parted(columns: list[int], widths: list[int], width: int) -> list[list[int]]:
-    """Cut columns into parts of at most ``width`` characters, of about as many columns each."""
+    """Cut columns into parts of at most ``width`` characters."""
     parts: list[list[int]] = [[]]
     for i in columns:
         if parts[-1] and sum(widths[j] for j in (*parts[-1], i)) > width:

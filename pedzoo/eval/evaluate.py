@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.eval.journal import Journal, Rows
+from pedzoo.eval.results import Shown
 from pedzoo.eval.suite import Request, Suite, Unit, WorldName, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
@@ -56,7 +57,7 @@ def evaluate(
     world: WorldName | None = None,
     maps: Sequence[str | Path] = (),
     root: str | None = None,
-    rollouts: int = 3,
+    rollouts: int | None = None,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -74,7 +75,7 @@ def evaluate(
         world: ``bullet`` or ``grid`` for all suites; None for their own.
         maps: Floor plans on which ``goals`` is walked, beside those that it draws.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
-        rollouts: Of a policy with noise, on recordings.
+        rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -125,10 +126,10 @@ class Evaluation:
             UserError: As of `evaluate`.
         """
         self._request = request or Request()
-        if self._request.episodes is not None and self._request.episodes < 1:
-            raise UserError(f"episodes {self._request.episodes}: expected at least 1")
-        if self._request.rollouts < 1:
-            raise UserError(f"rollouts {self._request.rollouts}: expected at least 1")
+        for key in ("episodes", "rollouts"):
+            number = getattr(self._request, key)
+            if number is not None and number < 1:
+                raise UserError(f"{key} {number}: expected at least 1")
         self._policies = check_names("policies", policies)
         self._seeds = tuple(dict.fromkeys(seeds))
         if not self._seeds:
@@ -181,12 +182,9 @@ class Evaluation:
         rows = [row for number in sorted(self._rows) for row in self._rows[number]]
         asked = self._request
         protocol = {
-            "suites": ",".join(suite.name for suite in self._suites),
-            "episodes": asked.episodes or "each suite's own",
-            "quick": asked.quick,
-            "noise": "none" if self._deterministic else "sampled",
-            "world": asked.world or "each suite's own",
-            "maps": ",".join(asked.maps) or "none",
+            "suites": [suite.name for suite in self._suites],
+            **asked._asdict(),
+            "deterministic": self._deterministic,
             "warm_start": "orca",
         }
         return {
@@ -198,9 +196,9 @@ class Evaluation:
         }
 
     @property
-    def columns(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-        """Metrics of each suite that are shown: of the headline, and of its own table."""
-        return {suite.name: (suite.headline, suite.columns) for suite in self._suites}
+    def shown(self) -> dict[str, Shown]:
+        """What tables show of each suite."""
+        return {suite.name: Shown(suite.headline, suite.columns, suite.counted) for suite in self._suites}
 
 
 class _Clock:

@@ -6,8 +6,23 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-Shown = Mapping[str, tuple[Sequence[str], Sequence[str]]]
-"""Metrics of each suite: of the headline, and of its own table."""
+
+class Shown(NamedTuple):
+    """What tables show of a suite.
+
+    Attributes:
+        headline: Metrics in the first table.
+        columns: Metrics in its own.
+        counted: What ``n`` is a number of.
+    """
+
+    headline: Sequence[str]
+    columns: Sequence[str]
+    counted: str
+
+
+SEEN = "seen"
+"""What a row's case has if the policy's weights were trained on that case."""
 
 LEGEND = {
     "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each)",
@@ -20,6 +35,13 @@ LEGEND = {
     "path_ratio": "way that people walk, divided by the planner's",
     "least_distance_m": "distance between centres of an episode's nearest two",
     "symmetry_index": "0 where both sides of the door wait the same time",
+    "realism": "mean distance of six distributions (speed, acceleration, heading rate, nearest distance, "
+    "time to collision, lateral deviation) to the real ones, in real standard deviations: lower is better",
+    "time_ratio_median": "of the time until the exit to the real time",
+    "closed_loop_ade_m": "mean distance to where the person really was at that time",
+    "density_speed_rmse_m_per_s": "between the mean speeds of both crowds at equal densities",
+    "agent_contact_excess_per_min": "touches of others beyond those of the real crowd",
+    "wall_contact_excess_per_min": "touches of walls, likewise",
 }
 
 
@@ -39,7 +61,7 @@ class Page(NamedTuple):
     names: int
 
 
-def pages(report: Mapping[str, Any], shown: Shown) -> list[Page]:
+def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
     """Return the headline, and for each suite its metrics, and the cases where it has several.
 
     Args:
@@ -48,11 +70,13 @@ def pages(report: Mapping[str, Any], shown: Shown) -> list[Page]:
     """
     rows, summary = report["rows"], report["summary"]
     found = [_headline(summary, shown)]
-    for suite, (headline, columns) in shown.items():
+    for suite, (headline, columns, _) in shown.items():
         mine = [row for row in summary if row["case"]["suite"] == suite]
         if not mine:
             continue
         known = [key for key in columns if any(key in row["metrics"] for row in mine)]
+        if not any(row["metrics"].get("failed") for row in mine):
+            known = [key for key in known if key != "failed"]
         cases = max(row["cases"] for row in mine)
         title = f"{suite}: mean of {cases} cases" if cases > 1 else suite
         body = [[row["name"], str(row["n"]), *(cell(row, key) for key in known)] for row in mine]
@@ -64,21 +88,34 @@ def pages(report: Mapping[str, Any], shown: Shown) -> list[Page]:
     return found
 
 
-def markdown(report: Mapping[str, Any], shown: Shown, command: Sequence[str]) -> str:
-    """Return the page with the command that made it, and all tables."""
-    made, protocol = report["versions"], report["protocol"]
-    said = ", ".join(f"{key} {value}" for key, value in protocol.items())
+def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
+    """Return the protocol in a line: suites with their episodes and worlds, noise, warm start and seeds."""
+    parts = {}
+    for row in report["summary"]:
+        each = f"{row['cases']} x " if row["cases"] > 1 else ""
+        suite, world = row["case"]["suite"], row["case"]["world"]
+        what = f"{row['n'] // row['cases']} {shown[suite].counted}"
+        parts.setdefault(suite, f"{suite} {each}{what} ({world})")
+    protocol = report["protocol"]
+    noise = "none" if protocol["deterministic"] else "sampled"
     seeds = " ".join(map(str, report["seeds"]))
+    return f"{', '.join(parts.values())}; noise {noise}, warm start {protocol['warm_start']}, seeds {seeds}"
+
+
+def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Sequence[str]) -> str:
+    """Return the page with the command that made it, and all tables."""
+    made = report["versions"]
     lines = [
         "# Closed-loop evaluation\n",
         f"Made by `{shlex.join(command)}` with pedzoo {made['pedzoo']}, torch {made['torch']}, commit"
-        f" {made.get('commit', 'unknown')}: {said}, seeds {seeds}. {INTERVALS}\n",
+        f" {made.get('commit', 'unknown')}: {said(report, shown)}. {INTERVALS}\n",
         *(f"* {note}\n" for note in report["notes"]),
     ]
     for page in pages(report, shown):
         lines += [f"## {page.title}\n", _markdown_table(page)]
-    lines += ["## What the numbers are\n", *(f"* `{key}`: {text}." for key, text in LEGEND.items())]
-    return "\n".join(lines).rstrip() + "\n"
+    known = {key for row in report["summary"] for key in row["metrics"]}
+    legend = (f"* `{key}`: {text}." for key, text in LEGEND.items() if key in known)
+    return "\n".join([*lines, "## What the numbers are\n", *legend]).rstrip() + "\n"
 
 
 INTERVALS = (
@@ -92,6 +129,8 @@ def cell(row: Mapping[str, Any], key: str) -> str:
     if key not in row["metrics"]:
         return "-"
     text = _number(row["metrics"][key])
+    if SEEN in row["case"]:
+        text += "*"
     if key in row["ci95"]:
         text += f" [{', '.join(map(_number, row['ci95'][key]))}]"
     return text
@@ -99,17 +138,21 @@ def cell(row: Mapping[str, Any], key: str) -> str:
 
 def case_label(row: Mapping[str, Any]) -> str:
     """Return what tells a row from others of its suite."""
-    kept = {key: value for key, value in row["case"].items() if key not in ("suite", "world", "weights")}
+    kept = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
     if {"people", "goals"} <= kept.keys():  # as in Table II
         kept = {"map": kept.get("map", ""), "cell": f"{kept['people']}/{kept['goals']}"}
     return " ".join(kept.values())
 
 
-def _headline(summary: Iterable[Mapping[str, Any]], shown: Shown) -> Page:
-    columns = [(suite, key) for suite, (headline, _) in shown.items() for key in headline]
+_NO_CASE = ("suite", "world", "weights", SEEN)
+"""What does not tell cases of a suite from each other."""
+
+
+def _headline(summary: Iterable[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Page:
+    columns = [(suite, key) for suite, one in shown.items() for key in one.headline]
     found = {(row["name"], row["case"]["suite"]): row for row in summary}
     names = dict.fromkeys(name for name, _ in found)
-    nothing: dict[str, Any] = {"metrics": {}, "ci95": {}}
+    nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
     columns = [
         one for one in columns if any(one[1] in found.get((n, one[0]), nothing)["metrics"] for n in names)
     ]
@@ -123,7 +166,7 @@ def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> Page:
     """Return one metric: policies as rows, cases as columns."""
     cases = list(dict.fromkeys(map(case_label, rows)))
     found = {(row["name"], case_label(row)): row for row in rows}
-    nothing: dict[str, Any] = {"metrics": {}, "ci95": {}}
+    nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
     body = [
         [name, *(cell(found.get((name, case), nothing), key) for case in cases)]
         for name in dict.fromkeys(row["name"] for row in rows)

@@ -29,7 +29,7 @@ class Request(NamedTuple):
         world: For all cases; None for the suite's own.
         maps: Floor plans beside the suite's own.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
-        rollouts: Of a policy with noise, on recordings.
+        rollouts: Of a policy with noise, on recordings; None for the suite's own number.
     """
 
     episodes: int | None = None
@@ -37,7 +37,7 @@ class Request(NamedTuple):
     world: WorldName | None = None
     maps: tuple[str, ...] = ()
     root: str | None = None
-    rollouts: int = 3
+    rollouts: int | None = None
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -104,10 +104,12 @@ class Suite(ABC):
 
     Attributes:
         name: As it was asked for.
+        counted: What ``n`` of its rows are.
         headline: Metrics of the first table.
         columns: Metrics of the suite's own table.
     """
 
+    counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
     columns: ClassVar[tuple[str, ...]] = (
         "success",

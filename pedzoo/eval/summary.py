@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
+from pedzoo.eval.results import SEEN
 from pedzoo.metrics.intervals import Interval
 
 
@@ -39,7 +40,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         found.append(
             {
                 "name": name,
-                "case": {"suite": suite},
+                "case": {"suite": suite, "world": cases[0]["case"]["world"]} | _seen(cases),
                 "n": sum(case["n"] for case in cases),
                 "cases": len(cases),
                 "metrics": metrics,
@@ -67,6 +68,10 @@ def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]])
         for side in (0, 1)
     )
     return mean - below / len(values), mean + above / len(values)
+
+
+def _seen(cases: Sequence[dict[str, Any]]) -> dict[str, str]:
+    return {SEEN: "yes"} if any(SEEN in case["case"] for case in cases) else {}
 
 
 def _place(row: dict[str, Any]) -> tuple[str, str]:

@@ -19,7 +19,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.progress import overall_bar
     from pedzoo.errors import UserError
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation
-    from pedzoo.eval.results import markdown, pages
+    from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import Request
     from pedzoo.registry import SUITES
     from pedzoo.versions import versions
@@ -54,7 +54,9 @@ def run(argv: list[str]) -> int:
     )
     parser.add_argument("--data.root", type=str | None, help="Recordings for replay (default: PEDZOO_DATA).")
     parser.add_argument(
-        "--rollouts", type=PositiveInt, default=3, help="On recordings, of a policy with noise."
+        "--rollouts",
+        type=int | None,
+        help="On recordings, of a policy with noise (default: 3, or 1 if quick).",
     )
     parser.add_argument("--workers", type=PositiveInt, default=1, help="Processes; the table stays the same.")
     parser.add_argument(
@@ -94,12 +96,12 @@ def run(argv: list[str]) -> int:
 
     def tell(**more: bool) -> None:
         report = {"command": "evaluate", **evaluation.report(), "versions": versions(), **more}
-        print_pages(report, pages(report, evaluation.columns))
+        print_pages(report, evaluation.shown)
         if options.json:
             write_json(options.json, report)
         if options.markdown:
             command = ["pedzoo", "evaluate", *argv]
-            write_text(options.markdown, markdown(report, evaluation.columns, command))
+            write_text(options.markdown, markdown(report, evaluation.shown, command))
 
     try:
         with overall_bar() as progress:

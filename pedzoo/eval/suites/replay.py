@@ -1,0 +1,158 @@
+"""Recorded crowds: people walk from their real entry to their real exit, beside the real ones."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any, ClassVar, cast
+
+from pedzoo.data.datasets.eth_ucy import FOLDS, EthUcy
+from pedzoo.errors import UserError
+from pedzoo.eval.prepared import prepared
+from pedzoo.eval.realism import REAL, reference_rows, replay_row
+from pedzoo.eval.results import SEEN
+from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
+from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.models.walker import Walker
+from pedzoo.sim.policy import load_policy
+from pedzoo.sim.scenarios.replay import Replay as Recorded
+
+EMBEDDED = "embedded"
+"""The fold that needs no recordings."""
+
+SIMULATED = ("all", "one")
+"""Everybody at once, or one person among all others as they were recorded."""
+
+ROLLOUTS = 3
+"""Of a policy with noise, if all are simulated; where every person has a scene, one of each is enough."""
+
+QUICK_SHARE = 0.1
+"""Whoever comes in this first part of the recordings is simulated in a quick run."""
+
+
+class Replay(Suite):
+    """Two cases for every fold, and rows of the real crowd in each.
+
+    Weights of the zoo walk on a fold that they have not seen: for a name ``ARCH.FOLD`` those of the fold that
+    is walked, where there are any.
+    """
+
+    counted: ClassVar[str] = "people"
+    headline: ClassVar[tuple[str, ...]] = ("realism", "success")
+    columns: ClassVar[tuple[str, ...]] = (
+        "realism",
+        "success",
+        "deadlock",
+        "time_ratio_median",
+        "closed_loop_ade_m",
+        "density_speed_rmse_m_per_s",
+        "agent_contact_excess_per_min",
+        "wall_contact_excess_per_min",
+    )
+
+    def cases(self, request: Request) -> list[Case]:
+        """Return two cases for each fold of which there are recordings, else for the embedded one.
+
+        Raises:
+            UserError: A folder was asked for that has none.
+        """
+        found = []
+        usual = 1 if request.quick else ROLLOUTS
+        for fold in _folds(request.root):
+            for simulated in SIMULATED:
+                settings = [f"fold={fold}", f"simulated={simulated}"]
+                settings += [f"share={QUICK_SHARE}"] * request.quick
+                settings += [f"root={request.root}"] * (request.root is not None and fold != EMBEDDED)
+                case = Case(
+                    suite=self.name,
+                    name=f"{fold} {simulated}",
+                    scenario=f"replay:{','.join(settings)}",
+                    world=request.world or "grid",
+                    episodes=request.rollouts or (usual if simulated == "all" else 1),
+                    case={"fold": fold, "simulated": simulated},
+                    inputs=_digest(fold, request.root),
+                    effort=100.0 * (QUICK_SHARE if request.quick else 1.0),
+                    shares=fold,
+                )
+                found.append(case)
+        return found
+
+    def notes(self, request: Request, policies: Sequence[str]) -> list[str]:
+        """Return what is missing, and which weights walk where."""
+        folds = _folds(request.root)
+        if folds == [EMBEDDED]:
+            return [
+                f"{self.name}: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
+            ]
+        found = []
+        for policy in policies:
+            walks = {fold: for_fold(policy, fold) for fold in folds}
+            others = [name for name in dict.fromkeys(walks.values()) if name != policy]
+            if others:
+                found.append(
+                    f"{self.name}: {policy} is {', '.join(others)} on the folds that these did not see"
+                )
+            if seen := [fold for fold, name in walks.items() if has_seen(name, fold)]:
+                found.append(f"{self.name}: {policy} was trained on {', '.join(seen)}: marked *")
+        return found
+
+    def units(
+        self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
+    ) -> list[Unit]:
+        """Return the work on a case: the policies', and that on the real crowd."""
+        fold = case.case["fold"]
+        units = [Unit(name, for_fold(name, fold), case, seeds, deterministic) for name in policies]
+        return [*units, Unit(REAL, REAL, case, (0,), True)]
+
+    def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
+        """Walk one unit; whoever has no noise does so once."""
+        case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario))
+        if unit.walks == REAL:
+            return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
+        model = load_policy(unit.walks)
+        noise = isinstance(model, Walker) and model.model.noise_dim > 0 and not unit.deterministic
+        seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
+        walked, decision_dt = [], model.decision_dt
+        for number, seed in enumerate(seeds):
+            policy, env = prepare(unit.walks, scenario, case.world, rounds * scenario.scenes, seed)
+
+            def share(name: str, done: int, total: int, number: int = number) -> None:
+                if tell:
+                    tell((number + done / total) / len(seeds))
+
+            try:
+                walked.extend(walk(policy, env, rounds * scenario.scenes, unit.deterministic, share))
+            finally:
+                env.world.close()
+        row = replay_row(unit.policy, joined(walked), scenario, decision_dt)
+        if has_seen(unit.walks, case.case["fold"]):
+            row["case"] = row["case"] | {SEEN: "yes"}
+        return [row | {"people": scenario.persons.counts}]
+
+
+def _folds(root: str | None) -> list[str]:
+    """Return the folds of which there are recordings, else the embedded one.
+
+    Raises:
+        UserError: ``root`` has none.
+    """
+    found = []
+    for fold in FOLDS:
+        try:
+            EthUcy(fold, root)
+        except UserError:
+            if root is not None:
+                raise
+        else:
+            found.append(fold)
+    return found or [EMBEDDED]
+
+
+def _digest(fold: str, root: str | None) -> str:
+    if fold == EMBEDDED:
+        return ""  # its files are pedzoo's
+    data, found = EthUcy(fold, root, "true"), hashlib.sha256()
+    for file in data.files["test"]:
+        found.update((data.root / file).read_bytes())
+    return found.hexdigest()

@@ -1,0 +1,44 @@
+"""Which recordings the weights of a policy were trained on, and which others of the zoo were not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pedzoo.data.datasets.eth_ucy import FOLDS
+from pedzoo.models.header import read_config
+from pedzoo.models.zoo import read_checkpoint
+from pedzoo.paths import weight_files
+from pedzoo.spec import parse
+
+
+def for_fold(policy: str, fold: str) -> str:
+    """Return the policy to walk on a fold: where there are any, weights that did not see it.
+
+    Weights are named after the fold that they did not see: for ``sgan_goal.zara1:noise=step`` on hotel that
+    is ``sgan_goal.hotel:noise=step``. Anything else stays as it is.
+    """
+    name = parse(policy).name
+    held_out = _held_out(name)
+    if name not in weight_files() or held_out in (None, fold):
+        return policy
+    architecture, _, tag = name.partition(".")
+    other = f"{architecture}.{tag.replace(held_out, fold, 1)}"
+    return other + policy.removeprefix(name) if other in weight_files() else policy
+
+
+def has_seen(policy: str, fold: str) -> bool:
+    """Return whether the weights of a policy were trained on the test recordings of a fold of ETH/UCY."""
+    held_out = _held_out(parse(policy).name)
+    return fold in FOLDS and held_out is not None and held_out != fold and held_out in (*FOLDS, "eth_ucy")
+
+
+def _held_out(name: str) -> str | None:
+    """Return the fold that weights were trained for, which is what they did not see; None without weights."""
+    config: dict[str, Any] = {}
+    if file := weight_files().get(name):
+        config = read_config(file)
+    elif name.endswith(".safetensors"):
+        config = read_config(name)
+    elif name.endswith(".ckpt"):
+        config = read_checkpoint(name)["pedzoo"]
+    return config.get("training", {}).get("fold")

@@ -1,0 +1,291 @@
+"""`pedzoo evaluate`: the same table however it is run, parts that are kept, and what people read."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.errors import UserError
+from pedzoo.eval import evaluate as module
+from pedzoo.eval import prepared as keeping
+from pedzoo.eval import unseen
+from pedzoo.eval.evaluate import Evaluation
+from pedzoo.eval.journal import Journal
+from pedzoo.eval.results import Shown, cell, markdown, pages
+from pedzoo.eval.suite import Request
+from pedzoo.eval.suites.goals import CELLS
+from pedzoo.eval.summary import mean_interval, summary
+from pedzoo.eval.units import digest
+from pedzoo.registry import SUITES
+
+SMALL = '''
+from pedzoo.eval.suite import Case, Suite
+
+CASES = {"circle": "circle", "two": "overtaking"}
+
+
+class Small(Suite):
+    """Two encounters: a suite from a file of one's own."""
+
+    def cases(self, request):
+        world, number = request.world or "grid", request.number(20)
+        return [Case(self.name, key, name, world, number, {"card": key}) for key, name in CASES.items()]
+'''
+
+BROKEN = '''
+from pedzoo.sim.policy import Policy
+
+
+class Broken(Policy):
+    """Has no number for anybody in scenes that began 0.8 s ago."""
+
+    def __init__(self):
+        super().__init__(0.4)
+
+    def forward(self, tensordict):
+        action = tensordict["agents", "desired_velocity"].clone()
+        action[tensordict["time"][:, 0] > 0.6] = float("nan")
+        tensordict["agents", "action"] = action
+        return tensordict
+'''
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> str:
+    file = tmp_path / "small.py"
+    file.write_text(SMALL)
+    return f"{file}:Small"
+
+
+def compared(report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report without versions and times."""
+    found = json.loads(json.dumps(report))
+    for row in found["rows"] + found["summary"]:
+        del row["seconds"]
+    return {key: value for key, value in found.items() if key not in ("versions", "command")}
+
+
+def test_the_command_a_resumed_run_and_python_give_the_same_table(
+    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policies, file = ["go_to_goal", "sgan_goal.zara1"], tmp_path / "out.json"
+    command = ["evaluate", *policies, "--suite", small, "--quick", "--seeds", "0,3", "--json", str(file)]
+    done: list[str] = []
+    real = module.work
+
+    def interrupted(unit: Any, tell: Any) -> Any:
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(unit.label)
+        return real(unit, tell)
+
+    monkeypatch.setattr(module, "work", interrupted)
+    assert main(command) == 130
+    assert "not finished: 3 of 4 parts" in (said := capsys.readouterr().out)
+    assert "the same command goes on from there" in said
+    assert json.loads(file.read_text())["interrupted"] is True
+
+    monkeypatch.setattr(module, "work", real)
+    assert main(command) == 0
+    assert "3 of 4 parts were done before" in capsys.readouterr().out
+    resumed = json.loads(file.read_text())
+    assert "interrupted" not in resumed and list(tmp_path.glob("*.partial")) == []
+
+    alone = pedzoo.evaluate(policies, [small], quick=True, seeds=[0, 3])
+    assert compared(resumed) == compared(alone)
+    row = alone["rows"][0]
+    assert (row["name"], row["n"]) == ("go_to_goal", 4)
+    assert row["case"] == {"suite": small, "world": "grid", "card": "circle"}
+    assert {(person["seed"], person["episode"]) for person in row["per_agent"]} == {
+        (seed, episode) for seed in (0, 3) for episode in (0, 1)
+    }
+
+
+def test_two_workers_give_the_same_table(small: str) -> None:
+    settings: dict[str, Any] = {"suites": [small], "episodes": 1}
+    alone = pedzoo.evaluate(["sgan_goal.zara1"], **settings)
+    assert compared(pedzoo.evaluate(["sgan_goal.zara1"], **settings, workers=2)) == compared(alone)
+
+
+def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path: Path) -> None:
+    file = tmp_path / "broken.py"
+    file.write_text(BROKEN)
+    with pytest.warns(UserWarning, match="the scene ends as failed"):
+        report = pedzoo.evaluate([f"{file}:Broken", "go_to_goal"], [small], episodes=2)
+    broken, fine = report["summary"]
+    assert (broken["metrics"]["failed"], broken["metrics"]["success"]) == (1.0, 0.0)
+    assert (fine["metrics"]["failed"], fine["metrics"]["success"]) == (0.0, 1.0)
+    assert "time_ratio" not in broken["metrics"]
+
+
+def test_whatever_is_misspelt_is_refused_before_anything_walks(
+    small: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "finished", lambda *args: pytest.fail("something walked"))
+    for words, message in (
+        (["orca", "--suite", "dor"], "unknown suite 'dor': did you mean 'door'?"),
+        (["orcs", "--suite", "cards"], "unknown policy 'orcs': did you mean 'orca'?"),
+        (["orca", "--suite", "goals", "--maps", "ofice.3"], "did you mean 'office.3'?"),
+        (["orca", "--suite", "replay", "--data.root", "nowhere"], "data root 'nowhere' is not a folder"),
+        (["orca", "--suite", "cards", "--episodes", "0"], "episodes 0: expected at least 1"),
+        (["orca", "--suite", "cards", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
+        (["orca", "--suite", ","], "no suites"),
+        (["orca", "--sute", "cards"], "--suite"),
+    ):
+        assert main(["evaluate", *words]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+
+
+def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
+    by_name = {name: SUITES.get(name)(name) for name in SUITES.names()}
+    (door,) = by_name["door"].cases(Request())
+    assert (door.world, door.episodes) == ("bullet", 200)
+    assert by_name["door"].cases(Request(quick=True))[0].episodes == 20
+    goals = by_name["goals"].cases(Request(maps=("flat",)))
+    assert len(goals) == 2 * len(CELLS) and {case.case["map"] for case in goals} == {"drawn", "flat"}
+    assert [(int(case.case["people"]), int(case.case["goals"])) for case in goals[:5]] == list(CELLS)
+    assert len(by_name["cards"].cases(Request())) == 8
+    assert all(case.world == "grid" for case in by_name["cards"].cases(Request(world="grid")))
+
+
+def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeping, "_kept", {})
+    first = keeping.prepared("goals:map=flat,people=2,goals=3,pool=6")
+    second = keeping.prepared("goals:map=flat,people=5,goals=3,pool=6")
+    other = keeping.prepared("goals:map=flat,people=2,goals=3,pool=7")
+    assert second.planner is first.planner and other.planner is not first.planner
+    assert (first.people, second.people) == (2, 5)
+    assert keeping.prepared("goals:map=flat,people=2,goals=3,pool=6") is first
+    with pytest.raises(UserError, match="500 people do not fit"):
+        keeping.prepared("goals:map=flat,people=500,goals=3,pool=6")
+
+
+def test_without_recordings_the_embedded_crowd_is_replayed_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    report = pedzoo.evaluate(["go_to_goal"], ["replay"], quick=True)
+    assert report["notes"] == [
+        "replay: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
+    ]
+    names = [(row["name"], row["case"]["simulated"]) for row in report["rows"]]
+    assert names == [
+        (name, kind) for kind in ("all", "one") for name in ("go_to_goal", "real", "real halves")
+    ]
+    ours, real, halves = report["summary"]
+    assert real["metrics"]["realism"] == 0.0 and halves["metrics"]["realism"] > 0.0
+    assert ours["metrics"]["success"] == 1.0
+
+
+def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    held_out = {
+        "a.zara1": "zara1",
+        "a.hotel": "hotel",
+        "a.zara1_destination": "zara1",
+        "b.eth_ucy": "eth_ucy",
+    }
+    monkeypatch.setattr(unseen, "weight_files", lambda: {name: Path(name) for name in held_out})
+    monkeypatch.setattr(unseen, "read_config", lambda path: {"training": {"fold": held_out[str(path)]}})
+    assert unseen.for_fold("a.zara1:noise=step", "hotel") == "a.hotel:noise=step"
+    assert unseen.for_fold("a.zara1", "zara1") == "a.zara1"
+    assert unseen.for_fold("a.zara1", "univ") == "a.zara1" and unseen.has_seen("a.zara1", "univ")
+    assert unseen.for_fold("a.zara1_destination", "hotel") == "a.zara1_destination"
+    assert unseen.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
+    assert not unseen.has_seen("a.hotel", "hotel") and not unseen.has_seen("orca", "hotel")
+    assert unseen.has_seen("b.eth_ucy", "zara2") and not unseen.has_seen("a.zara1", "embedded")
+
+
+def test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files(tmp_path: Path) -> None:
+    file = tmp_path / "parts"
+    journal = Journal(file)
+    journal.add("one", [{"n": 1}])
+    journal.add("two", [{"n": 2}])
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-5])
+    again = Journal(file)
+    assert again.done == {"one": [{"n": 1}]}
+    again.add("two", [{"n": 2}])
+    assert file.read_bytes() == whole
+    file.write_text("something else\n")
+    with pytest.raises(UserError, match="no finished parts"):
+        Journal(file)
+
+
+def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:
+    unit = Evaluation(["go_to_goal"], [small]).units[0]
+    others = [
+        unit._replace(policy="go_to_goal:dt=0.1", walks="go_to_goal:dt=0.1"),
+        unit._replace(seeds=(1,)),
+        unit._replace(deterministic=True),
+        unit._replace(case=unit.case._replace(episodes=7)),
+        unit._replace(case=unit.case._replace(inputs="another floor plan")),
+    ]
+    assert len({digest(one) for one in [unit, *others]}) == 6
+    assert digest(unit) == digest(Evaluation(["go_to_goal"], [small]).units[0])
+
+
+def test_the_mean_of_cases_and_its_interval_by_hand() -> None:
+    # deviations 0.3, 0.4 below and 0.06, 0.08 above add up in squares: 0.5 / 2 and 0.1 / 2
+    assert mean_interval([0.5, 0.9], [(0.2, 0.56), (0.5, 0.98)]) == pytest.approx((0.45, 0.75))
+    case = {"suite": "goals", "world": "grid"}
+    seconds = {"wall": 1.0, "cpu": 0.5}
+    rows = [
+        {"name": name, "case": case, "n": 20, "seconds": seconds, "metrics": metrics, "ci95": ci95}
+        for name, metrics, ci95 in (
+            ("orca", {"success": 0.5, "time_s": 9.0}, {"success": (0.2, 0.56)}),
+            ("orca", {"success": 0.9}, {"success": (0.5, 0.98)}),
+            ("go_to_goal", {"success": 1.0}, {}),
+        )
+    ]
+    mine, other = summary(rows)
+    assert (mine["name"], mine["n"], mine["cases"], other["n"]) == ("orca", 40, 2, 20)
+    assert mine["metrics"] == pytest.approx({"success": 0.7})  # not everybody has a time
+    assert mine["ci95"]["success"] == pytest.approx((0.45, 0.75))
+    assert other["ci95"] == {} and mine["seconds"] == {"wall": 2.0, "cpu": 1.0}
+
+
+def test_tables_and_pages_show_the_same_cells(small: str, tmp_path: Path) -> None:
+    assert (
+        cell({"case": {}, "metrics": {"x": 0.926}, "ci95": {"x": (0.88, 0.961)}}, "x") == "0.93 [0.88, 0.96]"
+    )
+    assert cell({"case": {"seen": "yes"}, "metrics": {"x": 123.4}, "ci95": {}}, "x") == "123*"
+    assert cell({"case": {}, "metrics": {}, "ci95": {}}, "x") == "-"
+    evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], Request(episodes=2))
+    evaluation.run()
+    report = {**evaluation.report(), "versions": {"pedzoo": "0", "torch": "0"}}
+    shown = {small: Shown(("success",), ("success", "failed", "nobody_has_it"), "episodes")}
+    head, own, each = pages(report, shown)
+    assert [row[0] for row in head.rows] == ["go_to_goal", "constant_velocity"]
+    assert own.head == ["policy", "n", "success"] and each.head == ["policy", "circle", "two"]
+    assert own.rows[0][1:] == ["4", head.rows[0][1]]
+    text = markdown(report, shown, ["pedzoo", "evaluate", "a b"])
+    assert "Made by `pedzoo evaluate 'a b'`" in text
+    assert all(f"| {' | '.join(row)} |" in text for page in (head, own, each) for row in page.rows)
+
+
+@pytest.mark.parametrize("columns", [80, 120, 200])
+def test_tables_fit_the_terminal(
+    columns: int, small: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, as far as rich is concerned
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["evaluate", "go_to_goal", "--suite", small, "--episodes", "2"]) == 0
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert max(map(len, plain.splitlines())) <= columns
+    assert ("[0.34," in plain or "[0.34, 1.00]" in plain) and "…" not in plain
+
+
+def test_progress_goes_up_to_the_end(small: str) -> None:
+    steps: list[module.Step] = []
+    pedzoo.evaluate(["go_to_goal"], [small], episodes=2, progress=steps.append)
+    done = [step.done for step in steps]
+    assert done == sorted(done) and math.isclose(done[-1], 1.0)
+    assert (steps[-1].units, steps[-1].total, steps[-1].left) == (2, 2, pytest.approx(0.0, abs=1e-6))
