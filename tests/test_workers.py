@@ -18,7 +18,7 @@ from types import ModuleType
 
 import pytest
 import torch
-from errands import answer, complain, fail, pause, process_of
+from errands import answer, complain, fail, lock, pause, process_of
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.errors import UserError
@@ -89,6 +89,11 @@ def test_nothing_stays_open() -> None:
     assert set(os.listdir("/proc/self/fd")) == before
     shared = os.listdir("/dev/shm")  # torch puts a number of the process into the names of shared tensors
     assert not [name for name in shared if any(f"_{process}_" in name for process in processes)]
+    results = finished(range(2), lock, 2)
+    file = Path(next(results)[1])
+    assert file.exists()
+    results.close()
+    assert not file.exists()
 
 
 def test_no_result_is_lost_while_the_caller_is_busy(tmp_path: Path) -> None:

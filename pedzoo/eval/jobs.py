@@ -88,7 +88,7 @@ class JobEnv(EnvBase):
         """Do the jobs that ``take`` hands out, as `pedzoo.eval.shares.Shares` does."""
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([]))
         torch.set_num_threads(1)
-        threading.Thread(target=_end_with_the_parent, daemon=True).start()
+        _end_when_told()
         self.sent = sent
         self.take = take
         self.group: int | None = None
@@ -160,9 +160,19 @@ def _portable(error: Exception, job: int) -> Exception:
     return error
 
 
-def _end_with_the_parent() -> None:
-    """End this process when the one that started it is gone, even killed, and not only after the job."""
+def _end_when_told() -> None:
+    """Let this process end in good order when it is terminated, and when the one that started it is gone.
+
+    In good order: else Python complains of whatever a job has left (tqdm has a semaphore in every process).
+    Without a word from the parent, which may have been killed, it would go on until the job is done.
+    """
     parent = multiprocessing.parent_process()
-    if parent is not None:  # Ray looks after its own
+    if parent is None:  # Ray looks after its own
+        return
+
+    def follow() -> None:
         parent.join()
         os.kill(os.getpid(), signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    threading.Thread(target=follow, daemon=True).start()
