@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 from scipy.stats import wasserstein_distance
+from tensordict import TensorDictBase
 
-from pedzoo.geometry import identity_pose
+from pedzoo.eval.realism import reference_rows, replay_row
+from pedzoo.eval.rollout import prepare, walk
+from pedzoo.geometry import identity_pose, rotate
 from pedzoo.metrics.realism import (
     Samples,
     counted,
@@ -24,8 +30,10 @@ from pedzoo.metrics.realism_crowds import crowd, densities, density_speed
 from pedzoo.metrics.realism_features import every_step, features, surroundings
 from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
 from pedzoo.metrics.realism_walks import walks_of
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.metrics.safety import time_to_collision
+from pedzoo.sim.policies.go_to_goal import GoToGoal
+from pedzoo.sim.scenarios.replay import Replay
 
 NAN = float("nan")
 
@@ -290,3 +298,159 @@ def test_walks_of_two_rounds() -> None:
     assert found.ade[0].tolist() == pytest.approx([(0.4 + 0.6 + 0.8 + 1.0) / 4, 0.0])
     assert found.ade[1, 0] == 0.0 and found.ade[1, 1].isnan() and found.dtw[1, 1].isnan()
     assert found.dtw[0, 1] == found.dtw[1, 0] == 0.0 and found.dtw[0, 0] > 0.1
+
+
+class Frozen(GoToGoal):
+    """Nobody ever moves."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Stand."""
+        tensordict["agents", "action"] = torch.zeros_like(tensordict["agents", "desired_velocity"])
+        return tensordict
+
+
+class Drunk(GoToGoal):
+    """Everybody goes to their goal, swaying by 60 degrees to either side."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Sway."""
+        wanted = tensordict["agents", "desired_velocity"]
+        angle = torch.pi / 3 * torch.sin(5 * cast("torch.Tensor", tensordict["time"]))
+        direction = torch.cat((angle.cos(), angle.sin()), dim=1).unsqueeze(1).expand_as(wanted)
+        tensordict["agents", "action"] = rotate(wanted, direction)
+        return tensordict
+
+
+Rows = dict[str, dict[str, Any]]
+
+
+def walked(policy: GoToGoal | str, replay: Replay, rounds: int = 1) -> Rollout:
+    """Return what a policy does in some rounds of a replay."""
+    name = policy if isinstance(policy, str) else "go_to_goal"
+    found, env = prepare(name, replay, "grid", replay.scenes * rounds)
+    chosen = found if isinstance(policy, str) else policy
+    return joined(list(walk(chosen, env, replay.scenes * rounds)))
+
+
+BASELINES = ("go_to_goal", "social_force:preset=indoor,dt=0.4", "orca:dt=0.4")
+
+
+@pytest.fixture(scope="module")
+def plaza() -> Replay:
+    """Everybody on the embedded plaza."""
+    replay = Replay(fold="embedded")
+    replay.ready(0.25)
+    return replay
+
+
+@pytest.fixture(scope="module")
+def rows(plaza: Replay) -> Rows:
+    """Rows of the plaza: the real crowd, its halves, and baselines."""
+    found = {row["name"]: row for row in reference_rows(plaza)}
+    return found | {name: replay_row(name, walked(name, plaza), plaza, 0.4) for name in BASELINES}
+
+
+@pytest.fixture(scope="module")
+def few() -> tuple[Replay, Rollout, dict[str, float]]:
+    """Those who come first on the plaza, and what becomes of them when they go to their goals."""
+    replay = Replay(fold="embedded", share=0.2)
+    replay.ready(0.25)
+    rollout = walked("go_to_goal", replay)
+    return replay, rollout, replay_row("go_to_goal", rollout, replay, 0.4)["metrics"]
+
+
+def test_the_real_crowd_is_at_no_distance_from_itself(rows: Rows) -> None:
+    real, halves = rows["real"], rows["real halves"]
+    away = [key for key in real["metrics"] if key.startswith("w1_") or "excess" in key or "rmse" in key]
+    assert len(away) == 17
+    for key in [*away, "realism", "closed_loop_ade_m", "dtw_m"]:
+        assert real["metrics"][key] == 0.0 and key not in real["ci95"]
+    assert real["metrics"]["success"] == 1.0 and real["metrics"]["time_ratio_median"] == 1.0
+    # what is no comparison is that of the crowd
+    for key in ("speed_std_m_per_s", "agent_contact_share"):
+        assert halves["metrics"][key] == pytest.approx(real["metrics"][key], rel=0.3)
+    assert real["n"] == halves["n"] == len(real["per_agent"])
+
+
+def test_the_halves_of_the_real_crowd_bound_every_policy(rows: Rows) -> None:
+    floor = rows["real halves"]
+    for name in BASELINES:
+        assert rows[name]["metrics"]["realism"] > floor["metrics"]["realism"]
+    assert 0 < floor["ci95"]["realism"][0] < floor["metrics"]["realism"] < floor["ci95"]["realism"][1]
+
+
+def test_bad_policies_are_caught(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
+    replay, _, sober = few
+    frozen = replay_row("frozen", walked(Frozen(), replay), replay, 0.4)["metrics"]
+    drunk = replay_row("drunk", walked(Drunk(), replay), replay, 0.4)["metrics"]
+    for key in ("w1_speed", "density_speed_rmse_m_per_s", "closed_loop_ade_m"):
+        assert frozen[key] > 3 * sober[key]
+    assert frozen["success"] == 0.0 and frozen["deadlock"] > 0.5 and frozen["speed_std_m_per_s"] == 0.0
+    # nobody arrives, nobody has a heading
+    assert "time_ratio_median" not in frozen and "w1_heading_rate" not in frozen
+    for key in ("w1_heading_rate", "w1_acceleration", "realism"):
+        assert drunk[key] > 3 * sober[key]
+
+
+def test_teleporting_is_caught(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
+    replay, _, walking = few
+    real = replay.real()
+    # everybody is where they really were, except that they jump by 3 m and back every 2 s
+    away = (torch.arange(real.trace.shape[2]) // 20 % 2).view(1, 1, -1, 1) * torch.tensor([3.0, 0.0])
+    jumps = replace(real, trace=real.trace + away * real.controlled.unsqueeze(-1))
+    found = replay_row("teleporting", jumps, replay, 0.4)["metrics"]
+    assert found["w1_acceleration"] > 3 * walking["w1_acceleration"]
+    assert found["w1_speed"] > 3 * walking["w1_speed"]
+
+
+def test_a_row_says_who_did_what_and_how_sure_it_is(rows: Rows) -> None:
+    row = rows["go_to_goal"]
+    metrics, intervals, people = row["metrics"], row["ci95"], row["per_agent"]
+    assert row["n"] == len(people) == len({(one["recording"], one["agent"]) for one in people})
+    assert sum(one["success"] for one in people) / row["n"] == pytest.approx(metrics["success"])
+    ade = np.mean([one["closed_loop_ade_m"] for one in people])
+    assert ade == pytest.approx(metrics["closed_loop_ade_m"], abs=1e-3)
+    for key, (low, high) in intervals.items():
+        assert low < high
+        if key in ("realism", "closed_loop_ade_m", "dtw_m", "success", "w1_acceleration"):
+            assert low <= metrics[key] <= high + 1e-9
+    assert sum(bin["real_share"] for bin in row["density_speed"]) == pytest.approx(1.0, abs=1e-3)
+    json.dumps(row, allow_nan=False)
+
+
+def test_rounds_and_the_first_scenes_alone(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
+    replay, once, metrics = few
+    twice = replay_row("twice", joined([once, once]), replay, 0.4)
+    assert twice["rounds"] == 2 and twice["n"] == len(twice["per_agent"])
+    for key, value in metrics.items():
+        assert twice["metrics"][key] == pytest.approx(value, abs=1e-9)
+    assert twice["metrics"]["closed_loop_min_ade_2_m"] == pytest.approx(metrics["closed_loop_ade_m"])
+    # the second round stands still: half as good, but for the best of both
+    still = replace(once, trace=once.trace[:, :, :1].expand_as(once.trace), reached=once.reached * 0)
+    mixed = replay_row("mixed", joined([once, still]), replay, 0.4)["metrics"]
+    assert mixed["success"] == pytest.approx(metrics["success"] / 2)
+    assert mixed["closed_loop_ade_m"] > 2 * metrics["closed_loop_ade_m"]
+    assert mixed["closed_loop_min_ade_2_m"] <= metrics["closed_loop_ade_m"]
+
+
+def test_one_person_among_recorded_ones() -> None:
+    replay = Replay(fold="embedded", simulated="one", share=0.1)
+    replay.ready(0.25)
+    found = {row["name"]: row["metrics"] for row in reference_rows(replay)}
+    rollout = walked("go_to_goal", replay)
+    row = replay_row("go_to_goal", rollout, replay, 0.4)
+    assert row["n"] == replay.scenes and row["metrics"]["success"] > 0.9
+    assert found["real"]["realism"] == 0.0 and row["metrics"]["realism"] > 0
+    # the scenes that were run are those that count
+    first = replay_row("first", rollout.episodes(slice(3)), replay, 0.4)
+    assert first["n"] == 3 and first["per_agent"] == [
+        one for one in row["per_agent"] if one["person"] in {other["person"] for other in first["per_agent"]}
+    ]
+
+
+def test_the_floor_bounds_policies_on_real_people(shared: Path) -> None:
+    replay = Replay(fold="zara1", root=str(shared / "data"), share=0.4)
+    replay.ready(0.25)
+    floor = reference_rows(replay)[1]["metrics"]["realism"]
+    row = replay_row("go_to_goal", walked("go_to_goal", replay), replay, 0.4)
+    assert 0 < floor < row["metrics"]["realism"]

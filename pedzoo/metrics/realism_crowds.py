@@ -14,10 +14,14 @@ from torch import Tensor
 from pedzoo.metrics.realism import Samples, counted, grid, resampled, wasserstein
 from pedzoo.metrics.realism_features import CLOSE, FEATURES, Steps, features, surroundings
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.metrics.safety import begins
 from pedzoo.types import TRACE_SECONDS
 
 MOST_CLOSE = 20
 """Places with more others close by count as if they had this many."""
+
+MINUTES = TRACE_SECONDS / 60
+"""Of one trace point."""
 
 
 class Crowd(NamedTuple):
@@ -26,8 +30,8 @@ class Crowd(NamedTuple):
     Attributes:
         samples: Of every feature, all rounds together.
         minutes: For how long each person was scored (P,), all rounds together.
-        agent_contact: For how long of it they touched somebody (P,), minutes.
-        wall_contact: For how long a wall (P,).
+        agent_contact: For how long of it they touched somebody, minutes, and how often they began to (2, P).
+        wall_contact: Likewise a wall.
         speed: Mean speed of each person in each round (K, P), m/s; NaN where they were not scored.
         speeds_at: Sums of speeds (P, C) by the number of others within `CLOSE`, m/s.
         steps_at: How many steps these are (P, C).
@@ -66,21 +70,22 @@ def crowd(
 
     def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
         """Return sums (P, columns), or counts, by person and a number of columns."""
-        place = around.person * columns + index
-        return (
-            torch.bincount(place, weights=weights, minlength=people * columns).view(people, columns).double()
-        )
+        found = torch.bincount(around.person * columns + index, weights, people * columns)
+        return found.view(people, columns).double()
 
-    def minutes(when: Tensor) -> Tensor:
-        points = torch.bincount(rollout.person[when & controlled], minlength=people)
-        return points.double() * TRACE_SECONDS / 60
+    def points(when: Tensor) -> Tensor:
+        return torch.bincount(rollout.person[when], minlength=people).double()
+
+    def contact(when: Tensor) -> Tensor:
+        when = when & controlled
+        return torch.stack((points(when) * MINUTES, points(begins(when))))
 
     close = around.close.clamp(max=MOST_CLOSE)
     return Crowd(
         samples=features(steps, around, start, goal),
-        minutes=minutes(controlled),
-        agent_contact=minutes(rollout.agent_contact),
-        wall_contact=minutes(rollout.wall_contact),
+        minutes=points(controlled) * MINUTES,
+        agent_contact=contact(rollout.agent_contact),
+        wall_contact=contact(rollout.wall_contact),
         speed=(added(in_round, rounds, speed) / added(in_round, rounds)).T,
         speeds_at=added(close, MOST_CLOSE + 1, speed),
         steps_at=added(close, MOST_CLOSE + 1),
@@ -95,7 +100,7 @@ def spreads(real: Crowd) -> dict[str, float]:
 def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
     """Return the exact Wasserstein-1 distance (1,) of every feature, everybody counting once."""
     return {
-        name: torch.tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
+        name: first.minutes.new_tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
         for name in FEATURES
     }
 
@@ -126,9 +131,9 @@ def compared(
     * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances. ``w1_speed``, ...: divided by the real crowd's
       standard deviation. ``realism``: the mean of the latter over the features that both crowds have: who
       never walks has no heading. Lower is better in all.
-    * ``agent_contact_share``, ``wall_contact_share``: of the time, in which a person touches somebody or a
-      wall. ``agent_contact_excess``, ``wall_contact_excess``: less the real share, which is not 0: friends
-      touch, and people lean on walls.
+    * ``agent_contact_share``: of the time, in which a person touches somebody; ``agent_contacts_per_min``:
+      how often they begin to. ``agent_contact_excess``, ``agent_contact_excess_per_min``: less those of the
+      real crowd, which are not 0: friends touch, and people lean on walls. The same of ``wall_contact``.
     * ``speed_std_m_per_s``: between people, of their mean speeds: pooled distributions hide whether everybody
       walks at the same mixed speed.
     * ``density_speed_rmse_m_per_s``: see `density_speed`.
@@ -148,9 +153,10 @@ def compared(
     normalised = torch.stack([found[f"w1_{name}"] for name in FEATURES])
     found["realism"] = normalised.nanmean(0)
     for kind in ("agent_contact", "wall_contact"):
-        share = mine @ getattr(crowd, kind) / (mine @ crowd.minutes)
-        found[f"{kind}_share"] = share
-        found[f"{kind}_excess"] = share - theirs @ getattr(real, kind) / (theirs @ real.minutes)
+        own = mine @ getattr(crowd, kind).T / (mine @ crowd.minutes).unsqueeze(1)
+        excess = own - theirs @ getattr(real, kind).T / (theirs @ real.minutes).unsqueeze(1)
+        found[f"{kind}_share"], found[f"{kind}s_per_min"] = own.unbind(1)
+        found[f"{kind}_excess"], found[f"{kind}_excess_per_min"] = excess.unbind(1)
     found["speed_std_m_per_s"] = _between(crowd.speed, mine)
     (speed, steps), (true, weight) = density_speed(crowd, mine), density_speed(real, theirs)
     both = (steps > 0) & (weight > 0)
