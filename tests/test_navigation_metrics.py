@@ -13,6 +13,7 @@ from pedzoo.metrics.navigation import (
     finish_seconds,
     most_goals,
     planned_metres,
+    stuck,
     success,
     walked_metres,
     weighted,
@@ -54,6 +55,17 @@ def test_who_stands_still_for_5_s_away_from_the_goal_is_deadlocked() -> None:
     present[0, 4, 50:] = False  # stands, but leaves before 5 s are over
     assert deadlocked(trace, goal, present).tolist() == [[True, False, False, False, False]]
     assert not deadlocked(trace[:, :, 9:59], goal[:, :, 9:59], present[:, :, 9:59]).any()
+
+
+def test_who_comes_back_within_5_s_is_not_deadlocked() -> None:
+    seconds = torch.arange(80) / 10
+    there_and_back = torch.stack((1.3 * (seconds - 4).abs(), torch.zeros(80)), dim=-1)
+    swaying = torch.stack((0.04 * (9 * seconds).sin(), torch.zeros(80)), dim=-1)
+    trace = torch.stack((there_and_back, swaying))[None]
+    goal, scored = torch.full_like(trace, 20.0), torch.ones(1, 2, 80, dtype=torch.bool)
+    assert deadlocked(trace, goal, scored).tolist() == [[False, True]]
+    # at every point of the one who sways, from 5 s on
+    assert stuck(trace, goal, scored)[0, 1].tolist() == [False] * 50 + [True] * 30
 
 
 def test_one_person_stands_for_all_of_the_5_s() -> None:

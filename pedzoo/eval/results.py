@@ -27,7 +27,7 @@ SEEN = "seen"
 LEGEND = {
     "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each)",
     "episode_success": "share of episodes in which everybody does",
-    "deadlock": "share of people who do not arrive and once moved less than 0.1 m in 5 s, 0.5 m from a goal",
+    "deadlock": "share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal",
     "failed": "share of episodes in which the policy gave no number",
     "agent_contacts_per_min": "touches of others per minute that a person walks; one that lasts counts once",
     "wall_contacts_per_min": "touches of walls, likewise",

@@ -114,7 +114,9 @@ def most_goals(reached: Tensor, mask: Tensor) -> Tensor:
 
 
 def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
-    """Return who once moved less than 0.1 m in 5 s, more than 0.5 m from the goal (E, A) bool.
+    """Return who once stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A) bool.
+
+    Whoever comes back to a place within 5 s has not stayed there.
 
     Args:
         trace: Positions (E, A, T, 2), metres.
@@ -135,4 +137,19 @@ def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     count = scored.cumsum(2)
     stayed = count[..., STILL_POINTS:] - count[..., :-STILL_POINTS] == STILL_POINTS
     found[:, :, STILL_POINTS:] = still & away & stayed
+    episode, agent = found.any(-1).nonzero(as_tuple=True)
+    if len(episode):  # few: who was there 5 s ago may have been elsewhere in between
+        place = trace[episode, agent].transpose(1, 2)
+        extent = _window_max(place, STILL_POINTS + 1) + _window_max(-place, STILL_POINTS + 1)
+        found[episode, agent, STILL_POINTS:] &= extent.norm(dim=1) < STILL_METRES
     return found
+
+
+def _window_max(values: Tensor, width: int) -> Tensor:
+    """Return the largest of every ``width`` neighbours (..., T - width + 1) of values (..., T)."""
+    size = 1
+    while 2 * size <= width:
+        values = torch.maximum(values[..., size:], values[..., :-size])
+        size *= 2
+    rest = width - size
+    return torch.maximum(values[..., rest:], values[..., : values.shape[-1] - rest])

@@ -31,6 +31,10 @@ QUICK_SHARE = 0.1
 """Whoever comes in this first part of the recordings is simulated in a quick run."""
 
 
+ONE_SHARE = {"univ": 0.25}
+"""The same for scenes of one person each where there are very many: 820 people among up to 75 others."""
+
+
 class Replay(Suite):
     """Two cases for every fold, and rows of the real crowd in each.
 
@@ -62,7 +66,9 @@ class Replay(Suite):
         for fold in _folds(request.root):
             for simulated in SIMULATED:
                 settings = [f"fold={fold}", f"simulated={simulated}"]
-                settings += [f"share={QUICK_SHARE}"] * request.quick
+                share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
+                share = min(share, QUICK_SHARE) if request.quick else share
+                settings += [f"share={share}"] * (share < 1)
                 settings += [f"root={request.root}"] * (request.root is not None and fold != EMBEDDED)
                 case = Case(
                     suite=self.name,
@@ -72,7 +78,7 @@ class Replay(Suite):
                     episodes=request.rollouts or (usual if simulated == "all" else 1),
                     case={"fold": fold, "simulated": simulated},
                     inputs=_digest(fold, request.root),
-                    effort=100.0 * (QUICK_SHARE if request.quick else 1.0),
+                    effort=100.0 * share,
                     shares=fold,
                 )
                 found.append(case)
