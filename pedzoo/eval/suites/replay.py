@@ -67,7 +67,7 @@ class Replay(Suite):
             for simulated in SIMULATED:
                 settings = [f"fold={fold}", f"simulated={simulated}"]
                 share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
-                share = min(share, QUICK_SHARE) if request.quick else share
+                share = round(share * QUICK_SHARE, 3) if request.quick else share
                 settings += [f"share={share}"] * (share < 1)
                 settings += [f"root={request.root}"] * (request.root is not None and fold != EMBEDDED)
                 case = Case(
