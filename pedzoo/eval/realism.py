@@ -8,7 +8,9 @@ depend on each other is left out, so intervals are somewhat too narrow.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,14 +24,17 @@ from pedzoo.metrics.realism_crowds import (
     densities,
     density_speed,
     distances,
+    only,
     resampled_distances,
     spreads,
+    together,
 )
 from pedzoo.metrics.realism_features import every_step
-from pedzoo.metrics.realism_walks import Walks, walks_of
+from pedzoo.metrics.realism_walks import Tracks, Walks, tracks_of, walks_of
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim.people import People
 from pedzoo.sim.scenarios.replay import Replay
+from pedzoo.sim.script import Script
 from pedzoo.types import STEP_SECONDS
 
 REAL, HALVES = "real", "real halves"
@@ -39,7 +44,36 @@ SPLITS = 200
 """Random halves of the real crowd."""
 
 
-def replay_row(name: str, rollout: Rollout, scenario: Replay, decision_dt: float) -> dict[str, Any]:
+class _Recorded(NamedTuple):
+    """The real people of a replay."""
+
+    tracks: Tracks
+    crowd: Crowd
+
+
+class _Tables(NamedTuple):
+    """What P people did in K rounds, (K, P) each, NaN where there was no walk; ``real_seconds`` is (P,)."""
+
+    success: Tensor
+    deadlock: Tensor
+    seconds: Tensor
+    ade: Tensor
+    dtw: Tensor
+    real_seconds: Tensor
+
+    @classmethod
+    def of(cls, walks: Walks, real_seconds: Tensor, scenes: int) -> _Tables:
+        success = ~walks.seconds.isnan()
+        success, deadlock, seconds, ade, warped = (
+            walks.by_person(value, scenes, len(real_seconds))
+            for value in (success, walks.deadlock, walks.seconds, walks.ade, walks.dtw)
+        )
+        return cls(success, deadlock, seconds, ade, warped, real_seconds)
+
+
+def replay_row(
+    name: str, rollout: Rollout | Iterable[Rollout], scenario: Replay, decision_dt: float
+) -> dict[str, Any]:
     """Return the metrics of a policy in a replay with their 95 % intervals, and what each person did.
 
     ``n`` is the number of people, ``rounds`` is K. The numbers of the crowd are those of
@@ -56,25 +90,29 @@ def replay_row(name: str, rollout: Rollout, scenario: Replay, decision_dt: float
 
     Args:
         name: The policy as it was given.
-        rollout: Scenes 0, 1, ... of the scenario.
+        rollout: Scenes 0, 1, ... of the scenario, round after round; or its parts one after the other, of
+            which only one has to be in memory at a time.
         scenario: The replay.
         decision_dt: Seconds between decisions.
     """
-    recorded, people = scenario.real(), scenario.persons
-    steps, real_steps = every_step(rollout), every_step(recorded)
-    walks = walks_of(rollout, steps, recorded, real_steps, len(people.agent))
-    seen = walks.expected.any(0)
-    scenes = len(recorded.failed)
-    mine = crowd(rollout, steps, scenes, people.start, people.goal)
-    real = crowd(recorded, real_steps, scenes, people.start, people.goal, seen)
-    once, drawn = (
-        _weights(torch.ones(1, int(seen.sum())), seen),
-        _weights(drawn_people(int(seen.sum())), seen),
-    )
+    recorded, people, scenes = _recorded(scenario, scenario.script), scenario.persons, scenario.scenes
+    parts = [rollout] if isinstance(rollout, Rollout) else rollout
+    walked, crowds, first = [], [], 0
+    for part in parts:
+        steps = every_step(part)
+        walked.append(walks_of(part, steps, first, scenes, recorded.tracks))
+        crowds.append(crowd(part, steps, first, scenes, people.start, people.goal))
+        first += len(part.failed)
+    walks = Walks(*(torch.cat(values) for values in zip(*walked, strict=True)))
+    seen = torch.zeros(len(people.agent), dtype=torch.bool)
+    seen[walks.person] = True
+    tables = _Tables.of(walks, recorded.tracks.seconds, scenes)
+    mine, real = together(crowds), only(recorded.crowd, seen)
+    once, drawn = (_weights(w, seen) for w in (torch.ones(1, int(seen.sum())), drawn_people(int(seen.sum()))))
     spread = spreads(real)
-    values = _of_walks(walks, once) | compared(mine, real, once, once, distances(mine, real), spread)
+    values = _of_walks(tables, once) | compared(mine, real, once, once, distances(mine, real), spread)
     distance = resampled_distances(mine, real, drawn, drawn)
-    resamples = _of_walks(walks, drawn) | compared(mine, real, drawn, drawn, distance, spread)
+    resamples = _of_walks(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
     metrics = {key: float(value) for key, value in values.items() if not value.isnan()}
     intervals = {key: found for key in metrics if (found := _interval(resamples[key]))}
     for key in ("success", "deadlock"):
@@ -84,10 +122,10 @@ def replay_row(name: str, rollout: Rollout, scenario: Replay, decision_dt: float
         "case": {},
         "decision_dt_s": decision_dt,
         "n": int(seen.sum()),
-        "rounds": len(walks.expected),
+        "rounds": len(tables.success),
         "metrics": metrics,
         "ci95": intervals,
-        "per_agent": _listed(walks, people, seen),
+        "per_agent": _listed(tables, people, seen),
         "density_speed": _curve(mine, real, once),
     }
 
@@ -103,9 +141,8 @@ def reference_rows(scenario: Replay) -> list[dict[str, Any]]:
     Args:
         scenario: The replay.
     """
-    recorded, people = scenario.real(), scenario.persons
-    real = crowd(recorded, every_step(recorded), len(recorded.failed), people.start, people.goal)
-    seen = real.minutes > 0
+    recorded = _recorded(scenario, scenario.script)
+    real, seen = recorded.crowd, recorded.tracks.scene >= 0
     first = _weights(halves(int(seen.sum()), SPLITS), seen)
     second = seen.double() - first
     distance = resampled_distances(real, real, first, second)
@@ -120,7 +157,18 @@ def reference_rows(scenario: Replay) -> list[dict[str, Any]]:
         "ci95": {key: interval for key, value in found.items() if (interval := _interval(value))},
         "per_agent": [],
     }
-    return [replay_row(REAL, recorded, scenario, STEP_SECONDS), floor]
+    return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS), floor]
+
+
+@lru_cache(maxsize=1)
+def _recorded(scenario: Replay, script: Script) -> _Recorded:
+    """Return the real people of a replay; kept for the next row, unless another ``script`` was prepared."""
+    people, parts = scenario.persons, list(scenario.real_parts())
+    crowds, first = [], 0
+    for part in parts:
+        crowds.append(crowd(part, every_step(part), first, scenario.scenes, people.start, people.goal))
+        first += len(part.failed)
+    return _Recorded(tracks_of(parts, len(people.agent)), together(crowds))
 
 
 def _weights(of_seen: Tensor, seen: Tensor) -> Tensor:
@@ -130,20 +178,20 @@ def _weights(of_seen: Tensor, seen: Tensor) -> Tensor:
     return weights
 
 
-def _of_walks(walks: Walks, weights: Tensor) -> dict[str, Tensor]:
+def _of_walks(tables: _Tables, weights: Tensor) -> dict[str, Tensor]:
     """Return what is a mean or a median over people, for weights (R, P), (R,) each."""
-    rounds = len(walks.expected)
-    ratio = (walks.seconds / walks.real_seconds).nanmedian(0).values
-    taking_part = walks.expected.sum(0)
+    rounds = len(tables.success)
+    ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
+    walks = weights @ (~tables.success.isnan()).sum(0).double()
     found = {
-        "success": weights @ walks.success.sum(0).double() / (weights @ taking_part.double()),
-        "deadlock": weights @ walks.deadlock.sum(0).double() / (weights @ taking_part.double()),
+        "success": weights @ tables.success.nansum(0) / walks,
+        "deadlock": weights @ tables.deadlock.nansum(0) / walks,
         "time_ratio_median": _median(ratio, weights),
-        "closed_loop_ade_m": _mean(walks.ade.nanmean(0), weights),
-        "dtw_m": _mean(walks.dtw.nanmean(0), weights),
+        "closed_loop_ade_m": _mean(tables.ade.nanmean(0), weights),
+        "dtw_m": _mean(tables.dtw.nanmean(0), weights),
     }
     if rounds > 1:
-        best = walks.ade.nan_to_num(torch.inf).amin(0)
+        best = tables.ade.nan_to_num(torch.inf).amin(0)
         found[f"closed_loop_min_ade_{rounds}_m"] = _mean(best.where(best.isfinite(), torch.nan), weights)
     return found
 
@@ -186,10 +234,11 @@ def _curve(mine: Crowd, real: Crowd, once: Tensor) -> list[dict[str, float | Non
     ]
 
 
-def _listed(walks: Walks, people: People, seen: Tensor) -> list[dict[str, Any]]:
+def _listed(tables: _Tables, people: People, seen: Tensor) -> list[dict[str, Any]]:
     """Return what each person did, means over rounds."""
-    share = walks.success.sum(0) / walks.expected.sum(0)
-    seconds, ade, warped = (value.nanmean(0) for value in (walks.seconds, walks.ade, walks.dtw))
+    share, seconds, ade, warped = (
+        value.nanmean(0) for value in (tables.success, tables.seconds, tables.ade, tables.dtw)
+    )
 
     def known(value: Tensor, person: int) -> float | None:
         return None if value[person].isnan() else round(float(value[person]), 4)
@@ -201,7 +250,7 @@ def _listed(walks: Walks, people: People, seen: Tensor) -> list[dict[str, Any]]:
             "agent": int(people.agent[person]),
             "success": round(float(share[person]), 4),
             "time_s": known(seconds, person),
-            "real_time_s": known(walks.real_seconds, person),
+            "real_time_s": known(tables.real_seconds, person),
             "closed_loop_ade_m": known(ade, person),
             "dtw_m": known(warped, person),
         }

@@ -6,6 +6,7 @@ A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.met
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -32,7 +33,7 @@ class Crowd(NamedTuple):
         minutes: For how long each person was scored (P,), all rounds together.
         agent_contact: For how long of it they touched somebody, minutes, and how often they began to (2, P).
         wall_contact: Likewise a wall.
-        speed: Mean speed of each person in each round (K, P), m/s; NaN where they were not scored.
+        round: In which round each sample of speed was taken (N,) long.
         speeds_at: Sums of speeds (P, C) by the number of others within `CLOSE`, m/s.
         steps_at: How many steps these are (P, C).
     """
@@ -41,32 +42,23 @@ class Crowd(NamedTuple):
     minutes: Tensor
     agent_contact: Tensor
     wall_contact: Tensor
-    speed: Tensor
+    round: Tensor
     speeds_at: Tensor
     steps_at: Tensor
 
 
-def crowd(
-    rollout: Rollout, steps: Steps, scenes: int, start: Tensor, goal: Tensor, seen: Tensor | None = None
-) -> Crowd:
+def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor, goal: Tensor) -> Crowd:
     """Return the crowd of a rollout.
 
     Args:
-        rollout: Episodes; each ``scenes`` of them are a round.
+        rollout: Episodes ``first``, ``first + 1``, ... of a replay.
         steps: The same every 0.4 s.
+        first: Number of the first one.
         scenes: Episodes in a round.
         start: Where everybody's line begins (P, 2), metres.
         goal: Where it ends (P, 2), metres.
-        seen: Who is scored (P,) bool, everybody by default; others are still met.
     """
-    people, rounds = len(start), -(-len(rollout.failed) // scenes)
-    controlled = rollout.controlled
-    if seen is not None:
-        controlled = controlled & seen[rollout.person.clamp_min(0)]
-        steps = steps._replace(scored=steps.scored & seen[steps.person.clamp_min(0)])
-    around = surroundings(steps)
-    in_round = steps.scored.nonzero()[:, 0] // scenes
-    speed = around.speed.double()
+    people, controlled, around = len(start), rollout.controlled, surroundings(steps)
 
     def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
         """Return sums (P, columns), or counts, by person and a number of columns."""
@@ -86,10 +78,31 @@ def crowd(
         minutes=points(controlled) * MINUTES,
         agent_contact=contact(rollout.agent_contact),
         wall_contact=contact(rollout.wall_contact),
-        speed=(added(in_round, rounds, speed) / added(in_round, rounds)).T,
-        speeds_at=added(close, MOST_CLOSE + 1, speed),
+        round=(steps.scored.nonzero()[:, 0] + first) // scenes,
+        speeds_at=added(close, MOST_CLOSE + 1, around.speed.double()),
         steps_at=added(close, MOST_CLOSE + 1),
     )
+
+
+def together(crowds: Sequence[Crowd]) -> Crowd:
+    """Return one crowd of several of the same people, such as those of different rounds."""
+    samples = {
+        name: Samples(*(torch.cat(values) for values in zip(*(c.samples[name] for c in crowds), strict=True)))
+        for name in FEATURES
+    }
+    rest = zip(
+        *((c.minutes, c.agent_contact, c.wall_contact, c.speeds_at, c.steps_at) for c in crowds), strict=True
+    )
+    minutes, agents, walls, speeds, steps = (torch.stack(values).sum(0) for values in rest)
+    rounds = torch.cat([c.round for c in crowds])
+    return Crowd(samples, minutes, agents, walls, rounds, speeds, steps)
+
+
+def only(crowd: Crowd, seen: Tensor) -> Crowd:
+    """Return the crowd without the samples of people who were not ``seen`` (P,) bool."""
+    keep = {name: seen[samples.person] for name, samples in crowd.samples.items()}
+    samples = {name: Samples(*(value[keep[name]] for value in crowd.samples[name])) for name in keep}
+    return crowd._replace(samples=samples, round=crowd.round[keep["speed"]])
 
 
 def spreads(real: Crowd) -> dict[str, float]:
@@ -157,7 +170,7 @@ def compared(
         excess = own - theirs @ getattr(real, kind).T / (theirs @ real.minutes).unsqueeze(1)
         found[f"{kind}_share"], found[f"{kind}s_per_min"] = own.unbind(1)
         found[f"{kind}_excess"], found[f"{kind}_excess_per_min"] = excess.unbind(1)
-    found["speed_std_m_per_s"] = _between(crowd.speed, mine)
+    found["speed_std_m_per_s"] = _between(_mean_speeds(crowd), mine)
     (speed, steps), (true, weight) = density_speed(crowd, mine), density_speed(real, theirs)
     both = (steps > 0) & (weight > 0)
     square = ((speed - true).square() * weight).where(both, 0.0).sum(1)
@@ -184,6 +197,15 @@ def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:
 def densities() -> Tensor:
     """Return the density of every bin (C,), people per square metre, the person at its centre included."""
     return torch.arange(1, MOST_CLOSE + 2) / (math.pi * CLOSE**2)
+
+
+def _mean_speeds(crowd: Crowd) -> Tensor:
+    """Return the mean speed of each person in each round (K, P), m/s, NaN where they were not scored."""
+    speed, people = crowd.samples["speed"], len(crowd.minutes)
+    rounds = int(crowd.round.max()) + 1 if len(crowd.round) else 1
+    place = crowd.round * people + speed.person
+    total = torch.bincount(place, speed.value.double(), rounds * people)
+    return (total / torch.bincount(place, minlength=rounds * people)).view(rounds, people)
 
 
 def _between(value: Tensor, weights: Tensor) -> Tensor:

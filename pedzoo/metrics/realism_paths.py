@@ -9,21 +9,20 @@ _AT_ONCE = 4_000_000
 """Pairs of points that are compared at once."""
 
 
-def closed_loop_error(xy: Tensor, true: Tensor, both: Tensor, walk: Tensor, walks: int) -> Tensor:
+def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
     """Return each walk's mean distance (W,) to the recorded one at the same times, metres; NaN of none.
 
     Nothing is ever set back to the recording: errors add up, as they do not in a forecast.
 
     Args:
-        xy: Simulated positions (..., 2), metres.
-        true: Recorded ones (..., 2).
-        both: Whether this person is scored in both (...) bool: the common duration.
-        walk: Which walk a position belongs to (...) long, 0 to W - 1 where ``both``.
-        walks: W.
+        walk: Simulated positions from when the policy took over (W, L, 2), metres.
+        true: Recorded ones of the same times (W, M, 2).
+        shared: How many both have (W,) long: the common duration.
     """
-    error = (xy - true).norm(dim=-1)[both].double()
-    count = torch.bincount(walk[both], minlength=walks)
-    return torch.bincount(walk[both], weights=error, minlength=walks) / count
+    length = min(walk.shape[1], true.shape[1])
+    error = (walk[:, :length] - true[:, :length]).norm(dim=-1).double()
+    within = torch.arange(length) < shared.unsqueeze(1)
+    return error.where(within, 0.0).sum(1) / shared
 
 
 def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:

@@ -1,109 +1,132 @@
 """What each recorded person did in each round of a replay, beside what they did in the recording.
 
-P people, K rounds of the scenes of a recording; E episodes of A slots, S steps of 0.4 s.
+P people, K rounds of the R scenes of a recording; E episodes, W walks: one for every person of an episode
+whom the policy moves, or should have moved.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from pedzoo.metrics.navigation import stuck
-from pedzoo.metrics.realism_features import Steps
+from pedzoo.metrics.realism_features import Steps, every_step
 from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.types import GOAL_RADIUS, TRACE_SECONDS
 
 
-class Walks(NamedTuple):
-    """What P people did in K rounds, (K, P) each.
+class Tracks(NamedTuple):
+    """The recorded walks of P people, from where a policy takes over.
 
     Attributes:
-        expected: Who takes part: whose scene was run (K, P) bool.
-        deadlock: Who once moved less than 0.1 m in 5 s, more than 0.5 m from the goal (K, P) bool.
-        seconds: From when the policy took over until within 0.3 m of the goal; NaN for who never was.
-        real_seconds: The same of the recorded walk (P,).
+        scene: In which scene each is (P,) long, -1 for those whom no policy moves.
+        seconds: Until they are within 0.3 m of their goal (P,), NaN likewise.
+        xy: Positions every 0.4 s (P, L, 2), metres.
+        points: How many (P,) long.
+    """
+
+    scene: Tensor
+    seconds: Tensor
+    xy: Tensor
+    points: Tensor
+
+
+class Walks(NamedTuple):
+    """W walks; of several rollouts they can be put one after the other.
+
+    Attributes:
+        episode: (W,) long.
+        person: (W,) long.
+        deadlock: Who once moved less than 0.1 m in 5 s, more than 0.5 m from the goal (W,) bool.
+        seconds: From when the policy took over until within 0.3 m of the goal; NaN for who never was. A
+            replay takes out whoever needs more than twice the recorded time.
         ade: Mean distance to the recorded positions of the same times, metres; NaN without any.
         dtw: Dynamic time warping distance to the recorded walk, metres; NaN likewise.
     """
 
-    expected: Tensor
+    episode: Tensor
+    person: Tensor
     deadlock: Tensor
     seconds: Tensor
-    real_seconds: Tensor
     ade: Tensor
     dtw: Tensor
 
-    @property
-    def success(self) -> Tensor:
-        """Who arrived (K, P) bool; a replay removes whoever takes more than twice the recorded time."""
-        return self.expected & ~self.seconds.isnan()
+    def by_person(self, value: Tensor, scenes: int, people: int) -> Tensor:
+        """Return values (W,) as a table (K, P) of rounds of ``scenes``, NaN where there was no walk."""
+        rounds = int(self.episode.max()) // scenes + 1
+        table = torch.full((rounds, people), torch.nan, dtype=torch.float64)
+        table[self.episode // scenes, self.person] = value.double()
+        return table
 
 
-def walks_of(rollout: Rollout, steps: Steps, real: Rollout, real_steps: Steps, people: int) -> Walks:
+def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
+    """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
+    scene = torch.full((people,), -1)
+    seconds = torch.full((people,), torch.nan, dtype=torch.float64)
+    positions, whose, before = [], [], 0
+    for part in parts:
+        steps = every_step(part)
+        scene[part.person[part.controlled]] = part.controlled.nonzero()[:, 0] + before
+        found = _seconds(part, torch.arange(people).expand(len(part.failed), people), people)
+        seconds = torch.where(found.isnan(), seconds, found)
+        positions.append(steps.xy[steps.scored])
+        whose.append(steps.person[steps.scored])
+        before += len(part.failed)
+    return Tracks(scene, seconds, *padded(torch.cat(positions), torch.cat(whose), people))
+
+
+def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tracks) -> Walks:
     """Return the walks of a rollout.
 
     Args:
-        rollout: Scenes 0, 1, ... of all rounds, each round as many as the recording has.
+        rollout: Episodes ``first``, ``first + 1``, ... of a replay; episode i is scene i modulo ``scenes``.
         steps: The same every 0.4 s.
-        real: The recorded crowd in the same slots, one round.
-        real_steps: The same every 0.4 s.
-        people: P.
+        first: Number of the first one.
+        scenes: R.
+        tracks: What really happened.
     """
-    scenes = len(real.failed)
-    rounds = -(-len(rollout.failed) // scenes)
-    scene = torch.full((people,), len(rollout.failed))
-    scene[real.person[real.controlled]] = real.controlled.nonzero()[:, 0]
-    expected = scene + scenes * torch.arange(rounds).unsqueeze(1) < len(rollout.failed)
+    scene = (first + torch.arange(len(rollout.failed))) % scenes
+    episode, person = (scene.unsqueeze(1) == tracks.scene).nonzero().unbind(1)
+    count = len(person)
+    number = torch.full((len(scene), len(tracks.scene)), -1)
+    number[episode, person] = torch.arange(count)
     still = stuck(rollout.trace, rollout.goal, rollout.controlled)
-    deadlock = torch.zeros_like(expected)
-    deadlock[still.nonzero()[:, 0] // scenes, rollout.person[still]] = True
+    deadlock = torch.zeros(count, dtype=torch.bool)
+    deadlock[number[still.nonzero()[:, 0], rollout.person[still]]] = True
+    walk = number[steps.scored.nonzero()[:, 0], steps.person[steps.scored]]
+    xy, points = padded(steps.xy[steps.scored], walk, count)
+    true, others = tracks.xy[person], tracks.points[person]
     return Walks(
-        expected,
+        episode + first,
+        person,
         deadlock,
-        _seconds(rollout, scenes, (rounds, people)),
-        _seconds(real, scenes, (1, people))[0],
-        *_paths(steps, real_steps, expected),
+        _seconds(rollout, number, count),
+        closed_loop_error(xy, true, torch.minimum(points, others)),
+        dtw(xy, points, true, others),
     )
 
 
-def _seconds(rollout: Rollout, scenes: int, shape: tuple[int, int]) -> Tensor:
-    """Return after how long each person was at the goal for the first time (K, P), seconds or NaN.
+def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
+    """Return after how long people were at their goal for the first time (W,), seconds, NaN for never.
 
     Recorded people were not taken out there, so they are looked for; whose exit was moved a little has
     ``reached`` it at the end.
+
+    Args:
+        rollout: Episodes.
+        number: Which walk is whose in each of them (E, P) long.
+        count: W.
     """
     there = (rollout.trace - rollout.goal).norm(dim=-1) < GOAL_RADIUS
     there |= rollout.reached > 0
     first = []
     for when in (rollout.controlled, rollout.controlled & there):
         episode, _, point = when.nonzero().unbind(1)
-        walk = episode // scenes * shape[1] + rollout.person[when]
-        never = torch.full((shape[0] * shape[1],), torch.nan, dtype=torch.float64)
-        first.append(never.scatter_reduce(0, walk, point.double(), "amin", include_self=False).view(shape))
+        never = torch.full((count,), torch.nan, dtype=torch.float64)
+        walk = number[episode, rollout.person[when]]
+        first.append(never.scatter_reduce(0, walk, point.double(), "amin", include_self=False))
     return (first[1] - first[0] + 1) * TRACE_SECONDS
-
-
-def _paths(steps: Steps, real: Steps, expected: Tensor) -> tuple[Tensor, Tensor]:
-    """Return closed-loop ADE and DTW (K, P) of everybody who is ``expected`` (K, P)."""
-    scenes, people = len(real.person), expected.shape[1]
-    number = torch.full_like(expected, -1, dtype=torch.long)
-    who = expected.nonzero()[:, 1]
-    number[expected] = torch.arange(len(who))
-
-    episode = torch.arange(len(steps.person))
-    walk = number[(episode // scenes).view(-1, 1, 1), steps.person.clamp_min(0)]
-    shared = min(steps.person.shape[2], real.person.shape[2])
-    true, mine = (Steps(*(value[:, :, :shared] for value in some)) for some in (real, steps))
-    same = episode % scenes
-    both = mine.scored & true.scored[same] & (mine.person == true.person[same])
-    error = closed_loop_error(mine.xy, true.xy[same], both, walk[..., :shared], len(who))
-
-    walked, points = padded(steps.xy[steps.scored], walk[steps.scored], len(who))
-    recorded, others = padded(real.xy[real.scored], real.person[real.scored], people)
-    warped = dtw(walked, points, recorded[who], others[who])
-    found = torch.full((2, *expected.shape), torch.nan, dtype=torch.float64)
-    found[:, expected] = torch.stack((error, warped))
-    return found[0], found[1]

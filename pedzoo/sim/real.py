@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from pedzoo.draws import Draws
-from pedzoo.metrics.rollout import Rollout, joined
+from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.scenario import Scenario
@@ -22,8 +23,8 @@ _AT_ONCE = 64
 """Scenes: as many as are walked together."""
 
 
-def real_rollout(scenario: Scenario, scenes: int) -> Rollout:
-    """Return the first ``scenes`` of a prepared scenario with a script as everybody really walked in them.
+def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
+    """Yield the first ``scenes`` of a prepared scenario with a script as everybody really walked in them.
 
     On the same slots and trace as any rollout of them. ``controlled`` are the people whom a policy would
     have, until they really left; they have ``reached`` their goal with that.
@@ -31,11 +32,9 @@ def real_rollout(scenario: Scenario, scenes: int) -> Rollout:
     assert scenario.script is not None
     fine = substeps(scenario.fastest * TOP_SPEED_RATIO)
     episodes, world = Episodes(scenario, "recorded", fine, BODY_RADIUS), GridWorld(scenario.bank)
-    parts = []
     for number in torch.arange(scenes).split(_AT_ONCE):
         start = episodes.begin(Draws.of(0, number))
-        parts.append(_walked(scenario, scenario.script, world, start, fine))
-    return joined(parts)
+        yield _walked(scenario, scenario.script, world, start, fine)
 
 
 def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, fine: int) -> Rollout:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal, get_args
 
 import torch
@@ -15,9 +16,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planner import Planner
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.sim.people import People, SpeedOf, people_of
-from pedzoo.sim.real import real_rollout
+from pedzoo.sim.real import real_parts
 from pedzoo.sim.scenario import Layout, Scenario
 from pedzoo.sim.script import Scenes, Script
 from pedzoo.sim.slots import pieces, slots, table
@@ -224,4 +225,8 @@ class Replay(Scenario):
         ``controlled`` are the people whom a policy would have, from where it takes them over to their real
         exit. Contacts are those of a `GridWorld`.
         """
-        return real_rollout(self, self.scenes)
+        return joined(list(self.real_parts()))
+
+    def real_parts(self) -> Iterator[Rollout]:
+        """Yield `real` in parts of some scenes, each only as long as these take."""
+        return real_parts(self, self.scenes)
