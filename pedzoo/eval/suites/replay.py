@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, cast
 
 from pedzoo.data.datasets.eth_ucy import FOLDS, EthUcy
@@ -11,9 +11,10 @@ from pedzoo.errors import UserError
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import REAL, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
-from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.rollout import prepare, walk
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
 from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.metrics.rollout import Rollout
 from pedzoo.models.walker import Walker
 from pedzoo.sim.policy import load_policy
 from pedzoo.sim.scenarios.replay import Replay as Recorded
@@ -119,19 +120,22 @@ class Replay(Suite):
         model = load_policy(unit.walks)
         noise = isinstance(model, Walker) and model.model.noise_dim > 0 and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
-        walked, decision_dt = [], model.decision_dt
-        for number, seed in enumerate(seeds):
-            policy, env = prepare(unit.walks, scenario, case.world, rounds * scenario.scenes, seed)
 
-            def share(name: str, done: int, total: int, number: int = number) -> None:
-                if tell:
-                    tell((number + done / total) / len(seeds))
+        def walked() -> Iterator[Rollout]:
+            """Yield some scenes after the other: those of large crowds do not fit memory together."""
+            for number, seed in enumerate(seeds):
+                policy, env = prepare(unit.walks, scenario, case.world, rounds * scenario.scenes, seed)
 
-            try:
-                walked.extend(walk(policy, env, rounds * scenario.scenes, unit.deterministic, share))
-            finally:
-                env.world.close()
-        row = replay_row(unit.policy, joined(walked), scenario, decision_dt)
+                def share(name: str, done: int, total: int, number: int = number) -> None:
+                    if tell:
+                        tell((number + done / total) / len(seeds))
+
+                try:
+                    yield from walk(policy, env, rounds * scenario.scenes, unit.deterministic, share)
+                finally:
+                    env.world.close()
+
+        row = replay_row(unit.policy, walked(), scenario, model.decision_dt)
         if has_seen(unit.walks, case.case["fold"]):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]
