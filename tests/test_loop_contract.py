@@ -442,6 +442,9 @@ def test_states_are_never_written_in_place() -> None:
         assert not torch.equal(after["agents", "history"], after["next", "agents", "history"])
 
 
+# 12. Replay: see test_replay.py
+
+
 # Bad input
 
 
