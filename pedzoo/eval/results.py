@@ -34,7 +34,11 @@ LEGEND = {
     "time_ratio": "time that people need, divided by that of the planner's way at the speed they like",
     "path_ratio": "way that people walk, divided by the planner's",
     "least_distance_m": "distance between centres of an episode's nearest two",
-    "symmetry_index": "0 where both sides of the door wait the same time",
+    "symmetry_index": "0: the two at the door walk as mirror images of each other; about 1: one waits until "
+    "the other is through",
+    "yield_delay_s": "how much later than the first the second passes the door",
+    "yielder_speed_m_per_s": "least speed of the second before the door",
+    "specific_flow_per_m_s": "people through the door per metre of its width and second",
     "realism": "mean distance of six distributions (speed, acceleration, heading rate, nearest distance, "
     "time to collision, lateral deviation) to the real ones, in real standard deviations: lower is better",
     "time_ratio_median": "of the time until the exit to the real time",
@@ -90,16 +94,22 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
 
 def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
     """Return the protocol in a line: suites with their episodes and worlds, noise, warm start and seeds."""
-    parts = {}
-    for row in report["summary"]:
-        each = f"{row['cases']} x " if row["cases"] > 1 else ""
-        suite, world = row["case"]["suite"], row["case"]["world"]
-        what = f"{row['n'] // row['cases']} {shown[suite].counted}"
-        parts.setdefault(suite, f"{suite} {each}{what} ({world})")
+    counts: dict[str, dict[str, int]] = {}
+    worlds = {}
+    for row in report["rows"]:
+        suite = row["case"]["suite"]
+        counts.setdefault(suite, {})[case_label(row)] = row["n"]
+        worlds[suite] = row["case"]["world"]
+    parts = []
+    for suite, cases in counts.items():
+        size = f"{len(cases)} x {min(cases.values())}" if len(cases) > 1 else str(*cases.values())
+        if len(set(cases.values())) > 1:
+            size = f"{len(cases)} cases, {sum(cases.values())}"
+        parts.append(f"{suite} {size} {shown[suite].counted} ({worlds[suite]})")
     protocol = report["protocol"]
     noise = "none" if protocol["deterministic"] else "sampled"
     seeds = " ".join(map(str, report["seeds"]))
-    return f"{', '.join(parts.values())}; noise {noise}, warm start {protocol['warm_start']}, seeds {seeds}"
+    return f"{'; '.join(parts)}; noise {noise}, warm start {protocol['warm_start']}, seeds {seeds}"
 
 
 def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Sequence[str]) -> str:
