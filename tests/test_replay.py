@@ -458,6 +458,19 @@ def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
     assert same > 300
 
 
+def test_stays_are_people_and_not_slots(folder: Path) -> None:
+    scenario = replay(folder)
+    real = scenario.real()
+    for slot, first, last in real.stays(0):
+        (number,) = real.person[0, slot, max(first - 1, 0) : last].unique().tolist()
+        came, left = int(scenario.persons.first[number]), int(scenario.persons.last[number])
+        # the clock is 0 in frame 7; whoever comes later has the first point of the trace 0.1 s after that
+        assert first == (4 * (came - 7) + 1 if came > 7 else 0)
+        assert last == 4 * (min(left, 25) - 7)  # nobody who is simulated is left after frame 25
+    assert len(real.stays(0)) == 6
+    assert [stay[0] for stay in rollout("go_to_goal", "door:people=4", "grid", 1)[0].stays(0)] == [0, 1, 2, 3]
+
+
 def test_adopting_is_preparing(folder: Path) -> None:
     every, one = replay(folder), replay(folder, simulated="one")
     names = [str(folder / "first.txt")]

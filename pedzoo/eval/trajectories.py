@@ -151,6 +151,7 @@ class _Episode:
         self.present = torch.cat((one.mask[0].unsqueeze(1), one.present[0, :, : self.length]), dim=1)
         seen = torch.cat((self.path[self.present], self.goal[self.present]))
         self.low, self.high = seen.amin(0), seen.amax(0)
+        self.stays = self.rollout.stays(episode)
         met = 1 + meeting(self.rollout, episode)
         around = [met + round(seconds / TRACE_SECONDS) for seconds in AROUND]
         self.moments = [min(max(point, 0), self.length) for point in around] + [self.length]
@@ -158,19 +159,22 @@ class _Episode:
     def draw(self, axes: Axes, point: int, clock: Normalize) -> None:
         """Draw the ways until a trace point."""
         self._ground(axes)
-        for person in self.present[:, 0].nonzero()[:, 0].tolist():
-            last = min(point, int(self.present[person].nonzero()[-1, 0]))
+        for person, first, stays_until in self.stays:
+            if first > point or (first > 0 and stays_until < point):
+                continue  # not there yet, or gone again
+            last = min(point, stays_until)
             color = _color(person)
-            axes.plot(*self.before[person].T.numpy(), color="0.6", linewidth=0.8, zorder=2)
-            way = self.path[person, : last + 1].numpy()
+            if first == 0:
+                axes.plot(*self.before[person].T.numpy(), color="0.6", linewidth=0.8, zorder=2)
+            way = self.path[person, first : last + 1].numpy()
             lines = LineCollection(
                 list(np.stack((way[:-1], way[1:]), axis=1)), cmap=SHADE, norm=clock, zorder=4
             )
-            lines.set_linewidth([2.4 if last - i <= RECENT else 0.8 for i in range(last)])
-            lines.set_array(np.arange(last) * TRACE_SECONDS)
+            lines.set_linewidth([2.4 if last - i <= RECENT else 0.8 for i in range(first, last)])
+            lines.set_array(np.arange(first, last) * TRACE_SECONDS)
             axes.add_collection(lines)
             steps = [last - i * TRACE_PER_STEP for i in range(STEPS_BEFORE, 0, -1)]
-            dots = self.path[person, [step for step in steps if step >= 0]]
+            dots = self.path[person, [step for step in steps if step >= first]]
             axes.plot(*dots.T.numpy(), "o", color=color, markersize=4.5, zorder=5, **_EDGE)
             axes.plot(*self.path[person, last].numpy(), "*", color=color, markersize=12, zorder=6, **_EDGE)
             if last == point:
@@ -186,10 +190,9 @@ class _Episode:
         rollout = self.rollout
         same = (rollout.map_id == rollout.map_id[self.number]).nonzero()[:, 0].tolist()
         path = move_to_map(torch.cat((rollout.past[:, :, -1:], rollout.trace), dim=2), rollout.pose)
-        present = torch.cat((rollout.mask.unsqueeze(2), rollout.present), dim=2)
         for episode in same:
-            for person in rollout.mask[episode].nonzero()[:, 0].tolist():
-                way = path[episode, person, present[episode, person]]
+            for person, first, last in rollout.stays(episode):
+                way = path[episode, person, first : last + 1]
                 axes.plot(*way.T.numpy(), color=_color(person), linewidth=0.8, alpha=0.5, zorder=3)
         axes.set_title(f"all {len(same)} episodes", fontsize=8)
 

@@ -171,6 +171,7 @@ class _Panel:
         self.trace = torch.cat((rollout.past[:, :, -1:], trace), dim=2)
         self.present = torch.cat((rollout.mask.unsqueeze(2), present), dim=2)
         self.seen = torch.cat((self.trace[self.present], goal[present]))
+        self.stays = walked.rollout.stays(episode)
         self._last: Image | None = None
 
     def draw(self, i: int, camera: Camera) -> Image:
@@ -181,8 +182,9 @@ class _Panel:
         people = People(self.trace[:, :, i], present, rollout.map_id.unsqueeze(1), rollout.pose)
         image = self.world.image(people, 0, self.size, camera)
         if camera.view == "top" or isinstance(self.world, GridWorld):
-            for person in present[0].nonzero()[:, 0].tolist():
-                _trail(image, self.trace[0, person, : i + 1], camera.to_pixel(self.size), person)
+            for person, first, last in self.stays:
+                if first <= i <= last:
+                    _trail(image, self.trace[0, person, first : i + 1], camera.to_pixel(self.size), person)
         self._last = _labelled(image, self.name, i * TRACE_SECONDS)
         return self._last
 

@@ -105,6 +105,19 @@ class Rollout:
         theirs = self.mask.unsqueeze(2) & self.controlled & (self.person == self.person[..., :1])
         return not bool((theirs | ~self.present).all())
 
+    def stays(self, episode: int) -> list[tuple[int, int, int]]:
+        """Return slot, first and last point of everybody's stay in an episode, points as in `path`.
+
+        In a replay a slot has several people, one after the other.
+        """
+        there = torch.cat((self.mask[episode].unsqueeze(1), self.present[episode]), dim=1)
+        who = torch.cat((self.person[episode, :, :1], self.person[episode]), dim=1)
+        who = torch.nn.functional.pad(torch.where(there, who, -1), (1, 1), value=-1)
+        change = who[:, 1:] != who[:, :-1]
+        begins, ends = change & (who[:, 1:] >= 0), change & (who[:, :-1] >= 0)
+        found = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
+        return [(slot, first, last - 1) for (slot, first), (_, last) in found]
+
     def episodes(self, index: slice) -> Rollout:
         """Return some of the episodes."""
         values = ((field.name, getattr(self, field.name)) for field in fields(self))
