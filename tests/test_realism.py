@@ -29,7 +29,7 @@ from pedzoo.metrics.realism import (
 from pedzoo.metrics.realism_crowds import crowd, densities, density_speed, only, together
 from pedzoo.metrics.realism_features import every_step, features, surroundings
 from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
-from pedzoo.metrics.realism_walks import tracks_of, walks_of
+from pedzoo.metrics.realism_walks import Tables, of_people, tracks_of, walks_of
 from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.metrics.safety import time_to_collision
 from pedzoo.sim.policies.go_to_goal import GoToGoal
@@ -302,6 +302,20 @@ def test_walks_of_two_rounds() -> None:
     rounds = walks_of(rollout, every_step(rollout), 0, 2, tracks)
     table = rounds.by_person(rounds.ade, 2, 3)
     assert table.tolist()[1] == pytest.approx([0.0, NAN, NAN], nan_ok=True) and len(table) == 2
+
+
+def test_numbers_of_people_are_weighted() -> None:
+    seconds = torch.tensor([[2.0, 6.0, NAN, 9.0], [4.0, 6.0, NAN, NAN]]).double()
+    success = torch.tensor([[1.0, 1.0, 0.0, 1.0], [1.0, 1.0, 0.0, NAN]]).double()
+    ade = torch.tensor([[1.0, 2.0, NAN, 8.0], [3.0, 1.0, NAN, NAN]]).double()
+    tables = Tables(success, success, seconds, ade, ade, torch.tensor([2.0, 2.0, 2.0, 2.0]).double())
+    weights = torch.tensor([[1.0, 1.0, 1.0, 1.0], [3.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0]]).double()
+    found = {key: value.tolist() for key, value in of_people(tables, weights).items()}
+    # ratios are 1 and 2 (the lower is taken), 3, none, 4.5
+    assert found["time_ratio_median"][:2] == [3.0, 1.0] and np.isnan(found["time_ratio_median"][2])
+    assert found["success"] == pytest.approx([5 / 7, 7 / 9, 0.0])
+    assert found["closed_loop_ade_m"][:2] == pytest.approx([(2 + 1.5 + 8) / 3, (6 + 8) / 4])
+    assert found["closed_loop_min_ade_2_m"][0] == pytest.approx((1 + 1 + 8) / 3)
 
 
 class Frozen(GoToGoal):

@@ -30,7 +30,7 @@ from pedzoo.metrics.realism_crowds import (
     together,
 )
 from pedzoo.metrics.realism_features import every_step
-from pedzoo.metrics.realism_walks import Tracks, Walks, tracks_of, walks_of
+from pedzoo.metrics.realism_walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim.people import People
 from pedzoo.sim.scenarios.replay import Replay
@@ -49,26 +49,6 @@ class _Recorded(NamedTuple):
 
     tracks: Tracks
     crowd: Crowd
-
-
-class _Tables(NamedTuple):
-    """What P people did in K rounds, (K, P) each, NaN where there was no walk; ``real_seconds`` is (P,)."""
-
-    success: Tensor
-    deadlock: Tensor
-    seconds: Tensor
-    ade: Tensor
-    dtw: Tensor
-    real_seconds: Tensor
-
-    @classmethod
-    def of(cls, walks: Walks, real_seconds: Tensor, scenes: int) -> _Tables:
-        success = ~walks.seconds.isnan()
-        success, deadlock, seconds, ade, warped = (
-            walks.by_person(value, scenes, len(real_seconds))
-            for value in (success, walks.deadlock, walks.seconds, walks.ade, walks.dtw)
-        )
-        return cls(success, deadlock, seconds, ade, warped, real_seconds)
 
 
 def replay_row(
@@ -106,13 +86,13 @@ def replay_row(
     walks = Walks(*(torch.cat(values) for values in zip(*walked, strict=True)))
     seen = torch.zeros(len(people.agent), dtype=torch.bool)
     seen[walks.person] = True
-    tables = _Tables.of(walks, recorded.tracks.seconds, scenes)
+    tables = Tables.of(walks, recorded.tracks.seconds, scenes)
     mine, real = together(crowds), only(recorded.crowd, seen)
     once, drawn = (_weights(w, seen) for w in (torch.ones(1, int(seen.sum())), drawn_people(int(seen.sum()))))
     spread = spreads(real)
-    values = _of_walks(tables, once) | compared(mine, real, once, once, distances(mine, real), spread)
+    values = of_people(tables, once) | compared(mine, real, once, once, distances(mine, real), spread)
     distance = resampled_distances(mine, real, drawn, drawn)
-    resamples = _of_walks(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
+    resamples = of_people(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
     metrics = {key: float(value) for key, value in values.items() if not value.isnan()}
     intervals = {key: found for key in metrics if (found := _interval(resamples[key]))}
     for key in ("success", "deadlock"):
@@ -178,39 +158,6 @@ def _weights(of_seen: Tensor, seen: Tensor) -> Tensor:
     return weights
 
 
-def _of_walks(tables: _Tables, weights: Tensor) -> dict[str, Tensor]:
-    """Return what is a mean or a median over people, for weights (R, P), (R,) each."""
-    rounds = len(tables.success)
-    ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
-    walks = weights @ (~tables.success.isnan()).sum(0).double()
-    found = {
-        "success": weights @ tables.success.nansum(0) / walks,
-        "deadlock": weights @ tables.deadlock.nansum(0) / walks,
-        "time_ratio_median": _median(ratio, weights),
-        "closed_loop_ade_m": _mean(tables.ade.nanmean(0), weights),
-        "dtw_m": _mean(tables.dtw.nanmean(0), weights),
-    }
-    if rounds > 1:
-        best = tables.ade.nan_to_num(torch.inf).amin(0)
-        found[f"closed_loop_min_ade_{rounds}_m"] = _mean(best.where(best.isfinite(), torch.nan), weights)
-    return found
-
-
-def _mean(value: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted mean (R,) of the values (P,) that are not NaN."""
-    return weights @ value.nan_to_num() / (weights @ (~value.isnan()).double())
-
-
-def _median(value: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted lower median (R,) of the values (P,) that are not NaN."""
-    order = value.argsort()[: int((~value.isnan()).sum())]
-    if not len(order):
-        return torch.full((len(weights),), torch.nan, dtype=torch.float64)
-    until = weights[:, order].cumsum(1)
-    place = torch.searchsorted(until, until[:, -1:] / 2)
-    return value[order][place.squeeze(1).clamp(max=len(order) - 1)]
-
-
 def _interval(values: Tensor) -> Interval | None:
     """Return what holds 95 % of the values (R,) that are there; None where they do not differ."""
     quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
@@ -234,7 +181,7 @@ def _curve(mine: Crowd, real: Crowd, once: Tensor) -> list[dict[str, float | Non
     ]
 
 
-def _listed(tables: _Tables, people: People, seen: Tensor) -> list[dict[str, Any]]:
+def _listed(tables: Tables, people: People, seen: Tensor) -> list[dict[str, Any]]:
     """Return what each person did, means over rounds."""
     share, seconds, ade, warped = (
         value.nanmean(0) for value in (tables.success, tables.seconds, tables.ade, tables.dtw)

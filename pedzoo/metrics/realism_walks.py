@@ -63,6 +63,27 @@ class Walks(NamedTuple):
         return table
 
 
+class Tables(NamedTuple):
+    """What P people did in K rounds, (K, P) each, NaN where there was no walk; ``real_seconds`` is (P,)."""
+
+    success: Tensor
+    deadlock: Tensor
+    seconds: Tensor
+    ade: Tensor
+    dtw: Tensor
+    real_seconds: Tensor
+
+    @classmethod
+    def of(cls, walks: Walks, real_seconds: Tensor, scenes: int) -> Tables:
+        """Return those of walks in rounds of ``scenes``, beside the recorded times (P,)."""
+        success = ~walks.seconds.isnan()
+        success, deadlock, seconds, ade, warped = (
+            walks.by_person(value, scenes, len(real_seconds))
+            for value in (success, walks.deadlock, walks.seconds, walks.ade, walks.dtw)
+        )
+        return cls(success, deadlock, seconds, ade, warped, real_seconds)
+
+
 def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
     """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
     scene = torch.full((people,), -1)
@@ -110,6 +131,24 @@ def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tr
     )
 
 
+def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
+    """Return what is a mean or a median over people, for weights (R, P), (R,) each."""
+    rounds = len(tables.success)
+    ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
+    walks = weights @ (~tables.success.isnan()).sum(0).double()
+    found = {
+        "success": weights @ tables.success.nansum(0) / walks,
+        "deadlock": weights @ tables.deadlock.nansum(0) / walks,
+        "time_ratio_median": _median(ratio, weights),
+        "closed_loop_ade_m": _mean(tables.ade.nanmean(0), weights),
+        "dtw_m": _mean(tables.dtw.nanmean(0), weights),
+    }
+    if rounds > 1:
+        best = tables.ade.nan_to_num(torch.inf).amin(0)
+        found[f"closed_loop_min_ade_{rounds}_m"] = _mean(best.where(best.isfinite(), torch.nan), weights)
+    return found
+
+
 def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
     """Return after how long people were at their goal for the first time (W,), seconds, NaN for never.
 
@@ -130,3 +169,18 @@ def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
         walk = number[episode, rollout.person[when]]
         first.append(never.scatter_reduce(0, walk, point.double(), "amin", include_self=False))
     return (first[1] - first[0] + 1) * TRACE_SECONDS
+
+
+def _mean(value: Tensor, weights: Tensor) -> Tensor:
+    """Return the weighted mean (R,) of the values (P,) that are not NaN."""
+    return weights @ value.nan_to_num() / (weights @ (~value.isnan()).double())
+
+
+def _median(value: Tensor, weights: Tensor) -> Tensor:
+    """Return the weighted lower median (R,) of the values (P,) that are not NaN."""
+    order = value.argsort()[: int((~value.isnan()).sum())]
+    if not len(order):
+        return torch.full((len(weights),), torch.nan, dtype=torch.float64)
+    until = weights[:, order].cumsum(1)
+    place = torch.searchsorted(until, until[:, -1:] / 2).squeeze(1)
+    return value[order][place].where(until[:, -1] > 0, torch.nan)
