@@ -133,7 +133,9 @@ class Simulation:
             terminated, settled, until = script.over(after) & ~broken, after.failed, after.deadline
             # whoever has taken the slot of somebody whose time was up has another way
             progress = torch.where(hit | (after.person == state.person), progress, 0.0)
-        way_of_all = after.planned + torch.where(set_out, planned(way), 0.0)
+        way_of_all = after.planned
+        if bool(set_out.any()):
+            way_of_all = way_of_all + torch.where(set_out, planned(way), 0.0)
         after = after._replace(way=way, planned=way_of_all, goal_point=guidance.goal_point, deadline=until)
         touched = (contacts.agent | contacts.wall).any(-1)
         reward = torch.where(moving, progress - CONTACT_COST * touched, 0.0)
