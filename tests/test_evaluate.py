@@ -94,7 +94,8 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
 
     monkeypatch.setattr(module, "work", real)
     assert main(command) == 0
-    assert "3 of 4 parts were done before" in capsys.readouterr().out
+    assert "3 of 4 parts were done before" in (said := capsys.readouterr().out)
+    assert "of other commands" not in said
     resumed = json.loads(file.read_text())
     assert "interrupted" not in resumed and list(tmp_path.glob("*.partial")) == []
 

@@ -100,6 +100,7 @@ class Evaluation:
     Attributes:
         units: All of them, in the order of the report.
         resumed: How many were found in the file of finished ones.
+        others: How many in that file are of other units, weights, files or code.
         journal: That file, if there is one.
     """
 
@@ -152,6 +153,7 @@ class Evaluation:
             if known in self._journal.done
         }
         self.resumed = len(self._rows)
+        self.others = len(self._journal.done.keys() - set(self._digests))
 
     def run(self, workers: int = 1, backend: Backend = "processes", progress: Progress | None = None) -> None:
         """Do all units that are not done; whatever interrupts it, finished ones are kept.

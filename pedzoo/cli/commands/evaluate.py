@@ -93,6 +93,8 @@ def run(argv: list[str]) -> int:
 
     if evaluation.resumed:
         print(f"{evaluation.resumed} of {len(evaluation.units)} parts were done before: {evaluation.journal}")
+    if evaluation.others:
+        print(f"{evaluation.others} parts in {evaluation.journal} are of other commands, weights or code")
 
     def tell(**more: bool) -> None:
         report = {"command": "evaluate", **evaluation.report(), "versions": versions(), **more}
