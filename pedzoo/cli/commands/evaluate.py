@@ -25,16 +25,13 @@ def run(argv: list[str]) -> int:
     from pedzoo.versions import versions
 
     usage = f"pedzoo evaluate POLICY... [--suite SUITE,...] [--quick] [...]\nexample: {EXAMPLE}"
-    about = "\n".join(
-        [HELP, "", "suites:", *(f"  {name}: {SUITES.describe(name)}" for name in SUITES.names())]
-    )
-    parser = ArgumentParser(prog="pedzoo evaluate", usage=usage, description=about, **PARSER_SETTINGS)
+    parser = ArgumentParser(prog="pedzoo evaluate", usage=usage, description=HELP, **PARSER_SETTINGS)
     parser.add_argument("policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model.")
     parser.add_argument(
         "--suite",
         type=str,
         default=",".join(SUITE_NAMES),
-        help="One or several, between commas; or file.py:Class.",
+        help=f"Some of {', '.join(SUITES.names())}, between commas; or file.py:Class.",
     )
     parser.add_argument("--episodes", type=int | None, help="Per case and seed (default: as the suite says).")
     parser.add_argument(
