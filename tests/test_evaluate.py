@@ -152,6 +152,9 @@ def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
     assert by_name["door"].cases(Request(quick=True))[0].episodes == 20
     goals = by_name["goals"].cases(Request(maps=("flat",)))
     assert len(goals) == 2 * len(CELLS) and {case.case["map"] for case in goals} == {"drawn", "flat"}
+    both = by_name["goals"].cases(Request(maps=("flat", "office.3")))
+    assert len(both) == 2 * len(CELLS) and both[-1].case["map"] == "given"
+    assert "map=[flat,office.3]" in both[-1].scenario
     assert [(int(case.case["people"]), int(case.case["goals"])) for case in goals[:5]] == list(CELLS)
     assert len(by_name["cards"].cases(Request())) == 8
     assert all(case.world == "grid" for case in by_name["cards"].cases(Request(world="grid")))

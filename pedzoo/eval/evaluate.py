@@ -73,7 +73,7 @@ def evaluate(
         quick: A tenth of the episodes.
         deterministic: Models walk with noise zero.
         world: ``bullet`` or ``grid`` for all suites; None for their own.
-        maps: Floor plans on which ``goals`` is walked, beside those that it draws.
+        maps: Floor plans on which ``goals`` is walked too: every episode of five more cases draws one.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
         workers: Processes; the report is the same for any number.

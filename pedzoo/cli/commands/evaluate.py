@@ -47,7 +47,11 @@ def run(argv: list[str]) -> int:
         help="pybullet, or torch alone (default: bullet for door and goals).",
     )
     parser.add_argument(
-        "--maps", nargs="+", type=str, default=[], help="More floor plans for the suite goals."
+        "--maps",
+        nargs="+",
+        type=str,
+        default=[],
+        help="Floor plans for five more cases of the suite goals: every episode draws one.",
     )
     parser.add_argument("--data.root", type=str | None, help="Recordings for replay (default: PEDZOO_DATA).")
     parser.add_argument(
