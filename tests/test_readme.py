@@ -26,6 +26,7 @@ SHORT = [
     "1",
 ]
 SHORT += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
+SHORT += ["--rollout.episodes", "2"]
 BENCH = ["--quick", "--seconds", "0.01", "--turns", "1", "--size", "2x5"]
 
 
@@ -69,10 +70,11 @@ def test_pedzoo_commands(
     found = commands()
     walk = ["--episodes", "2", "--video_seconds", "1"]
     less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk, "plans": [], "bench": BENCH}
+    less["evaluate"] = ["--suite", "cards", "--episodes", "1"]
     assert {words[0] for words in found} == set(less)
     for words in found:
         assert main([*words, *less[words[0]]]) == 0, words
-    for file in ("out.json", "walk.json", "door.png", "door.webm"):
+    for file in ("out.json", "walk.json", "door.png", "door.webm", "walked.json", "walked.md"):
         assert (somebodys_folder / file).is_file()
     assert "min_ade_2" in capsys.readouterr().out
 
@@ -81,10 +83,11 @@ def test_python_snippets(somebodys_folder: Path) -> None:
     scopes: list[dict] = [{} for _ in blocks("python")]
     for snippet, scope in zip(blocks("python"), scopes, strict=True):
         exec(compile(snippet, "README.md", "exec"), scope)
-    forecast, walk, own = scopes
+    forecast, compared, walk, own = scopes
     scenes, samples, people, steps, _ = forecast["futures"].shape
     assert (samples, steps) == (20, 8)
     assert forecast["batch"]["agents", "mask"].shape == (scenes, people)
+    assert compared["success"] == {"go_to_goal": 1.0, "orca:radius=0.3": 1.0}
     assert walk["trace"].shape == (8, 50, 5, 4, 2)
     assert set(own["velocity"]) == {"anna", 7}
     assert own["people"]["anna"][0] > -3  # she set out from -9
