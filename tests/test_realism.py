@@ -274,30 +274,29 @@ def test_dtw_forgives_the_pace_and_not_the_place() -> None:
 
 
 def test_walks_of_two_rounds() -> None:
-    goal = line((2.05, 0.0), (0.0, 5.0))
     there = line((0, 0), (0.4, 0), (0.8, 0), (1.2, 0), (1.6, 0), (2, 0))
     still = torch.zeros(6, 2)
     person = torch.tensor([[[0] * 5], [[1] * 5]])
     controlled = torch.tensor([[[False, True, True, True, True]], [[True] * 5]])
     up = torch.stack((still[:, 0], torch.linspace(0, 5, 6)), -1)
-    real = a_rollout(torch.stack((there, up))[:, None], person, controlled)
+    arrived = torch.zeros(2, 1, 20).long()
+    arrived[0, 0, 17:] = arrived[1, 0, 18:] = 1
+    real = replace(a_rollout(torch.stack((there, up))[:, None], person, controlled), reached=arrived)
     slow = there * 0.5
     # three scenes: the second round was not finished
     rollout = a_rollout(
         torch.stack((slow, up, there))[:, None], torch.cat((person, person[:1])), controlled[[0, 1, 0]]
     )
-    reached = torch.zeros(3, 1, 20).long()
-    reached[1, :, 18:] = 1
-    rollout = replace(rollout, reached=reached, goal=goal[[0, 1, 0], None, None].expand(3, 1, 20, 2))
-    real = replace(real, goal=goal[:, None, None].expand(2, 1, 20, 2))
+    reached = torch.stack((arrived[0] * 0, arrived[1], arrived[0]))
+    rollout = replace(rollout, reached=reached)
     tracks = tracks_of([real.episodes(slice(1)), real.episodes(slice(1, 2))], 3)
-    assert tracks.scene.tolist() == [0, 1, -1] and tracks.points.tolist() == [4, 5, 0]
+    # the step in which they arrive is no sample
+    assert tracks.scene.tolist() == [0, 1, -1] and tracks.points.tolist() == [3, 4, 0]
     assert tracks.seconds.tolist() == pytest.approx([1.4, 1.9, NAN], nan_ok=True)
     found = walks_of(rollout, every_step(rollout), 4, 2, tracks)
     assert found.episode.tolist() == [4, 5, 6] and found.person.tolist() == [0, 1, 0]
-    # within 0.3 m of the exit, or where the environment said so
     assert found.seconds.tolist() == pytest.approx([NAN, 1.9, 1.4], nan_ok=True)
-    assert found.ade.tolist() == pytest.approx([(0.4 + 0.6 + 0.8 + 1.0) / 4, 0.0, 0.0])
+    assert found.ade.tolist() == pytest.approx([(0.4 + 0.6 + 0.8) / 3, 0.0, 0.0])
     assert found.dtw.tolist()[1:] == [0.0, 0.0] and found.dtw[0] > 0.1
     rounds = walks_of(rollout, every_step(rollout), 0, 2, tracks)
     table = rounds.by_person(rounds.ade, 2, 3)

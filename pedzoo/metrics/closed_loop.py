@@ -115,7 +115,8 @@ def _leaving(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
     runs = Runs.of(scored)
     there = runs.there
     arrived = there & (runs.last(rollout.reached) >= rollout.goals) & ~rollout.failed[:, None, None]
-    walked, planned = runs.sums(rollout.path.diff(dim=2).norm(dim=-1)), runs.last(rollout.planned)
+    steps = rollout.path.diff(dim=2).norm(dim=-1).where(rollout.underway, 0.0)
+    walked, planned = runs.sums(steps), runs.last(rollout.planned)
     return {
         "success": share(arrived, there),
         "failed": share(rollout.failed),

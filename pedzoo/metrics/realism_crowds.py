@@ -30,7 +30,7 @@ class Crowd(NamedTuple):
 
     Attributes:
         samples: Of every feature, all rounds together.
-        minutes: For how long each person was scored (P,), all rounds together.
+        minutes: For how long each person was on the way (P,), all rounds together.
         agent_contact: For how long of it they touched somebody, minutes, and how often they began to (2, P).
         wall_contact: Likewise a wall.
         round: In which round each sample of speed was taken (N,) long.
@@ -58,7 +58,7 @@ def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor
         start: Where everybody's line begins (P, 2), metres.
         goal: Where it ends (P, 2), metres.
     """
-    people, controlled, around = len(start), rollout.controlled, surroundings(steps)
+    people, underway, around = len(start), rollout.underway, surroundings(steps)
 
     def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
         """Return sums (P, columns), or counts, by person and a number of columns."""
@@ -69,13 +69,13 @@ def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor
         return torch.bincount(rollout.person[when], minlength=people).double()
 
     def contact(when: Tensor) -> Tensor:
-        when = when & controlled
+        when = when & underway
         return torch.stack((points(when) * MINUTES, points(begins(when))))
 
     close = around.close.clamp(max=MOST_CLOSE)
     return Crowd(
         samples=features(steps, around, start, goal),
-        minutes=points(controlled) * MINUTES,
+        minutes=points(underway) * MINUTES,
         agent_contact=contact(rollout.agent_contact),
         wall_contact=contact(rollout.wall_contact),
         round=(steps.scored.nonzero()[:, 0] + first) // scenes,

@@ -48,7 +48,8 @@ class Steps(NamedTuple):
         person: Who is there (E, A, S) long, -1 for nobody.
         velocity: Over the 0.4 s until then (E, A, S, 2), m/s.
         known: Whether the same person was there at their begin (E, A, S) bool.
-        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known.
+        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known. Not the step in
+            which they arrive: who decides every 0.1 s leaves in the middle of it.
     """
 
     xy: Tensor
@@ -91,7 +92,8 @@ def every_step(rollout: Rollout) -> Steps:
     velocity = torch.zeros_like(xy)
     velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
     scored = torch.zeros_like(known)
-    scored[..., 2:] = rollout.controlled[..., last::WINDOW]
+    walks = rollout.controlled & (rollout.reached < rollout.goals)
+    scored[..., 2:] = walks[..., last::WINDOW]
     return Steps(xy, person, velocity, known, scored & known)
 
 

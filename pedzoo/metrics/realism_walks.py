@@ -16,7 +16,7 @@ from pedzoo.metrics.navigation import stuck
 from pedzoo.metrics.realism_features import Steps, every_step
 from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.types import GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.types import TRACE_SECONDS
 
 
 class Tracks(NamedTuple):
@@ -150,20 +150,15 @@ def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
 
 
 def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
-    """Return after how long people were at their goal for the first time (W,), seconds, NaN for never.
-
-    Recorded people were not taken out there, so they are looked for; whose exit was moved a little has
-    ``reached`` it at the end.
+    """Return after how long people reached their goal (W,), seconds, NaN for never.
 
     Args:
         rollout: Episodes.
         number: Which walk is whose in each of them (E, P) long.
         count: W.
     """
-    there = (rollout.trace - rollout.goal).norm(dim=-1) < GOAL_RADIUS
-    there |= rollout.reached > 0
     first = []
-    for when in (rollout.controlled, rollout.controlled & there):
+    for when in (rollout.controlled, rollout.controlled & (rollout.reached > 0)):
         episode, _, point = when.nonzero().unbind(1)
         never = torch.full((count,), torch.nan, dtype=torch.float64)
         walk = number[episode, rollout.person[when]]

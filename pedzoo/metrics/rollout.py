@@ -89,6 +89,15 @@ class Rollout:
         return self.controlled & self._stayed
 
     @property
+    def underway(self) -> Tensor:
+        """Who is controlled and had not reached all goals at the point before (E, A, T) bool.
+
+        After arriving people are there until the end of the decision: for longer if that takes 0.4 s.
+        """
+        arrived = self.reached >= self.goals
+        return self.controlled & ~torch.cat((torch.zeros_like(arrived[..., :1]), arrived[..., :-1]), dim=2)
+
+    @property
     def met(self) -> Tensor:
         """Who is there and was in the slot already at the point before (E, A, T) bool."""
         return self.present & self._stayed

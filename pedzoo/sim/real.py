@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.scenario import Scenario
@@ -27,7 +28,10 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     """Yield the first ``scenes`` of a prepared scenario with a script as everybody really walked in them.
 
     On the same slots and trace as any rollout of them. ``controlled`` are the people whom a policy would
-    have, until they really left; they have ``reached`` their goal with that.
+    have, for as long as it would have them if it walked as they did: until they come within 0.3 m of their
+    goal. From there on they have ``reached`` it, and are met by others until they really leave: who stands
+    about at the exit does so where no policy has anybody. Who never comes so near, because the goal is not
+    quite where they left, reaches it by leaving.
     """
     assert scenario.script is not None
     fine = substeps(scenario.fastest * TOP_SPEED_RATIO)
@@ -44,7 +48,7 @@ def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, 
     goal_point = people.goal.float()
     planned = (people.way.float() - GOAL_RADIUS).clamp_min(0)
     steps: list[dict[str, Tensor]] = []
-    position = start.position
+    position, before, done = start.position, start.person, torch.zeros_like(start.mask)
     # nobody whom a policy would have is there any more in the frame `end`
     end = script.scenes.left[scene]
     for frame in range(int((end - origin).max())):
@@ -59,18 +63,22 @@ def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, 
         contacts = world.contacts(path, People(position, there, start.map_id.unsqueeze(1), start.pose))
         position = path[:, :, -1, -1]
         had = script.scored(scene, person) & there & (at >= people.taken[person])
-        arrives = had & (at + 1 == people.last[person])
-        last_point = torch.arange(TRACE_PER_STEP) == TRACE_PER_STEP - 1
+        done = done & (person == before)
+        leaves = had & (at + 1 == people.last[person])
+        reached = arrived(path, goal_point[person], had) | done.unsqueeze(2)
+        reached[..., -1] |= leaves
+        walks = had.unsqueeze(2) & ~torch.cat((done.unsqueeze(2), reached[..., :-1]), dim=2)
+        before, done = person, reached[..., -1]
         step = {
             "trace": path[:, :, :, -1],
             "agent_contact": contacts.agent,
             "wall_contact": contacts.wall,
-            "reached": (arrives.unsqueeze(2) & last_point).long(),
+            "reached": reached.long(),
+            "controlled": walks,
         }
         always = {
             "goal": goal_point[person],
             "present": there,
-            "controlled": had,
             "person": torch.where(there, person, -1),
             "planned": torch.where(had, planned[person], 0.0),
         }

@@ -222,8 +222,8 @@ class Replay(Scenario):
     def real(self) -> Rollout:
         """Return the recorded crowd as a rollout of one round: on the same slots and trace.
 
-        ``controlled`` are the people whom a policy would have, from where it takes them over to their real
-        exit. Contacts are those of a `GridWorld`.
+        ``controlled`` are the people whom a policy would have, from where it takes them over until they come
+        within 0.3 m of their goal, where it would lose them. Contacts are those of a `GridWorld`.
         """
         return joined(list(self.real_parts()))
 
