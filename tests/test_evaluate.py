@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -205,6 +206,12 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
     assert unseen.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
     assert not unseen.has_seen("a.hotel", "hotel") and not unseen.has_seen("orca", "hotel")
     assert unseen.has_seen("b.eth_ucy", "zara2") and not unseen.has_seen("a.zara1", "embedded")
+
+
+def test_checkpoints_of_a_training_are_known_by_its_fold(tmp_path: Path) -> None:
+    file = tmp_path / "best.ckpt"
+    torch.save({"pedzoo": {"architecture": "sgan", "protocol": {"fold": "zara1"}}}, file)
+    assert unseen.has_seen(f"{file}:noise=step", "hotel") and not unseen.has_seen(str(file), "zara1")
 
 
 def test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files(tmp_path: Path) -> None:

@@ -41,4 +41,5 @@ def _held_out(name: str) -> str | None:
         config = read_config(name)
     elif name.endswith(".ckpt"):
         config = read_checkpoint(name)["pedzoo"]
-    return config.get("training", {}).get("fold")
+    # pedzoo fit writes down its data, the zoo also the training
+    return config.get("training", config.get("protocol", {})).get("fold")
