@@ -216,7 +216,7 @@ def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_
         controlled=controlled.unsqueeze(0),
         person=torch.stack((person, torch.full((80,), 6))).unsqueeze(0),
         wall_contact=torch.ones(1, 2, 80, dtype=torch.bool),
-        reached=((torch.arange(80) == 39) & torch.tensor([[True], [False]])).long().unsqueeze(0),
+        reached=(torch.arange(80) // 2 == 19).long() * torch.tensor([[[1], [0]]]),
         planned=torch.full((1, 2, 80), 3.2),
         gate=torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]]),
     )
@@ -229,9 +229,10 @@ def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_
     assert found["personal_space"] == pytest.approx(39 / 79)
     assert found["wall_contacts_per_episode"] == 2.0  # not those of who is played back
     assert found["least_distance_m"] == pytest.approx(0.4)
-    # the first person arrives after 4 m, the second never does
+    # the first person arrives after 3.9 m, one point before the end of the decision; the second never does
+    assert walked.underway.sum() == 79 and not walked.underway[0, 0, 39]
     assert found["success"] == 0.5 and found["failed"] == found["deadlock"] == 0.0
-    assert found["path_ratio"] == pytest.approx(4.0 / 3.2) and found["spl"] == pytest.approx(0.8 / 2)
+    assert found["path_ratio"] == pytest.approx(3.9 / 3.2) and found["spl"] == pytest.approx(3.2 / 3.9 / 2)
     assert not {"time_ratio", "goals_per_person", "symmetry_index", "personal_space_igibson"} & set(found)
 
 

@@ -94,8 +94,10 @@ class Rollout:
 
         After arriving people are there until the end of the decision: for longer if that takes 0.4 s.
         """
-        arrived = self.reached >= self.goals
-        return self.controlled & ~torch.cat((torch.zeros_like(arrived[..., :1]), arrived[..., :-1]), dim=2)
+        arrived = torch.zeros_like(self.controlled)
+        same = self.person[..., 1:] == self.person[..., :-1]
+        arrived[..., 1:] = same & (self.reached[..., :-1] >= self.goals)
+        return self.controlled & ~arrived
 
     @property
     def met(self) -> Tensor:
