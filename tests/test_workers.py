@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import random
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -159,6 +160,31 @@ def test_ctrl_c_ends_all_workers() -> None:
         next(results)
     timer.join()
     assert not any(map(is_alive, processes))
+
+
+EARLY = """
+import os, signal, threading
+from multiprocessing import forkserver
+from errands import process_of
+from pedzoo.eval.workers import finished
+
+def running(real=forkserver.ensure_running):
+    real()
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+forkserver.ensure_running = running  # which then imports torch for seconds
+try:
+    next(finished(range(2), process_of, 2))
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no fork server")
+def test_ctrl_c_while_workers_are_started_leaves_no_word() -> None:
+    command, folder = [sys.executable, "-c", EARLY], Path(__file__).parent
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=100)
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
 @pytest.mark.parametrize("count", [1, 2])

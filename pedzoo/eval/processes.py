@@ -114,7 +114,11 @@ def _starting(work: Callable[[Any], Any]) -> Iterator[None]:
 
 
 def _run_fork_server(module: str) -> None:
-    """Run the server, unless it runs, deaf to Ctrl-C: the process that started the workers ends them."""
+    """Run the server, unless it runs, deaf to Ctrl-C: the process that started the workers ends them.
+
+    Returns when it is ready, which takes seconds. A worker asked for before would begin after Ctrl-C, look
+    for what is gone by then, and complain.
+    """
     own = [module] if module.startswith("pedzoo.") else []  # others' may start threads, which do not survive
     forkserver.set_forkserver_preload(["pedzoo.eval.collectors", "pedzoo.eval.jobs", *own])
     heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -122,6 +126,9 @@ def _run_fork_server(module: str) -> None:
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, heard)
+    idle = multiprocessing.get_context(START).Process()
+    idle.start()
+    idle.join()
 
 
 def _what_died(processes: Sequence[BaseProcess], doing: Sequence[int], jobs: Sequence[Any]) -> str:
