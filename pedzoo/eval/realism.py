@@ -62,7 +62,7 @@ def replay_row(
     * ``success``: the share of people who came within 0.3 m of their real exit in twice the real time.
       ``deadlock``: of people who once moved less than 0.1 m in 5 s, away from their exit; real people do.
       ``time_ratio_median``: the time that it took them to the real time until there, median over people.
-    * ``closed_loop_ade_m``: mean distance to the recorded positions of the same time, while both are there,
+    * ``closed_loop_ade_m``: mean distance to the recorded positions of the same time, until either arrives,
       never set back to them. ``closed_loop_min_ade_K_m``: of everybody's best round. ``dtw_m``: distance to
       the recorded walk whatever the pace.
 
