@@ -185,7 +185,8 @@ def test_without_recordings_the_embedded_crowd_is_replayed_and_says_so(
     assert names == [
         (name, kind) for kind in ("all", "one") for name in ("go_to_goal", "real", "real halves")
     ]
-    ours, real, halves = report["summary"]
+    (ours, real, halves), one = report["summary"][:3], report["summary"][3]
+    assert (ours["table"], one["table"], one["name"]) == ("replay all", "replay one", "go_to_goal")
     assert real["metrics"]["realism"] == 0.0 and halves["metrics"]["realism"] > 0.0
     assert ours["metrics"]["success"] == 1.0
 
@@ -249,7 +250,15 @@ def test_the_mean_of_cases_and_its_interval_by_hand() -> None:
     case = {"suite": "goals", "world": "grid"}
     seconds = {"wall": 1.0, "cpu": 0.5}
     rows = [
-        {"name": name, "case": case, "n": 20, "seconds": seconds, "metrics": metrics, "ci95": ci95}
+        {
+            "name": name,
+            "table": "t",
+            "case": case,
+            "n": 20,
+            "seconds": seconds,
+            "metrics": metrics,
+            "ci95": ci95,
+        }
         for name, metrics, ci95 in (
             ("orca", {"success": 0.5, "time_s": 9.0}, {"success": (0.2, 0.56)}),
             ("orca", {"success": 0.9}, {"success": (0.5, 0.98)}),

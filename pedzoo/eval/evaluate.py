@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pedzoo.errors import UserError, unknown
+from pedzoo.eval.clock import Clock, Progress
 from pedzoo.eval.journal import Journal, Rows
 from pedzoo.eval.results import Shown
 from pedzoo.eval.suite import Request, Suite, Unit, WorldName, check_names
@@ -22,29 +23,6 @@ from pedzoo.sim.worlds.pybullet_client import load_pybullet
 
 SUITE_NAMES = ("door", "goals", "cards", "replay")
 """What is evaluated unless something else is asked for."""
-
-
-class Step(NamedTuple):
-    """How far an evaluation is.
-
-    Attributes:
-        label: What has just been done, or is going on.
-        done: Share of the whole, by the work that it is expected to be.
-        units: Finished ones.
-        total: All of them.
-        seconds: That the unit took; None while it is going on.
-        left: Seconds that the rest is expected to take; None while nobody knows.
-    """
-
-    label: str
-    done: float
-    units: int
-    total: int
-    seconds: float | None
-    left: float | None
-
-
-Progress = Callable[[Step], None]
 
 
 def evaluate(
@@ -68,9 +46,9 @@ def evaluate(
     Args:
         policies: Names with settings, as of `pedzoo.sim.policy.load_policy`.
         suites: ``door``, ``goals``, ``cards`` and ``replay``, or ``file.py:Class``.
-        episodes: Per case and seed; None for the suites' own numbers.
+        episodes: Per case and seed; None for the suites' own numbers. Recordings have people, and ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.
-        quick: A tenth of the episodes.
+        quick: A tenth of the episodes, and of the time of recordings.
         deterministic: Models walk with noise zero.
         world: ``bullet`` or ``grid`` for all suites; None for their own.
         maps: Floor plans on which ``goals`` is walked too: every episode of five more cases draws one.
@@ -83,12 +61,13 @@ def evaluate(
 
     Returns:
         ``protocol``; ``seeds``; ``notes``; ``rows``, one per policy and case; and ``summary``, one row per
-        policy and suite. A row has ``name``, ``case``, ``n``, ``metrics``, ``ci95``, and ``per_agent``.
+        policy and table. A row has ``name``, ``table``, ``case``, ``n``, ``metrics``, ``ci95``, and ``per_agent``.
 
     Raises:
         UserError: An unknown name, or a setting that cannot be, before anything has walked.
     """
-    request = Request(episodes, quick, world, tuple(map(str, maps)), root, rollouts)
+    plans = (maps,) if isinstance(maps, str | Path) else maps
+    request = Request(episodes, quick, world, tuple(map(str, plans)), root, rollouts)
     evaluation = Evaluation(policies, suites, request, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -137,6 +116,7 @@ class Evaluation:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
         self._suites = [_suite(name) for name in check_names("suites", suites)]
+        _check_use(self._request, self._suites)
         for policy in self._policies:
             load_policy(policy)
         self.units: list[Unit] = []
@@ -163,16 +143,19 @@ class Evaluation:
             backend: Likewise.
             progress: Likewise.
         """
-        clock = _Clock(self.units, set(self._rows), progress)
+        clock = Clock(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]
         alone = workers == 1 and backend == "processes"
         do = partial(_telling, clock) if alone else work
-        for place, rows in finished(units, do, workers, backend, lambda unit: unit.group):
-            number = missing[place]
-            self._rows[number] = rows
-            self._journal.add(self._digests[number], rows)
-            clock.ended(number, rows[0]["seconds"]["wall"])
+        if units:
+            clock.within(units[0], 0.0)
+        with closing(finished(units, do, workers, backend, lambda unit: unit.group)) as results:
+            for place, rows in results:
+                number = missing[place]
+                self._rows[number] = rows
+                self._journal.add(self._digests[number], rows)
+                clock.ended(number, rows[0]["seconds"]["wall"])
 
     @property
     def done(self) -> int:
@@ -203,37 +186,7 @@ class Evaluation:
         return {suite.name: Shown(suite.headline, suite.columns, suite.counted) for suite in self._suites}
 
 
-class _Clock:
-    """Tells how far an evaluation is, and guesses how long the rest takes."""
-
-    def __init__(self, units: list[Unit], done: set[int], progress: Progress | None) -> None:
-        self._units, self._done, self._progress = units, set(done), progress
-        self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
-        self._before = sum(self._weights[number] for number in done)
-        self._start = time.perf_counter()
-
-    def within(self, unit: Unit, share: float) -> None:
-        """Tell that a share of a unit is done."""
-        number = self._units.index(unit)
-        self._tell(number, share * self._weights[number], None)
-
-    def ended(self, number: int, seconds: float) -> None:
-        """Tell that a unit is done, which took so long."""
-        self._done.add(number)
-        self._tell(number, 0.0, seconds)
-
-    def _tell(self, number: int, more: float, seconds: float | None) -> None:
-        if self._progress is None:
-            return
-        done = more + sum(self._weights[one] for one in self._done)
-        total, mine = sum(self._weights), done - self._before
-        passed = time.perf_counter() - self._start
-        left = passed / mine * (total - done) if mine > 0 else None
-        label, units = self._units[number].label, len(self._units)
-        self._progress(Step(label, done / total, len(self._done), units, seconds, left))
-
-
-def _telling(clock: _Clock, unit: Unit) -> Rows:
+def _telling(clock: Clock, unit: Unit) -> Rows:
     return work(unit, partial(clock.within, unit))
 
 
@@ -242,6 +195,14 @@ def _suite(name: str) -> Suite:
     if not issubclass(cls, Suite):
         raise UserError(f"{name!r} is no suite: expected a subclass of pedzoo.eval.suite.Suite")
     return cls(name)
+
+
+def _check_use(request: Request, suites: Sequence[Suite]) -> None:
+    for key in ("episodes", "maps", "rollouts"):
+        if getattr(request, key) and not any(key in suite.uses for suite in suites):
+            own = [name for name in SUITES.names() if key in getattr(SUITES.get(name), "uses", ())]
+            given = ", ".join(suite.name for suite in suites)
+            raise UserError(f"{key}: no use for them in {given}; {', '.join(own)} would have")
 
 
 def _check_world(name: str) -> None:

@@ -41,8 +41,10 @@ LEGEND = {
     "specific_flow_per_m_s": "people through the door per metre of its width and second",
     "realism": "mean distance of six distributions (speed, acceleration, heading rate, nearest distance, "
     "time to collision, lateral deviation) to the real ones, in real standard deviations: lower is better",
+    "w1_speed": "and `w1_acceleration` to `w1_lateral_deviation`: each of these six alone",
     "time_ratio_median": "of the time until the exit to the real time",
     "closed_loop_ade_m": "mean distance to where the person really was at that time",
+    "dtw_m": "distance between the walked and the real way, whatever the time (dynamic time warping)",
     "density_speed_rmse_m_per_s": "between the mean speeds of both crowds at equal densities",
     "agent_contact_excess_per_min": "touches of others beyond those of the real crowd",
     "wall_contact_excess_per_min": "touches of walls, likewise",
@@ -66,7 +68,7 @@ class Page(NamedTuple):
 
 
 def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
-    """Return the headline, and for each suite its metrics, and the cases where it has several.
+    """Return the headline, and for each table of a suite its metrics, and the cases where it has several.
 
     Args:
         report: Of `pedzoo.eval.evaluate.evaluate`.
@@ -74,21 +76,18 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
     """
     rows, summary = report["rows"], report["summary"]
     found = [_headline(summary, shown)]
-    for suite, (headline, columns, _) in shown.items():
-        mine = [row for row in summary if row["case"]["suite"] == suite]
-        if not mine:
-            continue
+    for table in dict.fromkeys(row["table"] for row in summary):
+        mine = [row for row in summary if row["table"] == table]
+        headline, columns, _ = shown[mine[0]["case"]["suite"]]
         known = [key for key in columns if any(key in row["metrics"] for row in mine)]
         if not any(row["metrics"].get("failed") for row in mine):
             known = [key for key in known if key != "failed"]
         cases = max(row["cases"] for row in mine)
-        title = f"{suite}: mean of {cases} cases" if cases > 1 else suite
+        title = f"{table}: mean of {cases} cases" if cases > 1 else table
         body = [[row["name"], str(row["n"]), *(cell(row, key) for key in known)] for row in mine]
         found.append(Page(title, ["policy", "n", *known], body, 2))
         if cases > 1:
-            found += [
-                _by_case([row for row in rows if row["case"]["suite"] == suite], key) for key in headline
-            ]
+            found += [_by_case([row for row in rows if row["table"] == table], key) for key in headline]
     return found
 
 
@@ -159,21 +158,23 @@ _NO_CASE = ("suite", "world", "weights", SEEN)
 
 
 def _headline(summary: Iterable[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Page:
-    columns = [(suite, key) for suite, one in shown.items() for key in one.headline]
-    found = {(row["name"], row["case"]["suite"]): row for row in summary}
+    found = {(row["name"], row["table"]): row for row in summary}
+    suites = {row["table"]: row["case"]["suite"] for row in summary}
+    columns = [(table, key) for table, suite in suites.items() for key in shown[suite].headline]
     names = dict.fromkeys(name for name, _ in found)
     nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
     columns = [
         one for one in columns if any(one[1] in found.get((n, one[0]), nothing)["metrics"] for n in names)
     ]
     body = [
-        [name, *(cell(found.get((name, suite), nothing), key) for suite, key in columns)] for name in names
+        [name, *(cell(found.get((name, table), nothing), key) for table, key in columns)] for name in names
     ]
-    return Page("all suites", ["policy", *(f"{suite} {key}" for suite, key in columns)], body, 1)
+    return Page("all suites", ["policy", *(f"{table} {key}" for table, key in columns)], body, 1)
 
 
 def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> Page:
     """Return one metric: policies as rows, cases as columns."""
+    table = rows[0]["table"]
     cases = list(dict.fromkeys(map(case_label, rows)))
     found = {(row["name"], case_label(row)): row for row in rows}
     nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
@@ -181,7 +182,8 @@ def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> Page:
         [name, *(cell(found.get((name, case), nothing), key) for case in cases)]
         for name in dict.fromkeys(row["name"] for row in rows)
     ]
-    return Page(f"{rows[0]['case']['suite']}: {key} in each case", ["policy", *cases], body, 1)
+    shorter = [" ".join(word for word in case.split() if word not in table.split()) for case in cases]
+    return Page(f"{table}: {key} in each case", ["policy", *shorter], body, 1)
 
 
 def _number(value: float) -> str:

@@ -56,6 +56,7 @@ class Case(NamedTuple):
         case: What tells its rows from others.
         inputs: Digest of the files that it reads.
         effort: What an episode costs beside those of other cases: people times goals, about.
+        table: Which table its rows stand in, with those of which a mean says something; empty: the suite's.
         shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
     """
 
@@ -67,6 +68,7 @@ class Case(NamedTuple):
     case: dict[str, str]
     inputs: str = ""
     effort: float = 2.0
+    table: str = ""
     shares: str = ""
 
 
@@ -104,11 +106,13 @@ class Suite(ABC):
 
     Attributes:
         name: As it was asked for.
+        uses: What it heeds of a `Request` beside what all suites do.
         counted: What ``n`` of its rows are.
         headline: Metrics of the first table.
         columns: Metrics of the suite's own table.
     """
 
+    uses: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts")
     counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
     columns: ClassVar[tuple[str, ...]] = (
@@ -158,7 +162,7 @@ class Suite(ABC):
         Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
         """
         case, walked = unit.case, []
-        scenario = prepared(case.scenario)
+        scenario = prepared(case.scenario, case.inputs)
         for number, seed in enumerate(unit.seeds):
             policy, env = prepare(unit.walks, scenario, case.world, case.episodes, seed)
 
@@ -178,11 +182,11 @@ class Suite(ABC):
 
 
 def check_names(what: str, given: Sequence[str]) -> list[str]:
-    """Return ``given`` without repetitions.
+    """Return ``given`` without repetitions; a single name need not be in a list.
 
     Raises:
         UserError: There is nothing.
     """
     if not given:
         raise UserError(f"no {what}: expected at least one")
-    return list(dict.fromkeys(given))
+    return [given] if isinstance(given, str) else list(dict.fromkeys(given))

@@ -12,7 +12,7 @@ from pedzoo.metrics.intervals import Interval
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one row for every policy and suite: each case counts the same, however many people it has.
+    """Return one row for every policy and table: each case counts the same, however many people it has.
 
     A metric that a case has no value of (nobody arrived, nobody met) has none in the summary either: a mean
     over the other cases could not be compared with anybody else's.
@@ -22,7 +22,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """
     order = {key: number for number, key in enumerate(dict.fromkeys(map(_place, rows)))}
     found = []
-    for (suite, name), group in groupby(sorted(rows, key=lambda row: order[_place(row)]), key=_place):
+    for (table, name), group in groupby(sorted(rows, key=lambda row: order[_place(row)]), key=_place):
         cases = list(group)
         metrics: dict[str, float] = {}
         intervals: dict[str, Interval] = {}
@@ -40,7 +40,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         found.append(
             {
                 "name": name,
-                "case": {"suite": suite, "world": cases[0]["case"]["world"]} | _seen(cases),
+                "table": table,
+                "case": {key: cases[0]["case"][key] for key in ("suite", "world")} | _seen(cases),
                 "n": sum(case["n"] for case in cases),
                 "cases": len(cases),
                 "metrics": metrics,
@@ -75,4 +76,4 @@ def _seen(cases: Sequence[dict[str, Any]]) -> dict[str, str]:
 
 
 def _place(row: dict[str, Any]) -> tuple[str, str]:
-    return row["case"]["suite"], row["name"]
+    return row["table"], row["name"]

@@ -15,7 +15,8 @@ from pedzoo.registry import SUITES
 from pedzoo.spec import parse
 from pedzoo.versions import versions
 
-_NO_MATTER = ("cli", "bench", "train")
+_MATTER = (".py", ".csv", ".yaml", ".png")
+_NO_MATTER = ("cli", "bench", "train", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 
@@ -33,6 +34,7 @@ def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
     if unit.walks != unit.policy:
         where["weights"] = unit.walks
     for row in rows:
+        row["table"] = unit.case.table or unit.case.suite
         row["case"] = where | row["case"]
         row["seconds"] = {key: round(value, 2) for key, value in spent.items()}
     return json.loads(json.dumps(rows, allow_nan=False))
@@ -41,27 +43,32 @@ def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
 def digest(unit: Unit) -> str:
     """Return what tells a unit from any other whose rows may differ.
 
-    That is the unit itself, the file of its weights, pedzoo's code and the versions of what it uses.
+    That is the unit itself, the files that it names (weights, a policy, a suite or a scenario of one's own),
+    pedzoo's code and the versions of what it uses.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
-    parts = [known, _file_sum(unit.walks), _code_sum(), _versions()]
+    files = [_file_sum(name) for name in (unit.walks, unit.case.suite, unit.case.scenario)]
+    parts = [known, files, _code_sum(), _versions()]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def _file_sum(policy: str) -> str:
-    """Return the sha256 of the file behind a policy, nothing where it has none."""
-    name = parse(policy).name
+def _file_sum(text: str) -> str:
+    """Return the sha256 of the file that a name with settings stands for, nothing where there is none."""
+    name = parse(text).name
     path = weight_files().get(name) or Path(name.rpartition(":")[0] if ".py:" in name else name)
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
 @cache
 def _code_sum() -> str:
-    """Return the sha256 of all code that numbers depend on; commits of anything else leave it as it is."""
+    """Return the sha256 of all code that numbers depend on, and of the embedded recordings.
+
+    Commits of anything else leave it as it is.
+    """
     base, found = Path(__file__).parents[1], hashlib.sha256()
-    for path in sorted(base.rglob("*.py")):
+    for path in sorted(base.rglob("*")):
         place = path.relative_to(base)
-        if place.parts[0] not in _NO_MATTER:
+        if path.suffix in _MATTER and place.parts[0] not in _NO_MATTER:
             found.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
     return found.hexdigest()
 

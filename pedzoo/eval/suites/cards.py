@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pedzoo.eval.suite import Case, Request, Suite
 from pedzoo.registry import SCENARIOS
 from pedzoo.sim.encounter import Encounter
@@ -11,6 +13,8 @@ EPISODES = 20
 
 class Cards(Suite):
     """Every scenario of the registry that is an encounter, with its defaults."""
+
+    uses: ClassVar[tuple[str, ...]] = ("episodes",)
 
     def cases(self, request: Request) -> list[Case]:
         """Return a case for each encounter."""

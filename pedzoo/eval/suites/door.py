@@ -12,6 +12,7 @@ EPISODES = 200
 class Door(Suite):
     """One case, the scenario ``door`` with its defaults."""
 
+    uses: ClassVar[tuple[str, ...]] = ("episodes",)
     columns: ClassVar[tuple[str, ...]] = (
         "success",
         "deadlock",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from pedzoo.eval.suite import Case, Request, Suite
 from pedzoo.maps.library import load_plan
@@ -29,6 +30,8 @@ class Goals(Suite):
     large plans, whose ways take minutes, is waited for once.
     """
 
+    uses: ClassVar[tuple[str, ...]] = ("episodes", "maps")
+
     def cases(self, request: Request) -> list[Case]:
         """Return five cases for the drawn floor plans and five for those that were given.
 
@@ -42,6 +45,7 @@ class Goals(Suite):
         found = []
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)
+            table = f"{self.name} {name}"
             shown = files[0] if len(files) == 1 else f"[{','.join(files)}]"
             for people, goals in CELLS:
                 scenario = f"goals:map={shown},people={people},goals={goals},pool={POOL}"
@@ -49,6 +53,6 @@ class Goals(Suite):
                 label = f"{name} {people}/{goals}"
                 effort = people * goals
                 found.append(
-                    Case(self.name, label, scenario, world, episodes, case, inputs, effort, shares=name)
+                    Case(self.name, label, scenario, world, episodes, case, inputs, effort, table, name)
                 )
         return found

@@ -14,6 +14,7 @@ from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
 from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.metrics.realism_features import FEATURES
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.models.walker import Walker
 from pedzoo.sim.policy import load_policy
@@ -43,6 +44,7 @@ class Replay(Suite):
     is walked, where there are any.
     """
 
+    uses: ClassVar[tuple[str, ...]] = ("rollouts",)
     counted: ClassVar[str] = "people"
     headline: ClassVar[tuple[str, ...]] = ("realism", "success")
     columns: ClassVar[tuple[str, ...]] = (
@@ -51,6 +53,8 @@ class Replay(Suite):
         "deadlock",
         "time_ratio_median",
         "closed_loop_ade_m",
+        "dtw_m",
+        *(f"w1_{name}" for name in FEATURES),
         "density_speed_rmse_m_per_s",
         "agent_contact_excess_per_min",
         "wall_contact_excess_per_min",
@@ -80,6 +84,7 @@ class Replay(Suite):
                     case={"fold": fold, "simulated": simulated},
                     inputs=_digest(fold, request.root),
                     effort=100.0 * share,
+                    table=f"{self.name} {simulated}",
                     shares=fold,
                 )
                 found.append(case)
@@ -114,7 +119,7 @@ class Replay(Suite):
 
     def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
         """Walk one unit; whoever has no noise does so once."""
-        case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario))
+        case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
             return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
         model = load_policy(unit.walks)
@@ -162,7 +167,6 @@ def _folds(root: str | None) -> list[str]:
 def _digest(fold: str, root: str | None) -> str:
     if fold == EMBEDDED:
         return ""  # its files are pedzoo's
-    data, found = EthUcy(fold, root, "true"), hashlib.sha256()
-    for file in data.files["test"]:
-        found.update((data.root / file).read_bytes())
-    return found.hexdigest()
+    found, known = hashlib.sha256(), set()
+    for tracks, plan in EthUcy(fold, root, "true").recordings("test"):
+
