@@ -57,6 +57,8 @@ def explain(message: str, known: list[str]) -> str:
         return _unknown(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
     if re.search(r"arguments are required: model\b", message):
         return f"no model: choose one with --config NAME ({_configs()}) or --model CLASS"
+    if re.search(r"arguments are required: policies\b", message):
+        return "no policies: name them before the options, as in orca go_to_goal --episodes 20"
     if found := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
         return _unknown("--" + ".".join(filter(None, found.groups())), known)
     if found := re.search(r"Option '([^']*)' is not accepted", message):

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 if TYPE_CHECKING:
-    from pedzoo.eval.evaluate import Step
+    from pedzoo.eval.clock import Step
 
 
 @contextmanager

@@ -61,7 +61,8 @@ def evaluate(
 
     Returns:
         ``protocol``; ``seeds``; ``notes``; ``rows``, one per policy and case; and ``summary``, one row per
-        policy and table. A row has ``name``, ``table``, ``case``, ``n``, ``metrics``, ``ci95``, and ``per_agent``.
+        policy and table. A row has ``name``, ``table``, ``case``, ``n``, ``metrics``, ``ci95`` and
+        ``per_agent``.
 
     Raises:
         UserError: An unknown name, or a setting that cannot be, before anything has walked.

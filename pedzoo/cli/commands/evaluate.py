@@ -33,7 +33,11 @@ def run(argv: list[str]) -> int:
         default=",".join(SUITE_NAMES),
         help=f"Some of {', '.join(SUITES.names())}, between commas; or file.py:Class.",
     )
-    parser.add_argument("--episodes", type=int | None, help="Per case and seed (default: as the suite says).")
+    parser.add_argument(
+        "--episodes",
+        type=int | None,
+        help="Per case and seed (default: as the suite says). In replay see --rollouts.",
+    )
     parser.add_argument(
         "--seeds", type=str, default="0", help="Of the scenes, between commas; they count as one sample."
     )
@@ -102,14 +106,14 @@ def run(argv: list[str]) -> int:
         print_pages(report, evaluation.shown)
         if options.json:
             write_json(options.json, report)
-        if options.markdown:
+        if options.markdown and not more:  # a page of half the parts would stand in the place of a whole one
             command = ["pedzoo", "evaluate", *argv]
             write_text(options.markdown, markdown(report, evaluation.shown, command))
 
     try:
         with overall_bar() as progress:
             evaluation.run(options.workers, options.backend, progress)
-    except (KeyboardInterrupt, UserError):
+    except (KeyboardInterrupt, UserError, RuntimeError):  # the last: a worker was killed
         if evaluation.done:
             print(f"not finished: {evaluation.done} of {len(evaluation.units)} parts")
             tell(interrupted=True)
@@ -117,7 +121,7 @@ def run(argv: list[str]) -> int:
             print("what is done " + (kept if evaluation.journal else "would be kept with --json or --resume"))
         raise
     tell()
-    if beside and not options.resume:
+    if beside and not options.resume and not evaluation.others:
         Path(beside).unlink(missing_ok=True)  # the report has all of it
     return 0
 

@@ -14,6 +14,7 @@ from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
 from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism_features import FEATURES
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.models.walker import Walker
@@ -69,6 +70,7 @@ class Replay(Suite):
         found = []
         usual = 1 if request.quick else ROLLOUTS
         for fold in _folds(request.root):
+            inputs = _digest(fold, request.root)
             for simulated in SIMULATED:
                 settings = [f"fold={fold}", f"simulated={simulated}"]
                 share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
@@ -82,7 +84,7 @@ class Replay(Suite):
                     world=request.world or "grid",
                     episodes=request.rollouts or (usual if simulated == "all" else 1),
                     case={"fold": fold, "simulated": simulated},
-                    inputs=_digest(fold, request.root),
+                    inputs=inputs,
                     effort=100.0 * share,
                     table=f"{self.name} {simulated}",
                     shares=fold,
@@ -165,8 +167,13 @@ def _folds(root: str | None) -> list[str]:
 
 
 def _digest(fold: str, root: str | None) -> str:
+    """Return what tells recordings and floor plans of a fold from any others."""
     if fold == EMBEDDED:
         return ""  # its files are pedzoo's
-    found, known = hashlib.sha256(), set()
-    for tracks, plan in EthUcy(fold, root, "true").recordings("test"):
-
+    found = hashlib.sha256()
+    for recording in EthUcy(fold, root, "true").recordings("test"):
+        tracks = recording.tracks
+        for values in (tracks.frame, tracks.agent, tracks.xy):
+            found.update(values.tobytes())
+        found.update(load_plan(recording.plan).digest.encode() if recording.plan else b"")
+    return found.hexdigest()

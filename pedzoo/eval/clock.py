@@ -1,0 +1,69 @@
+"""How far an evaluation is, and how long the rest takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pedzoo.eval.suite import Unit
+
+
+class Step(NamedTuple):
+    """How far an evaluation is.
+
+    Attributes:
+        label: What has just been done, or is going on.
+        done: Share of the whole, by the work that it is expected to be.
+        units: Finished ones.
+        total: All of them.
+        seconds: That the unit took; None while it is going on.
+        left: Seconds that the rest is expected to take; None while nobody knows.
+    """
+
+    label: str
+    done: float
+    units: int
+    total: int
+    seconds: float | None
+    left: float | None
+
+
+Progress = Callable[[Step], None]
+
+
+class Clock:
+    """Tells how far an evaluation is, and guesses how long the rest takes."""
+
+    def __init__(self, units: list[Unit], done: set[int], progress: Progress | None) -> None:
+        """Start.
+
+        Args:
+            units: All of the evaluation.
+            done: Numbers of those that were done before.
+            progress: Called whenever there is something to tell.
+        """
+        self._units, self._done, self._progress = units, set(done), progress
+        self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
+        self._before = sum(self._weights[number] for number in done)
+        self._start = time.perf_counter()
+
+    def within(self, unit: Unit, share: float) -> None:
+        """Tell that a share of a unit is done."""
+        number = self._units.index(unit)
+        self._tell(number, share * self._weights[number], None)
+
+    def ended(self, number: int, seconds: float) -> None:
+        """Tell that a unit is done, which took so long."""
+        self._done.add(number)
+        self._tell(number, 0.0, seconds)
+
+    def _tell(self, number: int, more: float, seconds: float | None) -> None:
+        if self._progress is None:
+            return
+        done = more + sum(self._weights[one] for one in self._done)
+        total, mine = sum(self._weights), done - self._before
+        passed = time.perf_counter() - self._start
+        left = passed / mine * (total - done) if mine > 0 else None
+        label, units = self._units[number].label, len(self._units)
+        self._progress(Step(label, done / total, len(self._done), units, seconds, left))
