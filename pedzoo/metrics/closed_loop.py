@@ -56,7 +56,8 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
     * ``time_s``: when the last person arrives, mean over episodes in which all do in time; ``decisions``:
       that in steps of the policy.
     * ``path_ratio``, ``time_ratio``: way by planned way, and time by that of the planned way at one's
-      preferred speed, means over people who arrive; ``spl``, ``stl``: see `weighted`, means over people.
+      preferred speed, means over people who arrive; ``spl``, ``stl``: see `weighted`, means over people. Who
+      decides rarely walks on after a goal before hearing of the next one, which counts as walked.
     * ``personal_space_igibson``: mean over people, see `compliance_igibson`.
     * At a door: see `pedzoo.metrics.door`. Means over episodes in which they are known; ``faster_first`` is a
       share of these, ``specific_flow_per_m_s`` all people who got through by all width and time.
