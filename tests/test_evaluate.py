@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from pedzoo.errors import UserError
 from pedzoo.eval import evaluate as module
 from pedzoo.eval import prepared as keeping
 from pedzoo.eval import unseen
+from pedzoo.eval.clock import Step
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.journal import Journal
 from pedzoo.eval.results import Shown, cell, markdown, pages
@@ -78,6 +80,8 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
 ) -> None:
     policies, file = ["go_to_goal", "sgan_goal.zara1"], tmp_path / "out.json"
     command = ["evaluate", *policies, "--suite", small, "--quick", "--seeds", "0,3", "--json", str(file)]
+    (page := tmp_path / "page.md").write_text("the page of a whole evaluation")
+    command += ["--markdown", str(page)]
     done: list[str] = []
     real = module.work
 
@@ -92,6 +96,8 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
     assert "not finished: 3 of 4 parts" in (said := capsys.readouterr().out)
     assert "the same command goes on from there" in said
     assert json.loads(file.read_text())["interrupted"] is True
+    assert "go_to_goal (not all cases)" not in said and "sgan_goal.zara1 (not all cases)" in said
+    assert page.read_text() == "the page of a whole evaluation"
 
     monkeypatch.setattr(module, "work", real)
     assert main(command) == 0
@@ -99,6 +105,7 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
     assert "of other commands" not in said
     resumed = json.loads(file.read_text())
     assert "interrupted" not in resumed and list(tmp_path.glob("*.partial")) == []
+    assert "| go_to_goal | 8 |" in page.read_text()
 
     alone = pedzoo.evaluate(policies, [small], quick=True, seeds=[0, 3])
     assert compared(resumed) == compared(alone)
@@ -108,6 +115,33 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
     assert {(person["seed"], person["episode"]) for person in row["per_agent"]} == {
         (seed, episode) for seed in (0, 3) for episode in (0, 1)
     }
+
+
+def test_kept_parts_of_another_command_stay(small: str, tmp_path: Path) -> None:
+    kept = Path(tmp_path / "out.json.partial")
+    Journal(kept).add("another", [{"n": 1}])
+    command = ["evaluate", "go_to_goal", "--suite", small, "--episodes", "1"]
+    assert main([*command, "--json", str(tmp_path / "out.json")]) == 0
+    assert "another" in Journal(kept).done and len(Journal(kept).done) == 3
+
+
+def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[int] = []
+
+    def results(*_: Any) -> Iterator[tuple[int, Any]]:
+        try:
+            yield 0, [{"seconds": {"wall": 1.0}}]
+        finally:
+            ended.append(1)
+
+    def full(*_: Any) -> None:
+        raise UserError("cannot write")
+
+    monkeypatch.setattr(module, "finished", results)
+    monkeypatch.setattr(Journal, "add", full)
+    with pytest.raises(UserError, match="cannot write") as caught:
+        pedzoo.evaluate(["go_to_goal"], [small])
+    assert ended and caught.traceback  # though whoever looks at the error holds on to the iterator
 
 
 def test_two_workers_give_the_same_table(small: str) -> None:
@@ -139,6 +173,9 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
         (["orca", "--suite", "cards", "--episodes", "0"], "episodes 0: expected at least 1"),
         (["orca", "--suite", "cards", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
         (["orca", "--suite", ","], "no suites"),
+        (["orca", "--suite", "door", "--maps", "flat"], "maps: no use for them in door; goals would have"),
+        (["orca", "--suite", "replay", "--episodes", "9"], "in replay; cards, door, goals would have"),
+        (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),
         (["orca", "--sute", "cards"], "--suite"),
     ):
         assert main(["evaluate", *words]) == 2
@@ -169,6 +206,7 @@ def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPa
     assert second.planner is first.planner and other.planner is not first.planner
     assert (first.people, second.people) == (2, 5)
     assert keeping.prepared("goals:map=flat,people=2,goals=3,pool=6") is first
+    assert keeping.prepared("goals:map=flat,people=2,goals=3,pool=6", "the file has changed") is not first
     with pytest.raises(UserError, match="500 people do not fit"):
         keeping.prepared("goals:map=flat,people=500,goals=3,pool=6")
 
@@ -178,9 +216,10 @@ def test_without_recordings_the_embedded_crowd_is_replayed_and_says_so(
 ) -> None:
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     report = pedzoo.evaluate(["go_to_goal"], ["replay"], quick=True)
-    assert report["notes"] == [
-        "replay: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
-    ]
+    real, missing = report["notes"]
+    assert "real halves one half of them against the other" in real
+    assert missing == "replay: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
+    assert report["protocol"]["warm_start"] == {"replay": "recorded"}
     names = [(row["name"], row["case"]["simulated"]) for row in report["rows"]]
     assert names == [
         (name, kind) for kind in ("all", "one") for name in ("go_to_goal", "real", "real halves")
@@ -242,6 +281,9 @@ def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:
     ]
     assert len({digest(one) for one in [unit, *others]}) == 6
     assert digest(unit) == digest(Evaluation(["go_to_goal"], [small]).units[0])
+    before = digest(unit)
+    Path(small.rpartition(":")[0]).write_text(f"{SMALL}# changed")
+    assert digest(unit) != before
 
 
 def test_the_mean_of_cases_and_its_interval_by_hand() -> None:
@@ -304,8 +346,9 @@ def test_tables_fit_the_terminal(
 
 
 def test_progress_goes_up_to_the_end(small: str) -> None:
-    steps: list[module.Step] = []
-    pedzoo.evaluate(["go_to_goal"], [small], episodes=2, progress=steps.append)
+    steps: list[Step] = []
+    pedzoo.evaluate("go_to_goal", small, episodes=2, progress=steps.append)
     done = [step.done for step in steps]
+    assert (done[0], steps[0].label) == (0.0, f"{small} circle: go_to_goal")
     assert done == sorted(done) and math.isclose(done[-1], 1.0)
     assert (steps[-1].units, steps[-1].total, steps[-1].left) == (2, 2, pytest.approx(0.0, abs=1e-6))

@@ -46,7 +46,7 @@ def evaluate(
     Args:
         policies: Names with settings, as of `pedzoo.sim.policy.load_policy`.
         suites: ``door``, ``goals``, ``cards`` and ``replay``, or ``file.py:Class``.
-        episodes: Per case and seed; None for the suites' own numbers. Recordings have people, and ``rollouts``.
+        episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.
         quick: A tenth of the episodes, and of the time of recordings.
         deterministic: Models walk with noise zero.
@@ -171,7 +171,7 @@ class Evaluation:
             "suites": [suite.name for suite in self._suites],
             **asked._asdict(),
             "deterministic": self._deterministic,
-            "warm_start": "orca",
+            "warm_start": {suite.name: suite.warm_start for suite in self._suites},
         }
         return {
             "protocol": protocol,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 
@@ -25,7 +25,8 @@ SEEN = "seen"
 """What a row's case has if the policy's weights were trained on that case."""
 
 LEGEND = {
-    "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each)",
+    "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each); in a replay"
+    " their real exit in twice the real time",
     "episode_success": "share of episodes in which everybody does",
     "deadlock": "share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal",
     "failed": "share of episodes in which the policy gave no number",
@@ -84,7 +85,8 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
             known = [key for key in known if key != "failed"]
         cases = max(row["cases"] for row in mine)
         title = f"{table}: mean of {cases} cases" if cases > 1 else table
-        body = [[row["name"], str(row["n"]), *(cell(row, key) for key in known)] for row in mine]
+        labels = _labels(mine)
+        body = [[labels[row["name"]], str(row["n"]), *(cell(row, key) for key in known)] for row in mine]
         found.append(Page(title, ["policy", "n", *known], body, 2))
         if cases > 1:
             found += [_by_case([row for row in rows if row["table"] == table], key) for key in headline]
@@ -92,23 +94,23 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
 
 
 def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
-    """Return the protocol in a line: suites with their episodes and worlds, noise, warm start and seeds."""
+    """Return the protocol in a line: suites with their episodes, worlds and warm starts, noise and seeds."""
     counts: dict[str, dict[str, int]] = {}
     worlds = {}
     for row in report["rows"]:
         suite = row["case"]["suite"]
         counts.setdefault(suite, {})[case_label(row)] = row["n"]
         worlds[suite] = row["case"]["world"]
-    parts = []
+    parts, protocol = [], report["protocol"]
     for suite, cases in counts.items():
         size = f"{len(cases)} x {min(cases.values())}" if len(cases) > 1 else str(*cases.values())
         if len(set(cases.values())) > 1:
             size = f"{len(cases)} cases, {sum(cases.values())}"
-        parts.append(f"{suite} {size} {shown[suite].counted} ({worlds[suite]})")
-    protocol = report["protocol"]
+        where = f"{worlds[suite]}, warm start {protocol['warm_start'][suite]}"
+        parts.append(f"{suite} {size} {shown[suite].counted} ({where})")
     noise = "none" if protocol["deterministic"] else "sampled"
     seeds = " ".join(map(str, report["seeds"]))
-    return f"{'; '.join(parts)}; noise {noise}, warm start {protocol['warm_start']}, seeds {seeds}"
+    return f"{'; '.join(parts)}; noise {noise}, seeds {seeds}"
 
 
 def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Sequence[str]) -> str:
@@ -128,7 +130,7 @@ def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Seq
 
 
 INTERVALS = (
-    "In brackets 95 % intervals over episodes: Wilson's for shares, bootstrapped otherwise. The mean of "
+    "In brackets 95 % intervals over what n counts: Wilson's for shares, bootstrapped otherwise. The mean of "
     "several cases counts each the same."
 )
 
@@ -157,17 +159,27 @@ _NO_CASE = ("suite", "world", "weights", SEEN)
 """What does not tell cases of a suite from each other."""
 
 
-def _headline(summary: Iterable[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Page:
+def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the policies with what tables call them: an interrupted one has means of fewer cases."""
+    cases: dict[str, int] = {}
+    for row in summary:
+        cases[row["table"]] = max(row["cases"], cases.get(row["table"], 0))
+    fewer = {row["name"] for row in summary if row["cases"] < cases[row["table"]]}
+    return {row["name"]: row["name"] + " (not all cases)" * (row["name"] in fewer) for row in summary}
+
+
+def _headline(summary: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Page:
     found = {(row["name"], row["table"]): row for row in summary}
     suites = {row["table"]: row["case"]["suite"] for row in summary}
     columns = [(table, key) for table, suite in suites.items() for key in shown[suite].headline]
-    names = dict.fromkeys(name for name, _ in found)
+    names = _labels(summary)
     nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
     columns = [
         one for one in columns if any(one[1] in found.get((n, one[0]), nothing)["metrics"] for n in names)
     ]
     body = [
-        [name, *(cell(found.get((name, table), nothing), key) for table, key in columns)] for name in names
+        [label, *(cell(found.get((name, table), nothing), key) for table, key in columns)]
+        for name, label in names.items()
     ]
     return Page("all suites", ["policy", *(f"{table} {key}" for table, key in columns)], body, 1)
 

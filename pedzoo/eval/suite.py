@@ -107,12 +107,14 @@ class Suite(ABC):
     Attributes:
         name: As it was asked for.
         uses: What it heeds of a `Request` beside what all suites do.
+        warm_start: What people do in the steps before the policy takes over.
         counted: What ``n`` of its rows are.
         headline: Metrics of the first table.
         columns: Metrics of the suite's own table.
     """
 
     uses: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts")
+    warm_start: ClassVar[str] = "orca"
     counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
     columns: ClassVar[tuple[str, ...]] = (

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 from pedzoo.data.datasets.eth_ucy import FOLDS, EthUcy
 from pedzoo.errors import UserError
 from pedzoo.eval.prepared import prepared
-from pedzoo.eval.realism import REAL, reference_rows, replay_row
+from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
@@ -46,6 +46,7 @@ class Replay(Suite):
     """
 
     uses: ClassVar[tuple[str, ...]] = ("rollouts",)
+    warm_start: ClassVar[str] = "recorded"
     counted: ClassVar[str] = "people"
     headline: ClassVar[tuple[str, ...]] = ("realism", "success")
     columns: ClassVar[tuple[str, ...]] = (
@@ -93,13 +94,20 @@ class Replay(Suite):
         return found
 
     def notes(self, request: Request, policies: Sequence[str]) -> list[str]:
-        """Return what is missing, and which weights walk where."""
+        """Return what the real rows are, what is missing, and which weights walk where."""
         folds = _folds(request.root)
+        found = [
+            f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
+            f"and 95 % of {SPLITS} random splits: the noise floor"
+        ]
         if folds == [EMBEDDED]:
-            return [
-                f"{self.name}: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
-            ]
-        found = []
+            missing = "no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
+            return [*found, f"{self.name}: {missing}"]
+        found += [
+            f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
+            for fold, share in ONE_SHARE.items()
+            if fold in folds and not request.quick
+        ]
         for policy in policies:
             walks = {fold: for_fold(policy, fold) for fold in folds}
             others = [name for name in dict.fromkeys(walks.values()) if name != policy]
