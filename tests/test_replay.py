@@ -15,11 +15,11 @@ from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.eval.realism import replay_row
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.realism import replay_row
 from pedzoo.eval.rollout import run as walk_all
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from pedzoo.maps.planner import Planner
+from pedzoo.metrics.realism_crowds import crowd
 from pedzoo.metrics.realism_features import every_step
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.models.walker import Walker
@@ -337,9 +337,12 @@ def test_the_truth_arrives_with_everybody(folder: Path) -> None:
         length = min(steps.scored.shape[2], true.scored.shape[2])
         assert torch.equal(steps.scored[..., :length], true.scored[..., :length])
         assert int(steps.scored.sum()) == int(true.scored.sum()) > 0
-        row, crowd = (replay_row("", r, scenario, dt)["metrics"] for r in (result, real))
-        assert row == pytest.approx(crowd, abs=2e-3)
-        assert crowd["realism"] == crowd["closed_loop_ade_m"] == 0.0 and crowd["success"] == 1.0
+        found, expected = (replay_row("", r, scenario, dt)["metrics"] for r in (result, real))
+        assert found == pytest.approx(expected, abs=2e-3)
+        assert expected["realism"] == expected["closed_loop_ade_m"] == 0.0 and expected["success"] == 1.0
+        lines = scenario.persons.start, scenario.persons.goal
+        minutes = [crowd(r, every_step(r), 0, scenario.scenes, *lines).minutes for r in (result, real)]
+        assert torch.equal(*minutes)
 
 
 def test_real_is_the_recording(folder: Path) -> None:
