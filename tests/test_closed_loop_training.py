@@ -38,6 +38,7 @@ QUICK = ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--
 QUICK += ["--trainer.check_val_every_n_epoch=1", "--model.samples=2", "--model.generator.best_k=2"]
 QUICK += ["--rollout.episodes=2"]
 SUCCESS = "rollout/door/success"
+BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*does not have many workers"),
@@ -84,7 +85,7 @@ def history(run: Path) -> Iterator[dict[str, Any]]:
 
 def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere: Path) -> None:
     """ADE, FDE and success of an epoch stand together; picture and video are really there."""
-    assert main([*FIT, *QUICK, "--wandb", "offline", "--rollout.video", "true", "--monitor", SUCCESS]) == 0
+    assert main([*FIT, *QUICK, "--wandb", "offline", "--rollout.video", "true", *BEST]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
     (found,) = measured(run)
     assert 0 < float(found["val/ade"]) < 1 and float(found["val/fde"]) >= 0 and found["epoch"] == "0"
@@ -240,8 +241,8 @@ def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check: dict[str, A
 
 
 def test_epochs_without_a_rollout_log_nothing() -> None:
-    options = ["--trainer.max_epochs=3", "--rollout.every=2", "--rollout.episodes=1", "--monitor", SUCCESS]
-    assert main([*FIT, *QUICK, *options, "--monitor_mode=max"]) == 0
+    options = ["--trainer.max_epochs=3", "--rollout.every=2", "--rollout.episodes=1", *BEST]
+    assert main([*FIT, *QUICK, *options]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
     assert [row["epoch"] for row in measured(run)] == ["0", "2"]
     assert [row["epoch"] for row in measured(run, "val/ade")] == ["0", "1", "2"]
@@ -293,6 +294,8 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
         (["--data.obs_len", "6"], "people walk by the last 8 steps, and --data.obs_len is 6"),
         (["--monitor", "rollout/door/sucess"], "did you mean 'rollout/door/success'?"),
         (["--monitor", "rollout/circle/success"], "rollout/circle/success"),
+        (["--monitor", SUCCESS], "its best value is the max: add --monitor_mode max"),
+        (["--monitor", "rollout/door/deadlock", "--monitor_mode=max"], "add --monitor_mode min"),
         (["--monitor", SUCCESS, "--rollout.scenarios", "null"], "set --rollout.scenarios"),
     ],
 )

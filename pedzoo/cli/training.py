@@ -139,7 +139,7 @@ class TrainingCLI(LightningCLI):
             kwargs |= {"logger": False}
         else:
             monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
-            rollout.check_monitor(monitor)
+            rollout.check_monitor(monitor, self.config["monitor_mode"])
             self.run = self.run or RunFolder.claim(self._base())
             if self.resuming:
                 self.run.keep_earlier()

@@ -28,6 +28,11 @@ METRICS = (
 )
 """What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
 
+BEST = {"success": "max", "episode_success": "max"} | dict.fromkeys(
+    ("deadlock", "failed", "agent_contacts_per_min", "wall_contacts_per_min"), "min"
+)
+"""Which value of a metric is best, where there is no doubt."""
+
 
 class ClosedLoopValidation(Callback):
     """Lets the current weights walk after every n-th validation and logs ``rollout/SCENARIO/METRIC``.
@@ -103,17 +108,25 @@ class ClosedLoopValidation(Callback):
         case = {"scenario": scenario, "world": self.world, "seed": self.seed, "noise": noise}
         return {"case": case, "n": self.episodes}
 
-    def check_monitor(self, monitor: str | None) -> None:
-        """Raise the error that a metric gives which is never logged here although its name says so.
+    def check_monitor(self, monitor: str | None, mode: str) -> None:
+        """Check that a metric whose name says so is logged here, and that its best value is the better one.
+
+        Args:
+            monitor: The metric by which checkpoints are chosen, if any.
+            mode: ``min`` or ``max``.
 
         Raises:
-            UserError: It starts with ``rollout/``, and no scenario has it.
+            UserError: It starts with ``rollout/``, and no scenario has it, or ``mode`` would keep the worst.
         """
-        if monitor is None or not monitor.startswith("rollout/") or monitor in self.names:
+        if monitor is None or not monitor.startswith("rollout/"):
             return
         if not self.scenarios:
             raise UserError(f"--monitor {monitor}: nobody walks in this training; set --rollout.scenarios")
-        raise unknown("metric to --monitor", monitor, self.names)
+        if monitor not in self.names:
+            raise unknown("metric to --monitor", monitor, self.names)
+        best = BEST.get(monitor.rpartition("/")[2], mode)
+        if mode != best:
+            raise UserError(f"--monitor {monitor}: its best value is the {best}: add --monitor_mode {best}")
 
     def check(self, model: Forecaster, data: Any = None) -> None:
         """Let an untrained copy decide once, so that what cannot walk is told before the training.
