@@ -38,6 +38,8 @@ class Replay(Scenario):
     of at most 8 steps, and people who have no way to go, are played back as a whole: they are met, but do
     not react. Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
     most. Unknown cells are free, and everybody's preferred speed is what was observed in their first 8 steps.
+    That and the exit are all that a policy is told of the recording ahead, and the velocity with which others
+    come in, which is that of their first step.
 
     A recording is cut where nobody can be left (in a recording of sparse crowds), so that its parts run side
     by side: part i of R is scene i, i + R, ... of every seed; what differs is the policy's noise. With
