@@ -216,7 +216,8 @@ def test_without_recordings_the_embedded_crowd_is_replayed_and_says_so(
 ) -> None:
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     report = pedzoo.evaluate(["go_to_goal"], ["replay"], quick=True)
-    real, missing = report["notes"]
+    real, rounds, missing = report["notes"]
+    assert "models with noise walk 1 x where all" in rounds
     assert "real halves one half of them against the other" in real
     assert missing == "replay: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
     assert report["protocol"]["warm_start"] == {"replay": "recorded"}

@@ -14,9 +14,10 @@ import math
 from pathlib import Path
 
 import torch
-from page import median, percent, share, table
+from page import median, percent, share
 from torch import Tensor
 
+from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.door import passing_seconds, yield_delay
 from pedzoo.metrics.navigation import episode_seconds, finish_seconds, success
@@ -77,7 +78,7 @@ def geometry() -> str:
         "\nWith walls a disk of radius 0.5 m does not fit through 0.85 m: no avoidance is involved."
         " iGibson's own ORCA never sees walls.\n"
     )
-    return head + table(["radius", "walls seen", "walls unseen"], rows) + note
+    return head + markdown_table(["radius", "walls seen", "walls unseen"], rows) + note
 
 
 def avoidance(seeds: int) -> str:
@@ -102,7 +103,7 @@ def avoidance(seeds: int) -> str:
         "\nRuns in which both reach their goals, and the median time. Where walls are unseen, what blocks two"
         " people is their mutual avoidance alone.\n"
     )
-    return head + table(names, rows) + note
+    return head + markdown_table(names, rows) + note
 
 
 def arcs(seeds: int) -> str:
@@ -131,7 +132,7 @@ def arcs(seeds: int) -> str:
         " is how far the bearing of the other turns while the two are within 0.6 m. Exactly head-on and"
         " without jitter nothing breaks the tie: two disks of any radius stop in front of each other.\n"
     )
-    return head + table(names, rows) + note
+    return head + markdown_table(names, rows) + note
 
 
 def arc(result: Rollout, episode: int) -> tuple[float, float, float]:
@@ -168,11 +169,11 @@ def learned(episodes: int) -> str:
     head = f"## The varied door, {episodes} episodes: speeds N(1.3, 0.2) m/s, offset 0.6 m, starts jittered\n"
     names = ["policy", "people who arrive", "episodes: people touch", "episodes: a wall is touched"]
     names += ["both arrive, nothing touched", "median time, s"]
-    text = head + table(names, rows)
+    text = head + markdown_table(names, rows)
     text += "\n### How they fail\n"
     names = ["policy", "people first touch: m from the door", "walls touched at the jambs", "elsewhere"]
     names += ["least speed within 2 m", "yield delay, s", "miss the goal first", "stand still at the end"]
-    return text + table(names, failures) + NOTE
+    return text + markdown_table(names, failures) + NOTE
 
 
 NOTE = """

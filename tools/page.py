@@ -3,16 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any
 
 from torch import Tensor
-
-
-def table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table."""
-    lines = [names, ["---"] * len(names), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
 
 
 def share(values: Tensor) -> str:

@@ -25,11 +25,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from page import table
 from PIL import Image
 
 from pedzoo.cli.progress import progress_bar
 from pedzoo.eval.closed_loop import Walked, row
+from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.trajectories import draw_episode
 from pedzoo.metrics.intervals import wilson
@@ -173,7 +173,7 @@ def page(options: argparse.Namespace, found: dict[Case, Measured], conclusions: 
         f" `{options.world}`, speeds N(1.3, 0.2) m/s, decisions every {TRACE_SECONDS} s, body radius 0.15 m,"
         " warm start with ORCA (radius 0.2). In brackets 95 % intervals: Wilson's over episodes for shares,"
         " bootstrapped over episodes otherwise.\n",
-        table(names, rows),
+        markdown_table(names, rows),
         LEGEND,
         conclusions,
         f"![One episode of each](./{options.picture.name})\n" if options.picture else "",

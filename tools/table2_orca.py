@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from page import table
 
 from pedzoo.eval.closed_loop import row
+from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.paths import shipped, write_whole
 from pedzoo.sim.make import CLEARANCE
@@ -106,7 +106,7 @@ def page(name: str, options: argparse.Namespace, metrics: dict[tuple, dict[str, 
                         f"{found['wall_contacts_per_min']:.2f}",
                     ]
                 )
-            lines.append(table(names, rows))
+            lines.append(markdown_table(names, rows))
     lines.append(
         "Times are means over the episodes in which everybody reaches all goals in time. Step counts depend"
         " on walking speed, building and step: they compare within a table, not with the paper's.\n"

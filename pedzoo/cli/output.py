@@ -66,22 +66,18 @@ def write_text(file: str | Path, text: str) -> None:
 
 def print_report(report: dict[str, Any]) -> None:
     """Print the rows of a report under their protocol, in as many tables as the terminal's width needs."""
-    from rich.table import Table
+    from pedzoo.eval.results import Page
 
     rows = report["rows"]
     metrics = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
     console = _console()
     console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()), highlight=False)
-    labels = [_label(row) for row in rows]
-    for part in _parts(metrics, console.width - max(map(len, labels)) - 14):
-        table = Table()
-        table.add_column("name", overflow="fold")
-        for name in ["n", *part]:
-            table.add_column(_broken(name), justify="right", no_wrap=True)
-        for label, row in zip(labels, rows, strict=True):
-            values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in part]
-            table.add_row(label, str(row["n"]), *values)
-        console.print(table)
+    body = [
+        [_label(row), str(row["n"])]
+        + [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in metrics]
+        for row in rows
+    ]
+    _print_page(console, Page("", ["name", "n", *metrics], body, 2))
 
 
 def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
@@ -118,9 +114,10 @@ def _print_page(console: Console, page: Page) -> None:
     cells = [max(_width(row[i]) for row in rows) for i in range(len(page.head))]
     heads = [_head(head, cell) for head, cell in zip(page.head, cells, strict=True)]
     widths = [max(_width(head), cell) + 3 for head, cell in zip(heads, cells, strict=True)]
-    console.print(f"\n{page.title}", style="bold", highlight=False, markup=False)
+    if page.title:
+        console.print(f"\n{page.title}", style="bold", highlight=False, markup=False)
     for part in _parted(list(columns), widths, console.width - sum(widths[i] for i in names) - 1):
-        table = Table(show_lines=narrow)
+        table = Table(show_lines=any("\n" in cell for row in rows for cell in row))
         for i in (*names, *part):
             table.add_column(heads[i], justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
         for row in rows:
@@ -149,20 +146,6 @@ def _parted(columns: list[int], widths: list[int], width: int) -> list[list[int]
 def _label(row: dict[str, Any]) -> str:
     note = ", ".join(str(value) for value in row["case"].values())
     return f"{row['name']} ({note})" if note else row["name"]
-
-
-def _parts(metrics: list[str], width: int) -> list[list[str]]:
-    """Cut the columns into tables of at most ``width`` characters."""
-    parts: list[list[str]] = [[]]
-    left = width
-    for name in metrics:
-        needed = max(5, *map(len, _broken(name).split("\n"))) + 3
-        if parts[-1] and needed > left:
-            parts.append([])
-            left = width
-        parts[-1].append(name)
-        left -= needed
-    return parts
 
 
 def _broken(name: str, width: int = 9) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 
@@ -123,7 +123,7 @@ def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Seq
         *(f"* {note}\n" for note in report["notes"]),
     ]
     for page in pages(report, shown):
-        lines += [f"## {page.title}\n", _markdown_table(page)]
+        lines += [f"## {page.title}\n", markdown_table(page.head, page.rows)]
     known = {key for row in report["summary"] for key in row["metrics"]}
     legend = (f"* `{key}`: {text}." for key, text in LEGEND.items() if key in known)
     return "\n".join([*lines, "## What the numbers are\n", *legend]).rstrip() + "\n"
@@ -202,6 +202,7 @@ def _number(value: float) -> str:
     return f"{value:.2f}" if abs(value) < 100 else f"{value:.0f}"
 
 
-def _markdown_table(page: Page) -> str:
-    lines = [page.head, ["---"] * len(page.head), *page.rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+def markdown_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table of Markdown."""
+    lines = [names, ["---"] * len(names), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"

@@ -100,6 +100,11 @@ class Replay(Suite):
             f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
             f"and 95 % of {SPLITS} random splits: the noise floor"
         ]
+        rounds, alone = request.rollouts or (1 if request.quick else ROLLOUTS), request.rollouts or 1
+        found.append(
+            f"{self.name}: models with noise walk {rounds} x where all are simulated, {alone} x where one "
+            "is; others once"
+        )
         if folds == [EMBEDDED]:
             missing = "no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
             return [*found, f"{self.name}: {missing}"]
