@@ -165,14 +165,14 @@ def test_who_is_simulated_and_why_others_are_not(folder: Path) -> None:
     assert reasons == {
         ALICE: "controlled",
         SHORT: "too short",
-        STANDS: "no way to go",
+        STANDS: "already at the exit",
         DEEP: "exit in a wall",
         EDGE: "controlled",
         BEHIND: "no path to the exit",
         LATE: "controlled",
     }
     assert people.counts == {
-        "controlled": 3, "too short": 1, "no way to go": 1, "exit in a wall": 1, "no path to the exit": 1
+        "controlled": 3, "too short": 1, "already at the exit": 1, "exit in a wall": 1, "no path to the exit": 1
     }  # fmt: skip
     assert sum(people.counts.values()) == len(people.agent) == 7
 
@@ -225,7 +225,7 @@ def test_a_hole_in_a_track_makes_two_people(folder: Path, tmp_path: Path) -> Non
 def test_without_a_floor_plan(folder: Path) -> None:
     scenario = Replay(files=[str(folder / "first.txt")], dt=0.4)
     scenario.ready(0.25)
-    assert scenario.persons.counts == {"controlled": 5, "too short": 1, "no way to go": 1}
+    assert scenario.persons.counts == {"controlled": 5, "too short": 1, "already at the exit": 1}
     result, _ = rollout("go_to_goal", scenario, "grid", scenario.scenes)  # type: ignore[arg-type]
     assert len(result.person[result.controlled & (result.reached > 0)].unique()) == 5
 

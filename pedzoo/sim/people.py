@@ -22,7 +22,7 @@ LONGEST = 2
 CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
 """What becomes of a recorded person: taken over by the policy, or played back and why."""
 
-REASONS = ("controlled", "too short", "no way to go", "exit in a wall", "no path to the exit", "later")
+REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "no path to the exit", "later")
 
 SpeedOf = Literal["observed", "track"]
 
