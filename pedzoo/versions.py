@@ -10,10 +10,14 @@ from pathlib import Path
 from pedzoo import __version__
 
 
+PACKAGES = ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "numpy", "scipy", "pybullet")
+"""What numbers depend on beside pedzoo."""
+
+
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on, and the commit where pedzoo runs from a checkout."""
     found = {"pedzoo": __version__, "python": sys.version.split()[0]}
-    for package in ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "numpy"):
+    for package in PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,10 @@ class Journal:
                 f"{str(path)!r} holds no finished parts of an evaluation: name another file, or remove it"
             ) from error
         if torn:
-            with path.open("rb+") as file:
-                file.truncate(len(content) - len(torn))
+            try:
+                os.truncate(path, len(content) - len(torn))
+            except OSError as error:
+                raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
     def add(self, digest: str, rows: Rows) -> None:
         """Append a finished unit.
