@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pedzoo import __version__
 
-
 PACKAGES = ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "numpy", "scipy", "pybullet")
 """What numbers depend on beside pedzoo."""
 
