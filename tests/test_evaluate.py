@@ -125,6 +125,23 @@ def test_kept_parts_of_another_command_stay(small: str, tmp_path: Path) -> None:
     assert "another" in Journal(kept).done and len(Journal(kept).done) == 3
 
 
+def test_what_is_done_is_told_when_a_worker_dies(
+    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, file = module.work, tmp_path / "out.json"
+
+    def killed(unit: Any, tell: Any) -> Any:
+        if unit.case.name == "two":
+            raise RuntimeError("worker 0 of 2 is killed by SIGKILL")
+        return real(unit, tell)
+
+    monkeypatch.setattr(module, "work", killed)
+    with pytest.raises(RuntimeError, match="SIGKILL"):
+        main(["evaluate", "go_to_goal", "--suite", small, "--episodes", "1", "--json", str(file)])
+    assert "not finished: 1 of 2 parts" in (said := capsys.readouterr().out)
+    assert "is kept in" in said and len(Journal(Path(f"{file}.partial")).done) == 1
+
+
 def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ended: list[int] = []
 
