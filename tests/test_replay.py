@@ -172,7 +172,8 @@ def test_who_is_simulated_and_why_others_are_not(folder: Path) -> None:
         LATE: "controlled",
     }
     assert people.counts == {
-        "controlled": 3, "too short": 1, "already at the exit": 1, "exit in a wall": 1, "no path to the exit": 1
+        "controlled": 3, "too short": 1, "already at the exit": 1,
+        "exit in a wall": 1, "no path to the exit": 1,
     }  # fmt: skip
     assert sum(people.counts.values()) == len(people.agent) == 7
 
