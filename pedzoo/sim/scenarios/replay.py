@@ -35,8 +35,8 @@ class Replay(Scenario):
 
     Whoever arrives within 0.3 m of where they really left the scene leaves; whoever has not after twice the
     time that they really took is taken out. Nobody is put back to where they really were in between. Tracks
-    of at most 8 steps, and people who are at their exit already, are played back as a whole: they are met, but
-    do not react. Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
+    of at most 8 steps, and people who are at their exit already, are only played back: they are met, but do
+    not react. Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
     most. Unknown cells are free, and everybody's preferred speed is what was observed in their first 8 steps.
     That and the exit are all that a policy is told of the recording ahead, and the velocity with which others
     come in, which is that of their first step.
