@@ -75,6 +75,7 @@ class Comparison:
             "episodes": episodes,
             "noise": "none" if deterministic else "sampled",
             **{"warm_start": "orca"} | {key: value for key, value in settings.items() if value is not None},
+            **({} if made.script is None else {"warm_start": "recorded"}),
         }
 
     def __enter__(self) -> Comparison:
