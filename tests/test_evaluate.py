@@ -20,6 +20,7 @@ from pedzoo.eval import prepared as keeping
 from pedzoo.eval import unseen
 from pedzoo.eval.clock import Step
 from pedzoo.eval.evaluate import Evaluation
+from pedzoo.eval.fundamental import plot_density_speed
 from pedzoo.eval.journal import Journal
 from pedzoo.eval.results import Shown, cell, markdown, pages
 from pedzoo.eval.suite import Request
@@ -370,3 +371,18 @@ def test_progress_goes_up_to_the_end(small: str) -> None:
     assert (done[0], steps[0].label) == (0.0, f"{small} circle: go_to_goal")
     assert done == sorted(done) and math.isclose(done[-1], 1.0)
     assert (steps[-1].units, steps[-1].total, steps[-1].left) == (2, 2, pytest.approx(0.0, abs=1e-6))
+
+
+def test_density_and_speed_are_drawn_where_there_is_a_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    file = tmp_path / "density.png"
+    assert main(["evaluate", "go_to_goal", "--suite", "cards", "--plot", str(file)]) == 2
+    assert "which is not asked for" in capsys.readouterr().err
+    curve = [{"density_per_m2": 0.1, "speed_m_per_s": None, "real_speed_m_per_s": 1.0, "real_share": 1.0}]
+    case = {"suite": "replay", "fold": "embedded", "simulated": "all"}
+    plot_density_speed([{"name": name, "case": case, "density_speed": curve} for name in ("a", "real")], file)
+    assert file.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(UserError, match="evaluate the suite replay"):
+        plot_density_speed([{"name": "a", "case": case}], file)

@@ -19,8 +19,10 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.progress import overall_bar
     from pedzoo.errors import UserError
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation
+    from pedzoo.eval.fundamental import plot_density_speed
     from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import Request
+    from pedzoo.eval.trajectories import check_plot_path
     from pedzoo.registry import SUITES
     from pedzoo.versions import versions
 
@@ -74,8 +76,18 @@ def run(argv: list[str]) -> int:
     )
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     parser.add_argument("--markdown", type=str | None, help="Also write the tables to this page.")
+    parser.add_argument(
+        "--plot", type=str | None, help="Draw density and speed in replay into this .png, .pdf or .svg."
+    )
     options = parse(parser, argv)
-    check_outputs(json=options.json, markdown=options.markdown, resume=options.resume)
+    if options.plot:
+        check_plot_path(options.plot)
+        if "replay" not in _listed(options.suite):
+            raise UserError(
+                f"--plot {options.plot}: draws what the suite replay finds, which is not asked for"
+            )
+    files = {key: options[key] for key in ("json", "markdown", "plot", "resume")}
+    check_outputs(**files)
     # finished parts lie beside the report until it is written
     beside = f"{options.json}.partial" if options.json and options.json != "-" else None
 
@@ -109,6 +121,8 @@ def run(argv: list[str]) -> int:
         if options.markdown and not more:  # a page of half the parts would stand in the place of a whole one
             command = ["pedzoo", "evaluate", *argv]
             write_text(options.markdown, markdown(report, evaluation.shown, command))
+        if options.plot and not more:
+            plot_density_speed(report["rows"], options.plot)
 
     try:
         with overall_bar() as progress:
