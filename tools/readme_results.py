@@ -1,14 +1,18 @@
-"""Copy the main rows of checkpoints/FORECAST.json into the README: python tools/readme_results.py."""
+"""Copy the main rows of checkpoints/FORECAST.json and RESULTS.md into the README: tools/readme_results.py."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 from pedzoo.eval.forecast import BASELINES
 
 ROOT = Path(__file__).parents[1]
 BEGIN, END = "<!-- results: tools/readme_results.py -->\n", "<!-- end of results -->"
+WALKED, END_OF_WALKED = "<!-- walked: tools/readme_results.py -->\n", "<!-- end of walked -->"
+HEADLINE = "## all suites\n"
+"""The first table of checkpoints/RESULTS.md."""
 
 INTRODUCTION = """
 zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of three seeds ± their
@@ -29,7 +33,28 @@ lines, on every fold:
 
 
 def main() -> None:
-    """Write the tables between the README's two markers."""
+    """Write the tables between the README's markers."""
+    readme = ROOT / "README.md"
+    text = between(readme.read_text(), BEGIN, END, forecasts())
+    readme.write_text(between(text, WALKED, END_OF_WALKED, walked()))
+
+
+def between(text: str, begin: str, end: str, new: str) -> str:
+    """Return ``text`` with what stands between two markers replaced."""
+    before, _, rest = text.partition(begin)
+    return f"{before}{begin}{new}\n{end}{rest.partition(end)[2]}"
+
+
+def walked() -> str:
+    """Return the headline of the closed-loop results, without its intervals."""
+    page = (ROOT / "checkpoints" / "RESULTS.md").read_text()
+    table = page.partition(HEADLINE)[2].partition("\n## ")[0].strip()
+    table = re.sub(r" \[[^]]*]", "", table).replace("_per_min", " / min").replace("agent_", "")
+    return f"\n{table}\n"
+
+
+def forecasts() -> str:
+    """Return the tables of forecasting errors."""
     rows = json.loads((ROOT / "checkpoints" / "FORECAST.json").read_text())["rows"]
     text = INTRODUCTION
     for goal in ("none", "window_end", "destination"):
@@ -43,10 +68,7 @@ def main() -> None:
         here = {row["name"]: row for row in rows if row["case"] == {"fold": fold, "goal": "window_end"}}
         cells = [_value(here[name], "ade_m") for name in ("sgan_goal", "bent_line", "straight_line")]
         text += f"| {fold} | {' | '.join(cells)} |\n"
-    readme = ROOT / "README.md"
-    before, _, rest = readme.read_text().partition(BEGIN)
-    after = rest.partition(END)[2]
-    readme.write_text(f"{before}{BEGIN}{text}\n{END}{after}")
+    return text
 
 
 def _cells(row: dict) -> list[str]:
