@@ -11,6 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.metrics.safety import begins
+
 
 class Runs(NamedTuple):
     """Who is scored when.
@@ -26,8 +28,7 @@ class Runs(NamedTuple):
     @classmethod
     def of(cls, scored: Tensor) -> Runs:
         """Find the runs of who is ``scored`` (E, A, T) bool."""
-        begins = scored & ~torch.cat((torch.zeros_like(scored[..., :1]), scored[..., :-1]), dim=2)
-        number = begins.cumsum(2)
+        number = begins(scored).cumsum(2)
         return cls(number.where(scored, 0), int(number.max()) if number.numel() else 0)
 
     @property

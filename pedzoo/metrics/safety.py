@@ -37,10 +37,10 @@ def contact_events(contact: Tensor) -> Tensor:
     return begins(contact).sum(-1)
 
 
-def begins(contact: Tensor) -> Tensor:
-    """Return where touches begin (E, A, T) bool, given those of every 0.1 s (E, A, T) bool."""
-    before = torch.cat((torch.zeros_like(contact[..., :1]), contact[..., :-1]), dim=-1)
-    return contact & ~before
+def begins(when: Tensor) -> Tensor:
+    """Return where something begins (E, A, T) bool, such as touches, given when it is so (E, A, T) bool."""
+    before = torch.cat((torch.zeros_like(when[..., :1]), when[..., :-1]), dim=-1)
+    return when & ~before
 
 
 def person_minutes(scored: Tensor) -> Tensor:
