@@ -10,15 +10,15 @@ import torch
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from pedzoo.draws import Draws
 from pedzoo.errors import UserError
-from pedzoo.metrics.rollout import OVER_TIME, Rollout, joined
+from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.models.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
+from pedzoo.sim.traces import rollout_of
 
 AT_ONCE = {"grid": 64, "bullet": 64}
 """Scenes run together: the price of a decision grows slowly with them, and so does the memory."""
@@ -124,19 +124,7 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
         if ended:
             ended(int((~alive).sum()))
         before, now = state, step_mdp(result)
-    return Rollout(
-        **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
-        late=late,
-        failed=failed,
-        mask=start.mask,
-        past=start.past,
-        pref_speed=start.pref_speed,
-        way=start.way,
-        map_id=start.map_id,
-        pose=start.pose,
-        goals=env.scenario.goals,
-        gate=env.scenario.gate(Draws(start.key)),
-    )
+    return rollout_of(env.scenario, start, steps, late, failed)
 
 
 def _kept(

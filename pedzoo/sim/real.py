@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,6 +15,7 @@ from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, State
+from pedzoo.sim.traces import rollout_of
 from pedzoo.sim.worlds.base import People
 from pedzoo.sim.worlds.grid import GridWorld
 from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TOP_SPEED_RATIO
@@ -87,17 +87,4 @@ def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, 
             for key, value in always.items()
         }
         steps.append(step)
-    walked: dict[str, Any] = {key: torch.cat([step[key] for step in steps], dim=2) for key in steps[0]}
-    return Rollout(
-        **walked,
-        late=torch.zeros_like(start.mask),
-        failed=torch.zeros_like(start.failed),
-        mask=start.mask,
-        past=start.past,
-        pref_speed=start.pref_speed,
-        way=start.way,
-        map_id=start.map_id,
-        pose=start.pose,
-        goals=scenario.goals,
-        gate=scenario.gate(Draws(start.key)),
-    )
+    return rollout_of(scenario, start, steps, torch.zeros_like(start.mask), torch.zeros_like(start.failed))

@@ -1,0 +1,40 @@
+"""From what happened step by step to the rollout that metrics read, whoever moved the people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from pedzoo.draws import Draws
+from pedzoo.metrics.rollout import OVER_TIME, Rollout
+from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.state import State
+
+
+def rollout_of(
+    scenario: Scenario, start: State, steps: Sequence[Mapping[str, Tensor]], late: Tensor, failed: Tensor
+) -> Rollout:
+    """Return the rollout of scenes that began in a state.
+
+    Args:
+        scenario: Where they are from.
+        start: How they began.
+        steps: What has a value for every trace point, piece by piece (E, A, S, ...).
+        late: Who did not reach a goal in time (E, A) bool.
+        failed: In which the policy gave no number (E,) bool.
+    """
+    return Rollout(
+        **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
+        late=late,
+        failed=failed,
+        mask=start.mask,
+        past=start.past,
+        pref_speed=start.pref_speed,
+        way=start.way,
+        map_id=start.map_id,
+        pose=start.pose,
+        goals=scenario.goals,
+        gate=scenario.gate(Draws(start.key)),
+    )
