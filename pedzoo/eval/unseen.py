@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pedzoo.data.datasets.eth_ucy import FOLDS
+from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
 from pedzoo.models.header import read_config
 from pedzoo.models.zoo import read_checkpoint
 from pedzoo.paths import weight_files
@@ -29,7 +29,7 @@ def for_fold(policy: str, fold: str) -> str:
 def has_seen(policy: str, fold: str) -> bool:
     """Return whether the weights of a policy were trained on the test recordings of a fold of ETH/UCY."""
     held_out = _held_out(parse(policy).name)
-    return fold in FOLDS and held_out is not None and held_out != fold and held_out in (*FOLDS, "eth_ucy")
+    return fold in SCENES and held_out is not None and held_out != fold and held_out in (*SCENES, EVERYTHING)
 
 
 def _held_out(name: str) -> str | None:

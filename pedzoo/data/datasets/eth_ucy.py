@@ -17,7 +17,13 @@ from pedzoo.errors import UserError
 from pedzoo.paths import data_root
 from pedzoo.types import STEP_SECONDS, Clock
 
-FOLDS = ["eth", "hotel", "univ", "zara1", "zara2"]
+FOLDS = ["eth", "hotel", "univ", "zara1", "zara2", "eth_ucy"]
+
+EVERYTHING = "eth_ucy"
+"""The fold that leaves nothing out: for controllers, which are judged in other places."""
+
+SCENES = [fold for fold in FOLDS if fold != EVERYTHING]
+"""The folds that leave one scene out."""
 
 FRAMES_PER_STEP = 10
 """One annotated step is 10 in the frame column of every file."""
@@ -45,15 +51,16 @@ class EthUcy:
         except UserError as error:
             raise UserError(f"{error}; {HOW_TO_GET}") from error
         self.clock, self.fold = clock, fold
+        self.scenes = SCENES if fold == EVERYTHING else [fold]
         for folder in (base, base / "eth_ucy", base / "datasets"):
             self.root, lists = folder, folder / "splits.json"
             if lists.is_file():
                 splits = json.loads(lists.read_text())
-                self.files: dict[Split, list[str]] = splits["folds"][fold]
+                self.lists: dict[str, dict[Split, list[str]]] = splits["folds"]
                 self.plans, self.seconds = splits["map_of_recording"], splits["true_seconds_per_step"]
                 return
-            if (folder / fold / "test").is_dir():
-                self.files = {split: self._below(split) for split in ("train", "val", "test")}
+            if all((folder / scene / "test").is_dir() for scene in self.scenes):
+                self.lists = {scene: self._below(scene) for scene in self.scenes}
                 self.plans, self.seconds = {}, TRUE_SECONDS
                 return
         raise UserError(
@@ -62,14 +69,28 @@ class EthUcy:
         )
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN."""
-        return [self._recording(self.root / file) for file in self.files[split]]
+        """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN.
 
-    def _below(self, split: Split) -> list[str]:
-        folder = self.root / self.fold / split
-        if not (found := sorted(folder.glob("*.txt"))):
-            raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
-        return [str(path.relative_to(self.root)) for path in found]
+        Raises:
+            UserError: The test recordings of the fold that leaves none out.
+        """
+        if split == "test" and self.fold == EVERYTHING:
+            raise UserError(
+                f"fold {EVERYTHING!r} trains on every scene and has none left to test on: "
+                f"--data.fold {' or '.join(SCENES)}"
+            )
+        # by name: the folds share recordings
+        files = {Path(file).name: file for scene in self.scenes for file in self.lists[scene][split]}
+        return [self._recording(self.root / file) for file in files.values()]
+
+    def _below(self, scene: str) -> dict[Split, list[str]]:
+        found: dict[Split, list[str]] = {}
+        for split in ("train", "val", "test"):
+            folder = self.root / scene / split
+            if not (files := sorted(folder.glob("*.txt"))):
+                raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
+            found[split] = [str(path.relative_to(self.root)) for path in files]
+        return found
 
     def _recording(self, path: Path) -> Recording:
         name = path.stem.removesuffix("_train").removesuffix("_val")

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, cast
 
-from pedzoo.data.datasets.eth_ucy import FOLDS, EthUcy
+from pedzoo.data.datasets.eth_ucy import SCENES, EthUcy
 from pedzoo.errors import UserError
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
@@ -168,7 +168,7 @@ def _folds(root: str | None) -> list[str]:
         UserError: ``root`` has none.
     """
     found = []
-    for fold in FOLDS:
+    for fold in SCENES:
         try:
             EthUcy(fold, root)
         except UserError:
