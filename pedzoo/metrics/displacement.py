@@ -65,12 +65,17 @@ def mean_over_samples(per_agent: Tensor, there: Tensor) -> Tensor:
 
 
 class AgentMean(Metric):
-    """Mean over agents of an error, reduced over samples; state in float64, summed over processes."""
+    """Mean over agents of an error, reduced over samples; state in float64, summed over processes.
+
+    Attributes:
+        latest: Sums and numbers of people (B,) of each scene of the last update, for intervals over scenes.
+    """
 
     higher_is_better = False
     full_state_update = False
     total: Tensor
     count: Tensor
+    latest: tuple[Tensor, Tensor]
 
     def __init__(
         self,
@@ -86,8 +91,9 @@ class AgentMean(Metric):
     def update(self, error: Tensor, valid: Tensor) -> None:
         """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
         per_agent, there = self.of(error, valid)
-        value = self.over_samples(per_agent, there)
-        self.total += value.where(there, 0).sum(dtype=torch.float64)
+        value = self.over_samples(per_agent, there).where(there, 0)
+        self.latest = value.sum(1, dtype=torch.float64), there.sum(1)
+        self.total += value.sum(dtype=torch.float64)
         self.count += there.sum()
 
     def compute(self) -> Tensor:

@@ -6,7 +6,7 @@ from typing import cast
 
 import torch
 from tensordict import TensorDict
-from torch import nn
+from torch import Tensor, nn
 from torchmetrics import Metric, MetricCollection
 
 from pedzoo.metrics import displacement as d
@@ -65,6 +65,11 @@ class ForecastScore(nn.Module):
         if self.spread is not None:
             found["sample_distance_m"] = float(self.spread.compute())
         return found
+
+    def latest(self) -> dict[str, tuple[Tensor, Tensor]]:
+        """Return, of each scene of the last batch, the sum and the number of people (B,) of every mean."""
+        found = (item for of in (self.of_mode, self.of_samples) for item in of.items())
+        return {name: metric.latest for name, metric in found if isinstance(metric, d.AgentMean)}
 
     def reset(self) -> None:
         """Forget all batches."""
