@@ -108,8 +108,8 @@ def test_saved_and_loaded_is_the_same_model(model: Forecaster, tmp_path: Path) -
 
 def test_the_same_model_gives_the_same_bytes(model: Forecaster, tmp_path: Path) -> None:
     first, second = tmp_path / "a.safetensors", tmp_path / "b.safetensors"
-    save_weights(model, first, note="x", seed=1)
-    save_weights(load(first), second, seed=1, note="x")
+    save_weights(model, first, training={"seed": 1}, protocol={"fold": "eth"})
+    save_weights(load(first), second, protocol={"fold": "eth"}, training={"seed": 1})
     assert first.read_bytes() == second.read_bytes()
 
 

@@ -9,6 +9,16 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from pedzoo.errors import UserError
+from pedzoo.models.keys import NOTHING, Kinds, check_keys
+
+CONFIG: Kinds = {
+    "architecture": (str,),
+    "init": (dict,),
+    "goal": (str, NOTHING),
+    "protocol": (dict,),
+    "training": (dict,),
+}
+"""Keys of a config; the first two are all that a model is built from."""
 
 
 def opened(path: Path, framework: str = "np") -> Any:
@@ -38,9 +48,19 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
         )
     try:
         config = json.loads(metadata["config"])
-        return config | {"architecture": config["architecture"], "init": dict(config["init"])}
-    except (ValueError, TypeError, KeyError) as error:
+        check_config(config)
+    except ValueError as error:
         raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
+    return config
+
+
+def check_config(config: Any) -> None:
+    """Check a config from a file or a card; whether its model takes ``init`` is for who builds it to see.
+
+    Raises:
+        UserError: It is none, or has keys that no version of pedzoo wrote.
+    """
+    check_keys(config, CONFIG, "config", optional=("goal", "protocol", "training"))
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

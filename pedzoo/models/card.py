@@ -1,0 +1,250 @@
+"""Model cards: what a file of weights is, what it was trained on and how well it does. Read without torch."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pedzoo.errors import UserError
+from pedzoo.models.header import check_config
+from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_plain
+from pedzoo.paths import write_whole
+
+NAME = re.compile(r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+")
+"""A zoo name: ``architecture.tag``."""
+
+_FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
+_LARGEST = 2_000_000
+"""Bytes of a card."""
+
+_DEEPEST = 20
+"""Levels of a card; libyaml does not survive a hundred thousand."""
+
+TRAINING: Kinds = {
+    "config": (str, NOTHING),
+    "fold": (str, NOTHING),
+    "clock": (str, NOTHING),
+    "goal": (str, NOTHING),
+    "seed": (int, NOTHING),
+    "seeds": (dict, NOTHING),
+    "chosen_by": (str, NOTHING),
+    "value": (float, int, NOTHING),
+    "step": (int, NOTHING),
+    "epoch": (int, NOTHING),
+    "command": (list, NOTHING),
+    "overrides": (dict, NOTHING),
+}
+"""Keys of a card's ``training``; None stands for what is not known any more."""
+
+DATA: Kinds = {"recordings": (list,), "source": (str,), "terms": (str,), "citation": (str,)}
+EVALUATION: Kinds = {
+    "command": (str, list),
+    "protocol": (dict,),
+    "seeds": (list,),
+    "versions": (dict,),
+    "rows": (list,),
+}
+_ROW: Kinds = {"name": (str,), "case": (dict,), "n": (int,), "metrics": (dict,), "ci95": (dict,)}
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What is known about a file of weights. A card that contradicts itself cannot be made.
+
+    Attributes:
+        name: Zoo name, ``architecture.tag``.
+        architecture: Registered name of the model's class.
+        sha256: Of the weights.
+        size: Bytes of the weights.
+        config: As in the metadata of the weights: with it the model is built.
+        training: Which run made them (`TRAINING`): config, fold, clock, goal protocol and seed; ``seeds``
+            with the monitored validation value of each, by which this one was chosen; that value, step and
+            epoch of the checkpoint; the command, and its options beyond the config.
+        data: What it was trained on (`DATA`), on whose terms.
+        evaluations: Reports of ``pedzoo forecast`` and ``pedzoo evaluate``, of this model's rows.
+        versions: Of what it was trained with.
+        licence: Of the weights.
+        file: Name of the weights beside the card.
+        url: Where to download them if they are not there; None: beside the place of the card.
+
+    Raises:
+        UserError: A value that cannot be.
+    """
+
+    name: str
+    architecture: str
+    sha256: str
+    size: int
+    config: dict[str, Any]
+    training: dict[str, Any]
+    data: dict[str, Any]
+    evaluations: list[dict[str, Any]]
+    versions: dict[str, str]
+    licence: str
+    file: str
+    url: str | None
+
+    def __post_init__(self) -> None:
+        """Check everything that others rely on."""
+        check_plain(vars(self))
+        check_keys(vars(self), _CARD)
+        if not NAME.fullmatch(self.name):
+            raise UserError(f"name {self.name!r}: expected ARCHITECTURE.TAG of letters, digits, _ and -")
+        if not _FILE.fullmatch(self.file):
+            raise UserError(
+                f"file {self.file!r}: expected the plain name of a .safetensors file beside the card, no path"
+            )
+        if not re.fullmatch("[0-9a-f]{64}", self.sha256):
+            raise UserError(f"sha256 {self.sha256!r}: expected 64 digits of 0-9 and a-f")
+        if self.url is not None and not re.match("https?://", self.url):
+            raise UserError(f"url {self.url!r}: expected an address at http:// or https://")
+        check_config(self.config)
+        if self.architecture != self.config["architecture"]:
+            raise UserError(
+                f"architecture {self.architecture!r}: its config is of {self.config['architecture']!r}"
+            )
+        check_keys(self.training, TRAINING, "training")
+        check_keys(self.data, DATA, "data")
+        for report in self.evaluations:
+            check_keys(report, EVALUATION, "evaluations", more=True)
+            for row in report["rows"]:
+                check_keys(row, _ROW, "evaluations rows", more=True)
+
+
+_CARD: Kinds = {
+    "name": (str,),
+    "architecture": (str,),
+    "sha256": (str,),
+    "size": (int,),
+    "config": (dict,),
+    "training": (dict,),
+    "data": (dict,),
+    "evaluations": (list,),
+    "versions": (dict,),
+    "licence": (str,),
+    "file": (str,),
+    "url": (str, NOTHING),
+}
+
+
+def read_card(path: str | Path) -> ModelCard:
+    """Return the card in a file.
+
+    Raises:
+        UserError: No such file, no YAML, or no card: unknown or missing keys, wrong types, or a name of the
+            weights that leads out of the card's folder.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"no model card at {str(path)!r}")
+    if path.stat().st_size > _LARGEST:
+        raise UserError(f"{str(path)!r} is no model card: larger than {_LARGEST // 1_000_000} MB")
+    try:
+        found = _loaded(path.read_bytes())
+        check_keys(found, _CARD)
+        return ModelCard(**found)
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"model card {str(path)!r} cannot be read: {reason}") from error
+    except UserError as error:
+        raise UserError(f"model card {str(path)!r}: {error}") from error
+
+
+def _loaded(text: bytes) -> Any:
+    """Return what YAML of somebody else's says, without the ways in which a small text becomes endless."""
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
+    depth = 0
+    for event in yaml.parse(text, loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
+            raise UserError(f"expected no references (*) and at most {_DEEPEST} levels of values")
+    return yaml.load(text, loader)
+
+
+def write_card(card: ModelCard, path: str | Path) -> None:
+    """Write a card, whole or not at all; the same card gives the same bytes."""
+    text = yaml.dump(asdict(card), Dumper=_Plain, sort_keys=False, allow_unicode=True, width=110)
+    write_whole(Path(path), text.encode())
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes a list out wherever it stands, never a reference to another place."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def page(card: ModelCard) -> str:
+    """Return the card as a page of Markdown."""
+    facts = {"architecture": card.architecture, "licence of the weights": card.licence}
+    facts |= {"weights": f"{card.file}, {card.size:,} bytes", "sha256": f"`{card.sha256}`"}
+    parts = [
+        f"# {card.name}\n",
+        "A pedestrian model of pedzoo: it forecasts trajectories, and one step at a time it walks.\n",
+        f'```python\nimport pedzoo\n\nmodel = pedzoo.load("{card.name}")\n```\n',
+        f"```\npedzoo rollout {card.name} --scenario door\n```\n",
+        _table(("", ""), facts.items()),
+        *(_section(title, facts) for title, facts in sections(card).items()),
+        "## Results\n",
+        *(_results(report, card.name) for report in card.evaluations),
+        *(["Not measured yet.\n"] if not card.evaluations else []),
+    ]
+    return "\n".join(parts)
+
+
+def sections(card: ModelCard) -> dict[str, dict[str, str]]:
+    """Return what a card says beside its results, as titled lists of texts; empty values are left out."""
+    training = dict(card.training)
+    training |= {"seeds": seeds_of(card), "command": " ".join(training["command"] or [])}
+    training["overrides"] = " ".join(f"{key}={value}" for key, value in (training["overrides"] or {}).items())
+    data = card.data | {"recordings": ", ".join(map(str, card.data["recordings"]))}
+    protocol = card.config.get("protocol", {})
+    found = {"Training": training, "Data": data, "Protocol": protocol, "Settings": card.config["init"]}
+    found["Versions"] = card.versions
+    return {title: {key: str(value) for key, value in facts.items() if value not in (None, "")}
+            for title, facts in found.items()}  # fmt: skip
+
+
+def seeds_of(card: ModelCard) -> str:
+    """Return the seeds that were trained and the validation value of each."""
+    return ", ".join(f"{seed}: {value:.4f}" for seed, value in (card.training["seeds"] or {}).items())
+
+
+def _results(report: Mapping[str, Any], own: str) -> str:
+    """Return the table of a report: models and cases as rows, metrics as columns."""
+    rows = report["rows"]
+    metrics = list(dict.fromkeys(metric for row in rows for metric in row["metrics"]))
+    cells = [[case_of(row, own), row["n"], *(number_of(row, metric) for metric in metrics)] for row in rows]
+    said = ", ".join(f"{key} {value}" for key, value in report["protocol"].items())
+    seeds = " ".join(map(str, report["seeds"]))
+    return f"{said}; seeds {seeds}\n\n{_table(('', 'n', *metrics), cells)}"
+
+
+def case_of(row: Mapping[str, Any], own: str) -> str:
+    """Return what tells a row of a card from others: its case, and its name where it is another model's."""
+    case = " ".join(str(value) for value in row["case"].values())
+    return case if row["name"] == own else f"{row['name']} {case}".rstrip()
+
+
+def number_of(row: Mapping[str, Any], metric: str) -> str:
+    """Return a metric of a row with its 95 % interval, a dash where there is none."""
+    if metric not in row["metrics"]:
+        return "-"
+    interval = ", ".join(f"{end:.3f}" for end in row["ci95"].get(metric, []))
+    return f"{row['metrics'][metric]:.3f}" + f" [{interval}]" * bool(interval)
+
+
+def _section(title: str, facts: Mapping[str, str]) -> str:
+    return f"## {title}\n\n{_table(('', ''), facts.items())}"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table of Markdown; what would end a cell is written so that it does not."""
+    lines = [head, ["---"] * len(head), *rows]
+    cells = [[" ".join(str(cell).replace("|", "\\|").split()) for cell in line] for line in lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells) + "\n"

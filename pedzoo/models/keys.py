@@ -1,0 +1,69 @@
+"""Checks of what was read from somebody's file: the keys of a mapping, their types, and plain values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from pedzoo.errors import UserError, unknown
+
+NOTHING = type(None)
+
+Kinds = Mapping[str, tuple[type, ...]]
+"""Keys and the types that their values may have."""
+
+_WORDS = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    list: "a list",
+    dict: "a mapping",
+    NOTHING: "null",
+}
+
+
+def check_keys(
+    found: Any, kinds: Kinds, where: str = "", more: bool = False, optional: Collection[str] = ()
+) -> None:
+    """Check the keys of a mapping.
+
+    Args:
+        found: What should be one.
+        kinds: Its keys.
+        where: What it is, for the message.
+        more: It may have others, too.
+        optional: Keys that may be missing.
+
+    Raises:
+        UserError: A key is unknown, missing or of another type.
+    """
+    where = f"{where} " if where else ""
+    if not isinstance(found, Mapping):
+        raise UserError(f"{where or 'it '}is {found!r:.60}, expected a mapping of {', '.join(kinds)}")
+    for key in found:
+        if key not in kinds and not more:
+            raise unknown(f"{where}key", str(key), kinds)
+    for key, wanted in kinds.items():
+        if key not in found and key not in optional:
+            raise UserError(f"{where}{key} is missing")
+        if key in found and not isinstance(found[key], wanted):
+            expected = " or ".join(_WORDS[kind] for kind in wanted)
+            raise UserError(f"{where}{key} is {found[key]!r:.60}, expected {expected}")
+
+
+def check_plain(value: Any) -> None:
+    """Check that a value is made of texts, finite numbers, lists and mappings, as JSON is.
+
+    Raises:
+        UserError: It holds something else, such as YAML's dates and sets.
+    """
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Mapping) and all(isinstance(key, str | int) for key in one):
+            waiting += one.values()
+        elif isinstance(one, list):
+            waiting += one
+        elif not isinstance(one, str | int | NOTHING) and not (isinstance(one, float) and math.isfinite(one)):
+            raise UserError(f"{one!r:.60}: expected plain values (text, finite numbers, lists, mappings)")
