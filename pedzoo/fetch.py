@@ -35,7 +35,9 @@ LONGEST_WAIT = 30.0
 BUSY = (408, 425, 429, 500, 502, 503, 504)
 """Answers that another try may change."""
 
-_BLOCK = 1 << 16
+_BLOCK = 1 << 13
+"""Bytes per piece: what of a piece has come when a download breaks off is lost."""
+
 _FAILED: set[str] = set()
 """Hosts that no try reached in this process: asked last, so that many files do not wait for each."""
 
