@@ -10,6 +10,7 @@ import torch
 from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import Split
 from pedzoo.errors import UserError
+from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo import load
@@ -49,26 +50,45 @@ def forecast(
     data.setup(STAGES[split])
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}
-    rows = [_row(name, model, data, split, samples, seed, progress) for name, model in models.items()]
+    rows = [forecast_row(name, model, data, samples, seed, split, progress) for name, model in models.items()]
     return {"protocol": data.protocol | {"split": split, "samples": samples}, "seeds": [seed], "rows": rows}
 
 
-def _row(
+def forecast_row(
     name: str,
     model: Forecaster,
     data: TrajectoryDataModule,
-    split: Split,
-    samples: int,
-    seed: int,
-    progress: Progress | None,
+    samples: int = 20,
+    seed: int = 0,
+    split: Split = "test",
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
+    """Return one row: ``n`` people, each counted in every window, and errors with their 95 % intervals.
+
+    Intervals are over time: see `pedzoo.eval.time_blocks`.
+
+    Args:
+        name: What the row is called.
+        model: The forecaster; it is bound to the data's floor plans.
+        data: As of `forecast`, like all that follows.
+        samples: K of the best-of-K errors.
+        seed: Of the samples.
+        split: Which part of the fold.
+        progress: Called with the name, batches done and batches in all.
+
+    Raises:
+        UserError: The model needs a goal where the data give none, or the data have no window.
+    """
     if "goal" in model.needs and data.goal == "none":
         raise UserError(f"{name} needs a goal: set --data.goal (it was trained on {model.goal_protocol})")
+    data.setup(STAGES[split])
     model.bind(data.bank)
     loader = getattr(data, f"{split}_dataloader")()
     score, generator, people = ForecastScore(samples), torch.Generator().manual_seed(seed), 0
-    for i, batch in enumerate(loader):
+    sums = BlockSums(data.sets[split])
+    for i, (draw, batch) in enumerate(zip(loader.sampler, loader, strict=True)):
         score.update(model, batch, generator)
+        sums.add(draw.scenes, score.latest())
         people += int(batch["agents", "mask"].sum())
         if progress:
             progress(name, i + 1, len(loader))
@@ -80,5 +100,5 @@ def _row(
         "case": {"note": note} if note else {},
         "n": people,
         "metrics": score.compute(),
-        "ci95": {},
+        "ci95": sums.intervals(),
     }
