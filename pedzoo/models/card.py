@@ -15,9 +15,6 @@ from pedzoo.models.header import check_config
 from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_plain
 from pedzoo.paths import write_whole
 
-NAME = re.compile(r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+")
-"""A zoo name: ``architecture.tag``."""
-
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
 _LARGEST = 2_000_000
 """Bytes of a card."""
@@ -93,8 +90,7 @@ class ModelCard:
         """Check everything that others rely on."""
         check_plain(vars(self))
         check_keys(vars(self), _CARD)
-        if not NAME.fullmatch(self.name):
-            raise UserError(f"name {self.name!r}: expected ARCHITECTURE.TAG of letters, digits, _ and -")
+        check_name(self.name)
         if not _FILE.fullmatch(self.file):
             raise UserError(
                 f"file {self.file!r}: expected the plain name of a .safetensors file beside the card, no path"
@@ -130,6 +126,17 @@ _CARD: Kinds = {
     "file": (str,),
     "url": (str, NOTHING),
 }
+
+
+def check_name(name: str) -> str:
+    """Return a zoo name as it is.
+
+    Raises:
+        UserError: It is none.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+", name):
+        raise UserError(f"name {name!r}: expected ARCHITECTURE.TAG of letters, digits, _ and -")
+    return name
 
 
 def read_card(path: str | Path) -> ModelCard:

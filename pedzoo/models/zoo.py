@@ -17,7 +17,7 @@ from safetensors.torch import save
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.models.base import Forecaster
-from pedzoo.models.header import config_in, opened
+from pedzoo.models.header import check_config, config_in, opened
 from pedzoo.paths import weight_files, write_whole
 from pedzoo.registry import MODELS
 from pedzoo.types import GoalProtocol
@@ -90,13 +90,23 @@ def architecture_of(model: Forecaster) -> str:
     return f"{sys.modules[module].__file__}:{type(model).__name__}"
 
 
-def save_weights(model: Forecaster, path: str | Path, **more: Any) -> str:
+def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -> str:
     """Write ``model`` to a file, whole or not at all, and return its sha256.
 
     The same model gives the same bytes.
+
+    Args:
+        model: The model.
+        path: The file, ``.safetensors``.
+        known: What is said of it beside: its ``protocol`` and ``training``.
+
+    Raises:
+        UserError: The model does not keep its arguments, or something else is to be said.
     """
+    config = config_of(model, **known)
+    check_config(config)
     # one metadata key: with several, their order, and so the sum, would vary
-    metadata = {"config": json.dumps(config_of(model, **more), sort_keys=True)}
+    metadata = {"config": json.dumps(config, sort_keys=True)}
     data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
     write_whole(Path(path), data)
     return hashlib.sha256(data).hexdigest()

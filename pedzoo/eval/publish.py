@@ -1,0 +1,132 @@
+"""Makes weights of the zoo and their model card, of a training run or of what weights say themselves."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pedzoo.data.datasets.eth_ucy import EVERYTHING
+from pedzoo.data.provenance import provenance
+from pedzoo.errors import UserError
+from pedzoo.eval.run_record import RunRecord, read_run
+from pedzoo.models.card import TRAINING, ModelCard, check_name, read_card, write_card
+from pedzoo.models.header import read_config
+from pedzoo.models.zoo import load, read_checkpoint, save_weights
+from pedzoo.types import PRED_LEN
+
+LICENCE = "MIT"
+"""Of weights, unless something else is said. The terms of the recordings are in the card, too."""
+
+IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
+"""What weights say themselves about their training; the rest is in the card."""
+
+
+def publish(
+    checkpoint: str | Path,
+    folder: str | Path,
+    name: str | None = None,
+    measured: list[dict[str, Any]] | None = None,
+    licence: str = LICENCE,
+    url: str | None = None,
+) -> Path:
+    """Write ``NAME.safetensors`` and ``NAME.yaml`` and return the path of the latter, the card.
+
+    The same checkpoint gives the same weights, byte for byte.
+
+    Args:
+        checkpoint: ``RUN/checkpoints/best.ckpt`` of ``pedzoo fit``, in its run folder.
+        folder: Where to write; made where it is missing.
+        name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
+        measured: Reports of what the model does, for the card; None keeps those of a card that is there, if
+            it is of the same weights.
+        licence: Of the weights.
+        url: Where the weights can be downloaded, if not beside the card.
+
+    Raises:
+        UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
+            in a file of one's own, or the name cannot be one.
+    """
+    checkpoint = Path(checkpoint)
+    content = read_checkpoint(checkpoint)
+    if ".py:" in (architecture := content["pedzoo"]["architecture"]):
+        raise UserError(
+            f"{str(checkpoint)!r} is of {architecture!r}, and weights never make a file of code run where "
+            "they are loaded: install the class as a plugin and train it by its name"
+        )
+    record = read_run(checkpoint, content)
+    protocol = content["pedzoo"]["protocol"]
+    name = check_name(name or zoo_name(record.training["config"], protocol))
+    weights = Path(folder) / f"{name}.safetensors"
+    said = {key: record.training[key] for key in IN_WEIGHTS}
+    save_weights(load(checkpoint), weights, protocol=protocol, training=said)
+    return _write(weights, record, measured, licence, url)
+
+
+def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
+    """Write the card of weights whose run is gone, from what they say themselves, and return its path.
+
+    Args:
+        weights: ``FOLDER/ARCHITECTURE.TAG.safetensors``.
+        measured: As of `publish`.
+
+    Raises:
+        UserError: There are none, they are damaged, or not named like weights of the zoo.
+    """
+    weights = Path(weights)
+    check_name(weights.stem)
+    config = read_config(weights)
+    known = config.get("protocol", {}) | config.get("training", {})
+    record = RunRecord({key: known.get(key) for key in TRAINING}, None, {})
+    return _write(weights, record, measured, LICENCE, None)
+
+
+def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
+    """Return what weights of a config are called: after the scene that they did not see.
+
+    What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
+    clock is the benchmark's, and the true one for weights that saw every scene.
+    """
+    tag = protocol["fold"]
+    if protocol["goal"] == "destination":
+        tag += "_destination"
+    if protocol["pred_len"] != PRED_LEN:
+        tag += f"_pred{protocol['pred_len']}"
+    if protocol["clock"] != ("true" if tag.startswith(EVERYTHING) else "benchmark"):
+        tag += f"_{protocol['clock']}"
+    return f"{config.removesuffix('_destination')}.{tag}"
+
+
+def _write(
+    weights: Path, record: RunRecord, measured: list[dict[str, Any]] | None, licence: str, url: str | None
+) -> Path:
+    """Write the card beside the weights."""
+    path, data = weights.with_suffix(".yaml"), weights.read_bytes()
+    config, digest = read_config(weights), hashlib.sha256(data).hexdigest()
+    if measured is None:
+        measured = _measured_before(path, digest)
+    card = ModelCard(
+        name=weights.stem,
+        architecture=config["architecture"],
+        sha256=digest,
+        size=len(data),
+        config=config,
+        training=record.training,
+        data=provenance(record.training["fold"], record.files, plans="map" in load(weights).needs),
+        evaluations=measured,
+        versions=record.versions,
+        licence=licence,
+        file=weights.name,
+        url=url,
+    )
+    write_card(card, path)
+    return path
+
+
+def _measured_before(path: Path, digest: str) -> list[dict[str, Any]]:
+    """Return the evaluations of a card that is there, if it is of the same weights."""
+    if not path.is_file():
+        return []
+    card = read_card(path)
+    return card.evaluations if card.sha256 == digest else []
