@@ -20,16 +20,16 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
-from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
+from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+from pedzoo.cli.starting import Command, expand
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.models.zoo import read_checkpoint
 from pedzoo.train.closed_loop import ClosedLoopValidation
+from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb
 from pedzoo.versions import versions
-
-Command = Literal["fit", "validate", "test"]
 
 _EXPECTED = (
     "LeafSpec.* is deprecated",  # Lightning 2.6 beside torch 2.13
@@ -39,6 +39,8 @@ _EXPECTED = (
     "Experiment logs directory .* is not empty",  # a resumed run; RunFolder.keep_earlier has copied them
     "Checkpoint directory .* exists and is not empty",  # likewise
 )
+
+_USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
 
 _TRAINING_ONLY = ("batch_size", "max_pairs", "rotate", "mirror", "seed")
 
@@ -70,7 +72,7 @@ class TrainingCLI(LightningCLI):
 
     def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
         """Parse the command line as it was ``typed``, and build trainer, model and data."""
-        argv, resumed = _expand(command, typed)
+        argv, resumed = expand(command, typed)
         self.command: Command = command
         self.typed = typed
         self.run = resumed
@@ -89,7 +91,7 @@ class TrainingCLI(LightningCLI):
             parser_kwargs={
                 **PARSER_SETTINGS,
                 "prog": f"pedzoo {command}",
-                "usage": f"pedzoo {command} --config NAME [--data.X ...] [--model.X ...]\nexample: {example}",
+                "usage": f"pedzoo {command} {_USAGE[command]} [--data.X ...] [...]\nexample: {example}",
                 "description": about,
             },
         )
@@ -104,6 +106,7 @@ class TrainingCLI(LightningCLI):
         # The configuration of a run must be readable by `validate` and `test`, too.
         for name, kind, default, help in (
             ("runs", str, "runs", "Folder of all run folders."),
+            ("weights", str | None, None, "Fine-tune these: a zoo name, a .ckpt or a .safetensors file."),
             ("wandb", Wandb, "off", "Log to Weights & Biases beside metrics.csv."),
             ("monitor", str, "val/ade", "The metric in which best.ckpt is best."),
             ("monitor_mode", Literal["min", "max"], "min", "Which of its values is best."),
@@ -126,6 +129,9 @@ class TrainingCLI(LightningCLI):
         if file := self.config["ckpt_path"]:
             # Lightning would ask, too, but only after its logger has removed an earlier run's metrics.
             cast("ForecastModule", self.model).check(read_checkpoint(file))
+        elif self.command == "fit" and (weights := self.config["weights"]):
+            start_from(cast("ForecastModule", self.model), weights)
+            print(f"starts from: {weights}")
         options, rollout = self.config_init["trainer"], self.config_init["rollout"]
         if self.command != "test":
             rollout.check(cast("ForecastModule", self.model).generator, self.datamodule)
@@ -212,7 +218,9 @@ class TrainingCLI(LightningCLI):
         """Return where the run goes: config (or model), then data and seed."""
         config = self.config
         files = config.get("config") or []
-        name = Path(str(files[-1])).stem if files else config["model"]["class_path"].rpartition(".")[2]
+        file = Path(str(files[-1])) if files else Path(config["model"]["class_path"].rpartition(".")[2])
+        # a run's own configuration is called like all others: the run has the name
+        name = file.parent.parent.name if (file.parent / "versions.json").is_file() else file.stem
         data = (config["data"].get("files") or [config["data"]["fold"]])[0]
         return Path(config["runs"]) / name / f"{Path(str(data)).stem}-seed{int(config['seed_everything'])}"
 
@@ -233,18 +241,3 @@ class TrainingCLI(LightningCLI):
             ):
                 found[key] = ",".join(value) if isinstance(value, list) else value
         return " ".join(f"--data.{key} {shlex.quote(str(value))}" for key, value in found.items())
-
-
-def _expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | None]:
-    """Write out what ``--resume RUN`` and a checkpoint inside a run folder stand for."""
-    if command == "fit" and (folder := given(argv, "--resume")):
-        run = RunFolder.resume(folder)
-        return ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last), *argv], run
-    checkpoint = given(argv, "--ckpt_path")
-    if checkpoint and not Path(checkpoint).is_file():
-        raise UserError(f"no checkpoint {checkpoint!r}")
-    if command != "fit" and checkpoint and not (given(argv, "--config") or given(argv, "-c")):
-        config = Path(checkpoint).parent.parent / "config.yaml"
-        if config.is_file():
-            return ["--config", str(config), *argv], None
-    return argv, None

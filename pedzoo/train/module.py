@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Set
 from typing import Any
 
 import lightning as L
@@ -144,15 +145,7 @@ class ForecastModule(L.LightningModule):
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
-        given, wanted = (
-            {"architecture": c["architecture"], **{k: v for k, v in c["init"].items() if k not in _FREE}}
-            for c in (theirs, ours)
-        )
-        changed = [
-            f"{k}: {given.get(k)} there, {wanted.get(k)} here"
-            for k in given | wanted
-            if given.get(k) != wanted.get(k)
-        ]
+        changed = differences(theirs, ours, LOSSES)
         if changed:
             raise UserError(
                 f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"
@@ -169,5 +162,24 @@ class ForecastModule(L.LightningModule):
             )
 
 
-_FREE = frozenset({"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "map_dropout"})
-"""Options of a model that may change when a run goes on: losses, not weights."""
+LOSSES = frozenset({"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "map_dropout"})
+"""Options of a model that may change when a run goes on: they are of its losses, not of its weights."""
+
+
+def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any], free: Set[str]) -> list[str]:
+    """Return what tells two models apart beyond the options that are ``free``, as readable texts.
+
+    Args:
+        theirs: A config of `pedzoo.models.zoo.config_of`.
+        ours: Likewise.
+        free: Options whose values do not matter.
+    """
+    given, wanted = (
+        {"architecture": config["architecture"], **{k: v for k, v in config["init"].items() if k not in free}}
+        for config in (theirs, ours)
+    )
+    return [
+        f"{key}: {given.get(key)} there, {wanted.get(key)} here"
+        for key in given | wanted
+        if given.get(key) != wanted.get(key)
+    ]

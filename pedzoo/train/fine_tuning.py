@@ -1,0 +1,75 @@
+"""Fine-tuning: a training that begins with the weights of another one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pedzoo.errors import UserError, unknown
+from pedzoo.models.header import read_config
+from pedzoo.models.zoo import config_of, list_models, load, read_checkpoint
+from pedzoo.paths import config_names, weight_files
+from pedzoo.registry import MODELS
+from pedzoo.train.module import LOSSES, ForecastModule, differences
+
+_DATA = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_people")
+
+
+def start_from(module: ForecastModule, weights: str) -> None:
+    """Fill the generator of ``module`` with ``weights``.
+
+    Everything else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo
+    weights do not have. The goal protocol may be another one than theirs, and so may the losses.
+
+    Args:
+        module: About to be trained.
+        weights: What `pedzoo.load` accepts.
+
+    Raises:
+        UserError: No such weights, or they are of another architecture.
+    """
+    model = load(weights)
+    free = LOSSES | {"goal_protocol"}
+    if changed := differences(config_of(model), config_of(module.generator), free):
+        raise UserError(
+            f"--weights {weights} are of another architecture ({'; '.join(changed)}): "
+            "leave out --config and --model.generator options that change it"
+        )
+    module.generator.load_state_dict(model.state_dict())
+
+
+def options_of(weights: str) -> list[str]:
+    """Return the options of ``pedzoo fit`` for a training like the one that ``weights`` come from.
+
+    Of a checkpoint in a run folder these are the run's; of other weights the shipped config they were
+    trained with, and what their metadata say of model and data.
+
+    Raises:
+        UserError: No such weights, or nobody knows how they were trained.
+    """
+    path = Path(weights)
+    run = path.parent.parent / "config.yaml"
+    if path.suffix == ".ckpt" and run.is_file():
+        return ["--config", str(run)]
+    config = _config(weights)
+    name = config.get("training", {}).get("config")
+    if name not in config_names():
+        raise UserError(
+            f"--weights {weights} do not say with which shipped config they were trained "
+            f"(they say {name}): add --config NAME ({', '.join(config_names())}) or a file"
+        )
+    cls = MODELS.get(config["architecture"])
+    model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": config["init"]}
+    protocol = config.get("protocol", {})
+    data = [f"--data.{key}={protocol[key]}" for key in _DATA if key in protocol]
+    return ["--config", name, "--model.generator", json.dumps(model), *data]
+
+
+def _config(weights: str) -> dict[str, Any]:
+    if weights.endswith(".ckpt"):
+        return read_checkpoint(weights)["pedzoo"]
+    file = weight_files().get(weights)
+    if not file and not weights.endswith(".safetensors"):
+        raise unknown("weights", weights, list_models())
+    return read_config(file or weights)

@@ -1,0 +1,130 @@
+"""Fine-tuning: trainings that begin with weights, what they take from them, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.zoo import save_weights
+
+NAME = "sgan_goal_map.zara1"
+QUICK = ["--data.batch_size", "8", "--model.samples", "2", "--trainer.limit_train_batches", "2"]
+QUICK += ["--trainer.max_epochs", "1", "--trainer.check_val_every_n_epoch", "1"]
+QUICK += ["--trainer.limit_val_batches", "2", "--trainer.enable_progress_bar", "false"]
+QUICK += ["--rollout.scenarios", "null"]
+STILL = ["--model.lr", "0"]
+"""Nothing is learnt: what a training ends with is what it began with."""
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Every test writes its runs into a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def fit(*options: str) -> Path:
+    """Train and return the new run folder."""
+    before = set(Path().glob("runs/*/*"))
+    assert main(["fit", *options, *QUICK]) == 0
+    (run,) = set(Path().glob("runs/*/*")) - before
+    return run
+
+
+def assert_same_weights(first: str, second: str) -> None:
+    one, two = (pedzoo.load(name).state_dict() for name in (first, second))
+    assert one.keys() == two.keys() and all(torch.equal(one[key], two[key]) for key in one)
+
+
+def last(run: Path) -> str:
+    return str(run / "checkpoints" / "last.ckpt")
+
+
+def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
+    """Return the one line that a mistake gives; nothing is left behind by it."""
+    capsys.readouterr()
+    before = set(Path().rglob("*"))
+    assert main(["fit", *argv, *QUICK]) == 2
+    assert set(Path().rglob("*")) == before
+    return capsys.readouterr().err
+
+
+def test_zoo_weights_bring_their_config_and_the_command_line_wins() -> None:
+    run = fit("--weights", NAME, "--data.fold", "embedded", *STILL)
+    assert run == Path("runs/sgan_goal_map/embedded-seed0")
+    assert_same_weights(last(run), NAME)
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    assert config["weights"] == NAME
+    assert config["model"]["init_args"]["generator"]["init_args"] == pedzoo.load(NAME).config
+    assert config["model"]["init_args"]["final_lr"] == 0.01 and config["model"]["init_args"]["lr"] == 0
+    assert config["data"]["goal"] == "window_end" and config["data"]["fold"] == "embedded"
+    command = json.loads((run / "versions.json").read_text())["command"]
+    assert command[:2] == ["pedzoo", "fit"] and command[command.index("--weights") + 1] == NAME
+
+
+def test_fine_tuning_changes_all_weights_and_begins_where_they_were() -> None:
+    """Two iterations of a training from random weights are an order of magnitude worse."""
+    ades = []
+    for options in (["--weights", NAME], ["--config", "sgan_goal_map", "--model.generator.residual", "none"]):
+        run = fit(*options, "--data.fold", "embedded", "--model.lr", "1e-4")
+        with (run / "metrics.csv").open() as file:
+            ades.append(next(float(row["val/ade"]) for row in csv.DictReader(file) if row["val/ade"]))
+    assert ades[0] < 0.1 < 10 * ades[0] < ades[1]
+    tuned, before = (
+        pedzoo.load(name).state_dict() for name in (last(Path("runs/sgan_goal_map/embedded-seed0")), NAME)
+    )
+    assert not any(torch.equal(tuned[key], before[key]) for key in before)
+
+
+def test_a_checkpoint_brings_the_config_of_its_run() -> None:
+    small = ["--model.generator.encoder_dim", "12", "--model.generator.best_k", "3", "--seed_everything", "5"]
+    first = fit("--config", "sgan_goal", "--data.fold", "embedded", *small)
+    second = fit("--weights", last(first), *STILL)
+    assert second == Path("runs/sgan_goal/embedded-seed5-2")
+    assert_same_weights(last(first), last(second))
+    steps = [torch.load(last(run), weights_only=True)["global_step"] for run in (first, second)]
+    assert steps == [2, 2]  # counted from the beginning
+
+
+def test_a_fine_tuning_run_goes_on_and_is_measured_without_the_weights_it_began_with() -> None:
+    first = fit("--config", "sgan", "--data.fold", "embedded")
+    second = fit("--weights", last(first))
+    Path(last(first)).unlink()
+    assert main(["fit", "--resume", str(second), "--trainer.max_epochs", "2"]) == 0
+    assert torch.load(last(second), weights_only=True)["epoch"] == 1
+    assert main(["validate", "--ckpt_path", last(second), "--rollout.scenarios", "null"]) == 0
+
+
+def test_losses_and_the_goal_protocol_may_be_others() -> None:
+    goal = ["--data.goal", "destination", "--model.generator.goal_protocol", "destination"]
+    run = fit("--weights", NAME, "--data.fold", "embedded", "--model.generator.best_k", "2", *goal, *STILL)
+    tuned = pedzoo.load(last(run))
+    assert isinstance(tuned, SGAN) and tuned.goal_protocol == "destination" and tuned.best_k == 2
+    assert_same_weights(last(run), NAME)
+
+
+def test_what_does_not_fit_is_refused_before_a_run_begins(
+    capsys: pytest.CaptureFixture[str], elsewhere: Path
+) -> None:
+    fold = ["--data.fold", "embedded"]
+    error = refused(capsys, "--weights", NAME, "--config", "sgan_goal", *fold)
+    assert "another architecture (" in error and "map: patch there, None here" in error
+    assert "leave out --config" in error
+    error = refused(capsys, "--weights", NAME, "--model.generator.encoder_dim", "48", *fold)
+    assert "encoder_dim: 32 there, 48 here" in error
+    error = refused(capsys, "--weights", "sgan_goal_map.zara11", *fold)
+    assert "did you mean 'sgan_goal_map.zara1'?" in error
+    error = refused(capsys, "--weights", NAME, "--resume", "runs/x/y")
+    assert "--weights begins a training and --resume goes on with one" in error
+    save_weights(SGAN(), elsewhere / "mine.safetensors", training={"config": "my_own"})
+    error = refused(capsys, "--weights", "mine.safetensors", *fold)
+    assert "they say my_own" in error and "add --config NAME" in error
+    assert "no weights at 'none.safetensors'" in refused(capsys, "--weights", "none.safetensors", *fold)
