@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from torch import Tensor
@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.navigation import finish_seconds, success
-from pedzoo.metrics.ratios import summarised
+from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
@@ -106,7 +106,9 @@ class Comparison:
         return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
 
 
-def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
+def row(
+    name: str, rollout: Rollout, decision_dt: float, more: Mapping[str, Ratio] | None = None
+) -> dict[str, Any]:
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
     ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says.
@@ -116,8 +118,9 @@ def row(name: str, rollout: Rollout, decision_dt: float) -> dict[str, Any]:
         name: The policy as it was given.
         rollout: Its episodes.
         decision_dt: Seconds between its decisions.
+        more: Metrics of the same episodes beside those of every rollout.
     """
-    metrics, intervals = summarised(closed_loop(rollout, decision_dt))
+    metrics, intervals = summarised({**closed_loop(rollout, decision_dt), **(more or {})})
     return {
         "name": name,
         "case": {},

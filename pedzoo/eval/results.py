@@ -28,6 +28,10 @@ LEGEND = {
     "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each); in a replay"
     " their real exit in twice the real time",
     "episode_success": "share of episodes in which everybody does",
+    "time_s": "until everybody has reached all goals, mean of the episodes in which all do in time",
+    "seconds_per_goal": "time that people walk in these episodes, divided by the goals that they reach: who is "
+    "finished early walks on",
+    "goals_per_person": "goals reached until everybody is finished",
     "deadlock": "share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal",
     "failed": "share of episodes in which the policy gave no number",
     "agent_contacts_per_min": "touches of others per minute that a person walks; one that lasts counts once",
@@ -35,6 +39,12 @@ LEGEND = {
     "time_ratio": "time that people need, divided by that of the planner's way at the speed they like",
     "path_ratio": "way that people walk, divided by the planner's",
     "least_distance_m": "distance between centres of an episode's nearest two",
+    "outcome_blocked": "share of episodes in which not both arrive and one of them is deadlocked",
+    "outcome_lost": "in which not both arrive, though nobody stands still",
+    "outcome_through": "in which both arrive, but their centres come closer than 0.15 m",
+    "outcome_circle": "in which both arrive and turn around each other: by 90 degrees or more within 0.6 m",
+    "outcome_pass": "in which both arrive at a distance, or one after the other",
+    "bearing_sweep_deg": "how far the bearing of the other turns while they are closer than 0.6 m",
     "symmetry_index": "0: the two at the door walk as mirror images of each other; about 1: one waits until "
     "the other is through",
     "yield_delay_s": "how much later than the first the second passes the door",
@@ -151,7 +161,7 @@ def case_label(row: Mapping[str, Any]) -> str:
     """Return what tells a row from others of its suite."""
     kept = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
     if {"people", "goals"} <= kept.keys():  # as in Table II
-        kept = {"map": kept.get("map", ""), "cell": f"{kept['people']}/{kept['goals']}"}
+        kept["people"] = f"{kept['people']}/{kept.pop('goals')}"
     return " ".join(kept.values())
 
 

@@ -10,6 +10,8 @@ from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.metrics.ratios import Ratio
+from pedzoo.metrics.rollout import Rollout
 
 WorldName = Literal["grid", "bullet"]
 
@@ -145,6 +147,10 @@ class Suite(ABC):
         """Return what people should know about the cases, and about ``policies`` on them."""
         return []
 
+    def more(self, rollout: Rollout) -> dict[str, Ratio]:
+        """Return the metrics that rows of this suite have beside those of every rollout."""
+        return {}
+
     def units(
         self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
     ) -> list[Unit]:
@@ -176,7 +182,8 @@ class Suite(ABC):
                 walked.extend(walk(policy, env, case.episodes, unit.deterministic, share))
             finally:
                 env.world.close()
-        found = row(unit.policy, joined(walked), env.decision_dt)
+        rollout = joined(walked)
+        found = row(unit.policy, rollout, env.decision_dt, self.more(rollout))
         for person in found["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]

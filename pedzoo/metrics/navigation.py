@@ -53,6 +53,22 @@ def episode_seconds(seconds: Tensor, success: Tensor, mask: Tensor) -> Tensor:
     return torch.where(everybody, last, torch.inf)
 
 
+def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the time that all people of an episode walked (E,), seconds, and the goals they reached (E,).
+
+    0 and 0 where not everybody had reached all goals in time. Whoever is finished early walks on to further
+    goals: their time counts, as do those goals.
+
+    Args:
+        seconds: When the last one had finished (E,), infinite where not everybody had: `episode_seconds`.
+        reached: Goals reached until each point (E, A, T) long.
+        mask: Who took part (E, A) bool.
+    """
+    known = seconds.isfinite()
+    goals = reached[..., -1].where(mask, 0).sum(1)
+    return (seconds * mask.sum(1)).where(known, 0.0), goals.where(known, 0)
+
+
 def planned_metres(planned: Tensor, reached: Tensor, goals: int) -> Tensor:
     """Return the length of the planner's ways of all goals that everybody had to reach (E, A), metres.
 

@@ -1,0 +1,73 @@
+"""Table II of the paper on iGibson: from goal to goal through an apartment, at two walking speeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL
+from pedzoo.maps.library import load_plan
+from pedzoo.metrics import navigation
+from pedzoo.metrics.ratios import Ratio, ratio
+from pedzoo.metrics.rollout import Rollout
+
+DRAWN = tuple(f"apartment.{seed}" for seed in range(3))
+"""Floor plans where none is given: every episode draws one of them."""
+
+SPEEDS = {"1.3": (1.3, 0.2), "0.5": (0.5, 0.0)}
+"""m/s, mean and deviation: as people walk, and as all of iGibson's do."""
+
+
+class Table2(Suite):
+    """Every cell of the table at both speeds, on the floor plans that are given or on three drawn ones."""
+
+    uses: ClassVar[tuple[str, ...]] = ("episodes", "maps")
+    columns: ClassVar[tuple[str, ...]] = (
+        "success",
+        "episode_success",
+        "time_s",
+        "seconds_per_goal",
+        "goals_per_person",
+        "agent_contacts_per_min",
+        "wall_contacts_per_min",
+    )
+
+    def cases(self, request: Request) -> list[Case]:
+        """Return five cases for each speed.
+
+        Raises:
+            UserError: There is no such floor plan.
+        """
+        files = list(request.maps or DRAWN)
+        name = "drawn" if not request.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
+        inputs = " ".join(load_plan(file).digest for file in files)
+        shown = files[0] if len(files) == 1 else f"[{','.join(files)}]"
+        world, episodes = request.world or "bullet", request.number(EPISODES)
+        found = []
+        for speed, (mean, deviation) in SPEEDS.items():
+            for people, goals in CELLS:
+                settings = f"map={shown},people={people},goals={goals},pool={POOL}"
+                case = {"map": name, "speed": speed, "people": str(people), "goals": str(goals)}
+                found.append(
+                    Case(
+                        suite=self.name,
+                        name=f"{speed} m/s {people}/{goals}",
+                        scenario=f"goals:{settings},speed={mean},speed_std={deviation}",
+                        world=world,
+                        episodes=episodes,
+                        case=case,
+                        inputs=inputs,
+                        effort=people * goals / mean,
+                        table=f"{self.name} {speed} m/s",
+                        shares=shown,
+                    )
+                )
+        return found
+
+    def more(self, rollout: Rollout) -> dict[str, Ratio]:
+        """Return ``seconds_per_goal``, of episodes in which everybody reaches all goals in time."""
+        reached, goals, mask = rollout.reached, rollout.goals, rollout.mask
+        arrived = navigation.success(reached, goals, rollout.late, rollout.failed, mask)
+        last = navigation.episode_seconds(navigation.finish_seconds(reached, goals), arrived, mask)
+        return {"seconds_per_goal": ratio(*navigation.seconds_per_goal(last, reached, mask))}
