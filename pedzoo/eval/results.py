@@ -29,7 +29,7 @@ LEGEND = {
     " their real exit in twice the real time",
     "episode_success": "share of episodes in which everybody does",
     "time_s": "until everybody has reached all goals, mean of the episodes in which all do in time",
-    "seconds_per_goal": "time that people walk in these episodes, divided by the goals that they reach: who is "
+    "seconds_per_goal": "time that people walk in these episodes, by the goals that they reach: whoever is "
     "finished early walks on",
     "goals_per_person": "goals reached until everybody is finished",
     "deadlock": "share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal",
