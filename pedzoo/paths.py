@@ -40,14 +40,16 @@ def find_config(name: str) -> Path:
 
 
 def data_root(root: str | None) -> Path:
-    """Return the folder with recordings: ``root``, or the variable ``PEDZOO_DATA``.
+    """Return the folder with recordings: ``root``, the variable ``PEDZOO_DATA``, or what was downloaded.
 
     Raises:
-        UserError: Neither is given, or the folder does not exist.
+        UserError: Neither is given and nothing was downloaded, or the folder does not exist.
     """
     given = root or os.environ.get("PEDZOO_DATA")
     how = "give its folder as --data.root or in the environment variable PEDZOO_DATA"
     if not given:
+        if (downloaded := data_home()).is_dir():
+            return downloaded
         raise UserError(f"no recordings found: {how}; `--data.fold embedded` needs none")
     path = Path(given).expanduser()
     if not path.is_dir():
@@ -59,6 +61,11 @@ def cache_home() -> Path:
     """Return the folder for downloads: ``PEDZOO_HOME``, or the user's cache."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo").expanduser()
+
+
+def data_home() -> Path:
+    """Return the folder that ``pedzoo download`` brings datasets to, one folder each."""
+    return cache_home() / "data"
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def empty_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what the user has downloaded out of the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PEDZOO_HOME", str(tmp_path_factory.mktemp("pedzoo_home")))
+        yield
 
 
 @pytest.fixture(scope="session")

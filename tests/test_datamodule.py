@@ -182,14 +182,16 @@ def test_embedded_needs_no_root(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 def test_unknown_folds_and_missing_roots_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     message = refused(fold="zarra1")
     assert "unknown fold 'zarra1': did you mean 'zara1'?" in message
-    assert "embedded, eth, hotel, univ, zara1, zara2" in message
+    assert "embedded, eth, eth_ucy, hotel, univ, zara1, zara2" in message
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
-    how = ["--data.root", "PEDZOO_DATA", "git clone https://", "embedded"]
+    how = ["--data.root", "PEDZOO_DATA", "pedzoo download eth_ucy", "embedded"]
     for root, words in ((None, how), (str(tmp_path / "no"), [*how, "is not a folder"])):
         message = refused(fold="zara1", root=root)
         assert all(word in message for word in words), message
     message = refused(fold="zara1", root=str(tmp_path))
-    assert all(word in message for word in (str(tmp_path), "splits.json", "zara1/train/*.txt", "git clone"))
+    assert all(
+        word in message for word in (str(tmp_path), "splits.json", "zara1/train/*.txt", "pedzoo download")
+    )
 
 
 def test_stages_read_what_they_need_once(shared: Path, capsys: pytest.CaptureFixture[str]) -> None:

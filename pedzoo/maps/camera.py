@@ -1,7 +1,7 @@
 """Floor plans of scenes that a fixed camera sees: masks of its image, laid onto the ground by a homography.
 
-A homography takes a pixel (u to the right, v down, 1) to the ground (x, y, 1) in metres, up to scale. Computed
-with single additions and multiplications, so that every machine finds the same cells.
+A homography takes a pixel (u to the right, v down, 1) to the ground (x, y, 1) in metres, up to scale. All is
+computed by single additions and multiplications, so that every machine finds the same cells.
 """
 
 from __future__ import annotations
@@ -69,15 +69,15 @@ def _adjugate(homography: NDArray[np.float64], name: str) -> NDArray[np.float64]
     """Return the inverse of a homography up to scale, which is all that a homography has."""
     if homography.shape != (3, 3):
         raise UserError(f"map {name!r}: a homography of shape {homography.shape}, expected (3, 3)")
-    rows = homography
-    inverse = np.stack([np.cross(rows[1], rows[2]), np.cross(rows[2], rows[0]), np.cross(rows[0], rows[1])], 1)
-    if not np.isfinite(inverse).all() or not (rows[0] * inverse[:, 0]).sum():
+    first, second, third = homography
+    inverse = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1)
+    if not np.isfinite(inverse).all() or not (first * inverse[:, 0]).sum():
         raise UserError(f"map {name!r}: the homography {homography.tolist()} cannot be inverted")
     return inverse
 
 
 def _pixels(
-    to_pixel: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], size: tuple[int, ...]
+    to_pixel: NDArray[np.float64], x: NDArray[np.floating], y: NDArray[np.floating], size: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Return row and column of the pixels nearest to ground points, and which of them are in the image.
 

@@ -31,17 +31,14 @@ FRAMES_PER_STEP = 10
 TRUE_SECONDS = {"biwi_eth": 2 / 3}
 """Real time of an annotated step where it is not 0.4 s: biwi_eth has every tenth frame of a 15 Hz video."""
 
-HOW_TO_GET = (
-    "`git clone https://github.com/abduallahmohamed/Social-STGCNN` has the files (--data.root "
-    "Social-STGCNN/datasets), as has Social GAN's scripts/download_data.sh"
-)
+HOW_TO_GET = "`pedzoo download eth_ucy` gets those of ETH/UCY, to where they are found"
 
 
 class EthUcy:
     """The recordings of one fold."""
 
     def __init__(self, fold: str, root: str | None, clock: Clock = "benchmark") -> None:
-        """Find the fold's files below ``root`` (or PEDZOO_DATA).
+        """Find the fold's files below ``root``, PEDZOO_DATA or the folder of ``pedzoo download``.
 
         Raises:
             UserError: There are none; the message says how to get them.

@@ -16,9 +16,16 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pedzoo.errors import UserError
-from pedzoo.fetch import fetch
+from pedzoo.fetch import fetch, sha256_of
 
-URL = "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth"
+FILE = "alexnet-owt-7be5be79.pth"
+URLS = (f"https://download.pytorch.org/models/{FILE}", f"https://s3.amazonaws.com/pytorch/models/{FILE}")
+"""Torchvision's published address, and the store behind it."""
+
+SHA256 = "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02"
+SIZE = 244_408_911
+"""Of the published file, bytes."""
+
 SHA256_FP16 = "0ef845d6e986e08581699f6b21519636884c2269921df75317a6d6e770777047"
 """Of the tensors below, rounded to half precision, in this order: the same for every file format."""
 
@@ -38,6 +45,8 @@ An output i of a layer with kernel k, stride s and padding p is centred on its i
 The first convolution (11, 4, 2) gives 4 i + 3; a pooling (3, 2, 0) puts 2 i + 1 in place of i, so 8 i + 7 and
 16 i + 15 after two of them; the other convolutions are centred on their own place.
 """
+
+_OR_GIVE = "or give a .safetensors or .pth file as weights=... or in the environment variable PEDZOO_ALEXNET"
 
 _NO_PICKLE = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
 """What reading a damaged file as a pickle can end in."""
@@ -65,28 +74,39 @@ def features(image: Tensor, weights: dict[str, Tensor]) -> Tensor:
     return layer(layer(layer(x, 6), 8), 10)
 
 
+def obtain() -> Path:
+    """Return torchvision's file: from the cache of pedzoo or of ``torch.hub``, or downloaded (244 MB).
+
+    Raises:
+        UserError: No network, or no mirror has the published file.
+    """
+    of_torch_hub = Path(torch.hub.get_dir()) / "checkpoints" / FILE
+    if of_torch_hub.is_file() and sha256_of(of_torch_hub) == SHA256:
+        return of_torch_hub
+    return fetch(URLS, SHA256, FILE, _OR_GIVE, SIZE)
+
+
 def load(path: str | None = None) -> dict[str, Tensor]:
     """Return the convolutions' float32 weights by torchvision's keys.
 
     Args:
         path: A ``.safetensors`` file with these keys, or torchvision's ``alexnet*.pth``. None takes the file
-            in the environment variable ``PEDZOO_ALEXNET``, else the published one, downloaded once (244 MB).
+            in the environment variable ``PEDZOO_ALEXNET``, else the published one, see `obtain`.
 
     Raises:
         UserError: No such file, no network, or other weights than the published ones.
     """
     given = path or os.environ.get("PEDZOO_ALEXNET")
-    hint = "or give a .safetensors or .pth file as weights=... or in the environment variable PEDZOO_ALEXNET"
-    file = Path(given).expanduser() if given else fetch(URL, None, "alexnet-owt-7be5be79.pth", hint)
+    file = Path(given).expanduser() if given else obtain()
     if not file.is_file():
-        raise UserError(f"no AlexNet weights at {given!r}: get {URL}, {hint}")
+        raise UserError(f"no AlexNet weights at {given!r}: get {URLS[0]}, {_OR_GIVE}")
     tensors = _read(file)
     for key in KEYS:
         layer, _, kind = key.rpartition(".")
         shape = SHAPES[layer] if kind == "weight" else SHAPES[layer][:1]
         if not isinstance(tensors.get(key), Tensor) or tuple(tensors[key].shape) != shape:
             raise UserError(
-                f"{file} holds no AlexNet: expected {key} of shape {shape} as in torchvision's ({URL})"
+                f"{file} holds no AlexNet: expected {key} of shape {shape} as in torchvision's ({URLS[0]})"
             )
     digest = hashlib.sha256()
     for key in KEYS:
@@ -94,7 +114,8 @@ def load(path: str | None = None) -> dict[str, Tensor]:
     if digest.hexdigest() != SHA256_FP16:
         raise UserError(
             f"{file} holds other AlexNet weights (sha256 over fp16 {digest.hexdigest()}, expected "
-            f"{SHA256_FP16}), and features of others mean nothing to a trained model: delete it and get {URL}"
+            f"{SHA256_FP16}), and features of others mean nothing to a trained model: delete it and get "
+            f"{URLS[0]}"
         )
     # Through half precision always, so that features do not depend on the file's format.
     return {key: tensors[key].half().float() for key in KEYS}
@@ -110,4 +131,4 @@ def _read(file: Path) -> dict[str, Tensor]:
         tensors = torch.load(file, map_location="cpu", weights_only=True)
         return tensors if isinstance(tensors, dict) else {}
     except (SafetensorError, *_NO_PICKLE) as error:
-        raise UserError(f"{file} cannot be read as weights ({error}): delete it and get {URL}") from error
+        raise UserError(f"{file} cannot be read as weights ({error}): delete it and get {URLS[0]}") from error

@@ -1,0 +1,63 @@
+"""``pedzoo download``: datasets, AlexNet's weights and models, to where pedzoo finds them."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+
+from pedzoo.cli.arguments import Arguments
+from pedzoo.errors import UserError, unknown
+from pedzoo.paths import data_home
+
+HELP = "download a dataset, AlexNet's weights or a model, checked, to where they are found"
+EXAMPLE = "pedzoo download eth_ucy"
+
+ALEXNET = "alexnet"
+
+
+def run(argv: list[str]) -> int:
+    """Download, and print what came, where it is and on whose terms; returns the exit code."""
+    from pedzoo.data.published.files import published
+
+    datasets = published()
+    parser = Arguments("download", HELP, EXAMPLE)
+    what = f"{', '.join(datasets)}, {ALEXNET}, or a model as `pedzoo info` takes it"
+    parser.add_argument("name", help=what)
+    parser.add_argument("--to", metavar="FOLDER", help=f"put a dataset here (default: {data_home()}/NAME)")
+    options = parser.parse_args(argv)
+    if options.name in datasets:
+        _dataset(options.name, options.to)
+        return 0
+    if options.to:
+        raise UserError(f"--to {options.to}: only for datasets ({', '.join(datasets)}), not {options.name!r}")
+    print(_alexnet() if options.name == ALEXNET else _model(options.name, datasets))
+    return 0
+
+
+def _dataset(name: str, to: str | None) -> None:
+    module = import_module(f"pedzoo.data.published.{name}")
+    folder = Path(to).expanduser() if to else data_home() / name
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{str(folder)!r} is a file, expected a folder: give another --to")
+    print(f"terms: {module.TERMS}")
+    print(f"cite: {module.CITATION}")
+    files = module.download(folder)
+    size = sum(file.size for file in files) / 1e6
+    print(f"{name}: {len(files)} files, {size:.1f} MB, each with the expected sha256, in {folder}")
+    found_without = not to and not os.environ.get("PEDZOO_DATA")
+    print(f"use: --data.fold zara1{'' if found_without else f' --data.root {folder}'}")
+
+
+def _alexnet() -> Path:
+    from pedzoo.models.blocks.alexnet import obtain
+
+    return obtain()
+
+
+def _model(name: str, datasets: list[str]) -> Path:
+    from pedzoo.models.store import find, names, weights_of
+
+    if entry := find(name):
+        return weights_of(entry)
+    raise unknown("dataset or model", name, [*datasets, ALEXNET, *names()])

@@ -1,0 +1,1 @@
+"""Datasets that others publish: where their files lie, and how they come into a folder that datasets read."""

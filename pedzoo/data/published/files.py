@@ -1,0 +1,80 @@
+"""Files that lie in public repositories at pinned commits, with a checksum each, and their mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pedzoo.fetch import fetch
+
+HOSTS = (
+    "https://raw.githubusercontent.com/{repository}/{commit}/{path}",
+    "https://cdn.jsdelivr.net/gh/{repository}@{commit}/{path}",
+)
+"""Addresses of a file of a GitHub repository, in the order in which they are tried for each repository."""
+
+_FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class PublishedFile:
+    """One file, the same in all its places.
+
+    Attributes:
+        path: Below the folder of the dataset.
+        sha256: Its checksum.
+        size: Bytes.
+        places: Repository, commit and path in it, the best first.
+    """
+
+    path: str
+    sha256: str
+    size: int
+    places: tuple[tuple[str, str, str], ...]
+
+    def urls(self) -> list[str]:
+        """Return the addresses of all mirrors in the order in which they are tried."""
+        return [
+            host.format(repository=repository, commit=commit, path=path)
+            for repository, commit, path in self.places
+            for host in HOSTS
+        ]
+
+
+def published() -> list[str]:
+    """Return the names of the datasets that can be downloaded."""
+    return sorted(path.stem for path in _FOLDER.glob("*.yaml"))
+
+
+def files_of(name: str) -> list[PublishedFile]:
+    """Return the files of a dataset."""
+    import yaml
+
+    listed = yaml.safe_load((_FOLDER / f"{name}.yaml").read_text(encoding="utf-8"))
+    repositories = {key: place.split("@") for key, place in listed["repositories"].items()}
+    return [
+        PublishedFile(
+            path,
+            entry["sha256"],
+            entry["size"],
+            tuple((*repositories[key], place) for key, place in entry["places"].items()),
+        )
+        for path, entry in listed["files"].items()
+    ]
+
+
+def bring(files: list[PublishedFile], folder: Path, name: str) -> None:
+    """Download files into a folder; those that are there and right are kept.
+
+    Args:
+        files: What is wanted.
+        folder: The dataset's own.
+        name: What the progress bar says.
+
+    Raises:
+        UserError: A file cannot be had from any mirror. What is there stays for the next call.
+    """
+    from tqdm import tqdm
+
+    for file in tqdm(files, desc=name, unit="file", disable=None, leave=False):
+        fetch(file.urls(), file.sha256, file.path, size=file.size, folder=folder)
