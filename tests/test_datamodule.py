@@ -263,7 +263,7 @@ def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path)
     assert fold.name == true.name == "biwi_eth_train"
     assert np.ptp(true.frame) * 0.4 == pytest.approx(np.ptp(fold.frame) / 10 * 2 / 3, abs=0.4)
     shutil.rmtree(tmp_path / "datasets" / "zara1" / "val")
-    assert "git clone" in refused(fold="zara1", root=str(tmp_path))
+    assert "pedzoo download eth_ucy" in refused(fold="zara1", root=str(tmp_path))
 
 
 # -- loaders

@@ -209,20 +209,3 @@ def test_alexnet_weights_are_read_from_both_formats_and_checked(
     }.items():
         with pytest.raises(UserError, match=message):
             alexnet.load(str(tmp_path / name))
-
-
-def test_published_alexnet_weights_are_fetched_when_none_are_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[object] = []
-
-    def fetch(*arguments: object) -> Path:
-        asked.extend(arguments)
-        return tmp_path / "nothing.pth"
-
-    monkeypatch.delenv("PEDZOO_ALEXNET", raising=False)
-    monkeypatch.setattr(alexnet, "fetch", fetch)
-    with pytest.raises(UserError, match="no AlexNet weights"):
-        alexnet.load()
-    assert asked[0] == alexnet.URL
-    assert "PEDZOO_ALEXNET" in str(asked[-1])
