@@ -230,7 +230,7 @@ class SGAN(Forecaster):
         """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
         folded = self._kept(self)
         encoded = self.encode(batch, steps, folded)
-        zero = encoded.context.new_zeros(1, len(encoded.context), self.noise_dim)
+        zero = encoded.context.new_zeros(1, encoded.context.shape[0], self.noise_dim)
         path = self.decode(encoded, zero, steps, folded)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 

@@ -15,19 +15,25 @@ from torch import Tensor
 class Crowd:
     """Who is where: the packed order of a batch's people, of which only what is asked for is computed.
 
+    In a graph for other programs (`torch.export`) padding stays: how many people are really there is
+    known only when it runs. Every slot then counts as a person, and pooling leaves those out who are not.
+
     Attributes:
         shape: The padded (B, A).
-        full: Nothing is padding, as in most simulations: packing is a matter of shape.
+        full: Nothing is taken out, as in most simulations: packing is a matter of shape.
+        absent: Who is to be left out of pooling (B, A) bool; None where padding was taken out.
     """
 
-    def __init__(self, mask: Tensor, full: bool) -> None:
-        """Take a presence mask (B, A) bool, and whether all of it is true; see `of`."""
-        self._mask, self.full = mask, full
+    def __init__(self, mask: Tensor, full: bool, absent: Tensor | None = None) -> None:
+        """Take a presence mask (B, A) bool, and what the attributes say; see `of`."""
+        self._mask, self.full, self.absent = mask, full, absent
         self.shape = (mask.shape[0], mask.shape[1])
 
     @classmethod
     def of(cls, mask: Tensor) -> Crowd:
         """Return the packing of a presence mask (B, A) bool."""
+        if torch.compiler.is_exporting():
+            return cls(mask, True, ~mask)
         return cls(mask, mask.numel() > 0 and bool(mask.all()))
 
     @cached_property
@@ -35,14 +41,19 @@ class Crowd:
         scene, slot = self._mask.nonzero(as_tuple=True)
         return scene, slot
 
-    @property
+    @cached_property
     def scene(self) -> Tensor:
         """Scene of each person (P,), ascending."""
+        if self.full:
+            scenes = torch.arange(self.shape[0], device=self._mask.device)
+            return scenes.unsqueeze(1).expand(self.shape).flatten()
         return self._there[0]
 
     @cached_property
     def first(self) -> Tensor:
         """The first person of each person's scene (P,)."""
+        if self.full:
+            return self.scene * self.shape[1]
         return torch.searchsorted(self.scene, self.scene)
 
     @cached_property

@@ -28,6 +28,10 @@ class AlexNetEncoder(MapEncoder):
     they are not turned to a person's heading (nor to a scene's rotation or mirroring: only the place is
     moved). The convolutions and the features are no parameters or buffers: checkpoints hold the linear layer
     only.
+
+    Attributes:
+        weights: File with AlexNet's weights, None for the usual place.
+        cell: Metres that one feature cell covers at most.
     """
 
     def __init__(self, dim: int = 32, weights: str | None = None, cell: float = 0.4) -> None:
@@ -40,7 +44,7 @@ class AlexNetEncoder(MapEncoder):
         """
         super().__init__(dim)
         self.head = nn.Sequential(nn.Linear(alexnet.CHANNELS, dim), nn.ReLU())
-        self._weights, self._cell = weights, cell
+        self.weights, self.cell = weights, cell
         self._encoded: dict[tuple[int, str], Tensor] = {}
         self._atlas: Atlas | None = None
 
@@ -48,11 +52,11 @@ class AlexNetEncoder(MapEncoder):
         """Encode every floor plan of ``bank`` (about a second each), but for those of earlier banks."""
         known, needed = self._encoded, {(grid.map_id, bank.unknown): grid for grid in bank.grids}
         new = {key: grid for key, grid in needed.items() if key not in known}
-        weights = alexnet.load(self._weights) if new else {}
+        weights = alexnet.load(self.weights) if new else {}
         for key, grid in new.items():
-            known[key] = encode(grid, bank, weights, self._cell)
+            known[key] = encode(grid, bank, weights, self.cell)
         nowhere = torch.zeros(alexnet.CHANNELS)
-        to_pixel = [map_to_feature(grid, self._cell) for grid in bank.grids]
+        to_pixel = [map_to_feature(grid, self.cell) for grid in bank.grids]
         self._atlas = Atlas.stack([known[key] for key in needed], to_pixel, nowhere)
         super().bind(bank)
 

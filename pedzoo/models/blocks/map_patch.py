@@ -59,7 +59,7 @@ class PatchEncoder(MapEncoder):
             ahead = heading.float()
             left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
             axes = torch.stack((ahead, left), dim=-1)
-            offsets = self.get_buffer("offsets").expand(len(position), 2, -1)
+            offsets = self.get_buffer("offsets").expand(position.shape[0], 2, -1)
             points = torch.baddbmm(position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
             distance = self.bank(position.device).signed_distance(points, map_id, pose)
         return (distance.clamp(-CLIP, CLIP) / CLIP).reshape(-1, 1, self._cells, self._cells)

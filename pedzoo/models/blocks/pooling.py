@@ -86,6 +86,9 @@ class SocialPooling(nn.Module):
         away = position - origin
         u = functional.linear(torch.cat((away, hidden), 1), folded.w_u, folded.b_u)
         v = functional.linear(away, folded.w_v)
+        if crowd.absent is not None:
+            best = _max_over_slots(u, v, folded.w_2, crowd.absent)
+            return functional.linear(v, folded.minus_w_2, folded.b_2).add_(best).relu_()
         if torch.is_grad_enabled():
             return torch.relu(_MaxOverPairs.apply(u, v, folded.w_2, crowd.groups, crowd.first) + folded.b_2)
         if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
@@ -183,6 +186,13 @@ def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
     """Return the maxima of `_max_over_pairs` for scenes of ``n`` people each, in as few calls as possible."""
     pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1])).view(-1, u.shape[1])
     return functional.linear(weight, pairs).view(-1, len(u), n).amax(2).t()
+
+
+def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor) -> Tensor:
+    """Return the maxima of `_max_over_pairs` over whoever is not ``absent`` (B, A), for all B * A slots."""
+    mine, others = v.view(*absent.shape, 1, -1), u.view(absent.shape[0], 1, absent.shape[1], -1)
+    pairs = functional.linear(torch.maximum(others, mine), weight)
+    return pairs.masked_fill(absent[:, None, :, None], -torch.inf).amax(2).flatten(0, 1)
 
 
 def _piece(group: Tensor, pairs: int) -> tuple[int, int, int]:

@@ -118,8 +118,10 @@ class DisplacementDecoder(nn.Module):
             return functional.linear(_from_rest(gates)[0], w_out, b_out).unsqueeze(1)
         weights, w_out, b_out = folded or self.fold()
         rows = _rows(steps * hidden.shape[1], hidden)
+        whole = len(hidden) <= rows
+        pieces = [(hidden, first)] if whole else zip(hidden.split(rows), first.split(rows), strict=True)
         parts = []
-        for h0, d0 in zip(hidden.split(rows), first.split(rows), strict=True):
+        for h0, d0 in pieces:
             surprise = (d0 - functional.linear(h0, w_out, b_out)).unsqueeze(0)
             inputs = functional.pad(surprise, (0, 0, 0, 0, 0, steps - 1))
             state = (h0.unsqueeze(0), torch.zeros_like(h0).unsqueeze(0))
@@ -166,7 +168,9 @@ def _from_rest(gates: Tensor) -> tuple[Tensor, Tensor]:
 
 def _rows(cells: int, people: Tensor) -> int:
     """Return for how many of ``people`` (P, ...) an LSTM runs at once, given its steps x width."""
-    return max(1, _CPU_CELLS // cells if people.device.type == "cpu" else len(people))
+    if people.device.type != "cpu" or torch.compiler.is_exporting():
+        return max(1, len(people))
+    return max(1, _CPU_CELLS // cells)
 
 
 def _lstm(
