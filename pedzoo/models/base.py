@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
@@ -107,6 +108,12 @@ def true_displacements(batch: TensorDict) -> Tensor:
     """Return how people really moved on (B, A, T, 2), metres per step."""
     agents = agents_of(batch)
     return torch.cat((agents["history"][:, :, -1:], agents["future"]), 2).diff(dim=2)
+
+
+def known_displacements(batch: TensorDict) -> Tensor:
+    """Return which true displacements (B, A, T) are known: those with a known place at both ends."""
+    valid = agents_of(batch)["future_valid"]
+    return valid & functional.pad(valid[..., :-1], (1, 0), value=True)
 
 
 def goals_of(batch: TensorDict, who: str) -> tuple[Tensor, Tensor]:

@@ -6,9 +6,8 @@ from typing import Literal, cast
 
 from tensordict import TensorDict
 from torch import Tensor
-from torch.nn import functional
 
-from pedzoo.models.base import agents_of, true_displacements
+from pedzoo.models.base import agents_of, known_displacements, true_displacements
 from pedzoo.models.blocks.crowd import Crowd
 
 Kind = Literal["squared_displacement", "distance"]
@@ -24,11 +23,10 @@ class SceneError:
         """Take the truth of ``batch``, packed by ``crowd``."""
         self.kind, self.crowd = kind, crowd
         self.truth = crowd.pack(true_displacements(batch))
-        known = cast("Tensor", crowd.pack(agents_of(batch)["future_valid"]))
-        if kind == "squared_displacement":
-            # a displacement is known where both its ends are
-            known = known & functional.pad(known[:, :-1], (1, 0), value=True)
-        self.known = known
+        known = (
+            known_displacements(batch) if kind == "squared_displacement" else agents_of(batch)["future_valid"]
+        )
+        self.known = known = cast("Tensor", crowd.pack(known))
         self.count = crowd.sum_per_scene(known.sum(1).to(self.truth.dtype)).clamp(min=1)
 
     def __call__(self, path: Tensor, other: Tensor | None = None) -> Tensor:

@@ -1,0 +1,258 @@
+"""Social-VRNN: a variational recurrent network whose output is a mixture of whole futures.
+
+Brito, Zhu, Pan and Alonso-Mora, "Social-VRNN: One-Shot Multi-modal Trajectory Prediction for Interacting
+Pedestrians", CoRL 2020, arXiv:2010.09056. From there: what people did, the occupancy map around them and the
+others' relative states are the inputs x; a latent z is inferred; one pass gives a mixture of Gaussians over
+all future displacements y; training maximises the evidence lower bound.
+
+Beyond the paper: everybody's own frame, displacements relative to the last one repeated, pooling instead of
+an LSTM over the others in order of distance, distances to walls instead of a pretrained autoencoder's
+features, and a loss of the most likely future alone. The posterior sees the future, q(z | x, y), as in conditional variational autoencoders (Sohn et al.,
+NeurIPS 2015): of a posterior that sees x alone, the bound is highest where z says nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.distributions import Normal, kl_divergence
+
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.base import Forecaster, agents_of, arguments, known_displacements, true_displacements
+from pedzoo.models.blocks import frame as frames
+from pedzoo.models.blocks import lines
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.latent import LatentHead
+from pedzoo.models.blocks.map_patch import PatchEncoder
+from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
+from pedzoo.models.blocks.neighbours import RelativePooling
+from pedzoo.models.blocks.recurrent import DisplacementEncoder
+
+
+class Seen(NamedTuple):
+    """What is known about the people of a batch before anything is drawn.
+
+    Attributes:
+        features: The inputs x (P, D), encoded.
+        prior: Distribution p(z | x) of the latents (P, latent_dim).
+        last: Last displacements (P, 2) in everybody's frame.
+        heading: Directions of these frames (P, 2).
+        crowd: The packing.
+    """
+
+    features: Tensor
+    prior: Normal
+    last: Tensor
+    heading: Tensor
+    crowd: Crowd
+
+
+class SocialVRNN(Forecaster):
+    """Encoders of state, others and map; prior and posterior of one latent; a decoder of mixtures."""
+
+    def __init__(
+        self,
+        embedding_dim: int = 16,
+        state_dim: int = 32,
+        others_dim: int = 16,
+        map: Literal["patch"] | None = "patch",
+        map_dim: int = 8,
+        map_dropout: float = 0.0,
+        latent_dim: int = 8,
+        hidden_dim: int = 64,
+        components: int = 3,
+        min_scale: float = 0.02,
+        kl_weight: float = 1.0,
+        diversity_weight: float = 0.0,
+        mode_weight: float = 0.0,
+    ) -> None:
+        """Compose a model.
+
+        Args:
+            embedding_dim: Width of embedded displacements.
+            state_dim: Width of the LSTM over what a person did.
+            others_dim: Width of what the others do; 0 to leave them out.
+            map: Encoder of the occupancy map around the person; None to leave it out.
+            map_dim: Width of its features.
+            map_dropout: Share of them left out in training: recordings have few floor plans, which a
+                network soon knows by heart.
+            latent_dim: Width of the latent z.
+            hidden_dim: Width of everything between.
+            components: Futures in the mixture.
+            min_scale: Smallest standard deviation, metres per step. Who stands is recorded at exactly one
+                place, and the likelihood of that would have no bound.
+            kl_weight: Weight of the divergence of posterior and prior; at 1 the loss is the bound itself.
+            diversity_weight: Weight of the best component's own likelihood, which keeps components from
+                sharing one future.
+            mode_weight: Weight of the distance, metres, of the one most likely future from the truth.
+
+        Raises:
+            UserError: Options out of range.
+        """
+        super().__init__()
+        self.config = arguments(locals())
+        if latent_dim < 1 or components < 1 or min_scale <= 0:
+            raise UserError(
+                f"latent_dim {latent_dim}, components {components}, min_scale {min_scale}: expected at "
+                "least 1, at least 1, and above 0 m"
+            )
+        self.latent_dim, self.noise_dim = latent_dim, latent_dim + 1
+        self.kl_weight, self.diversity_weight, self.mode_weight = kl_weight, diversity_weight, mode_weight
+        self.needs = frozenset(["map"] * (map is not None))
+        self.state = DisplacementEncoder(embedding_dim, state_dim)
+        self.others = RelativePooling(hidden_dim, others_dim) if others_dim else None
+        self.map = PatchEncoder(dim=map_dim) if map else None
+        self.map_dropout = nn.Dropout(map_dropout)
+        width = state_dim + others_dim + (map_dim if map else 0)
+        self.future = DisplacementEncoder(embedding_dim, state_dim)
+        self.prior = LatentHead(width, hidden_dim, latent_dim)
+        self.posterior = LatentHead(width + state_dim, hidden_dim, latent_dim)
+        self.decoder = MixtureDecoder(width, latent_dim, hidden_dim, components, min_scale)
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans that ``map_id`` speaks of."""
+        if self.map is not None:
+            self.map.bind(bank)
+
+    def see(self, batch: TensorDict) -> Seen:
+        """Return what is known about everybody."""
+        agents = agents_of(batch)
+        crowd = Crowd.of(agents["mask"])
+        history = crowd.pack(agents["history"])
+        position, moved = history[:, -1], history.diff(dim=1)
+        heading = frames.heading(moved, None)
+        own = frames.into(heading, moved)
+        features = [self.state(own)]
+        if self.others is not None:
+            features.append(self.others(position, moved[:, -1], heading, crowd))
+        if self.map is not None:
+            pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
+            features.append(self.map_dropout(self.map(position, heading, map_id, pose)))
+        joined = torch.cat(features, -1)
+        return Seen(joined, self.prior(joined), own[:, -1], heading, crowd)
+
+    def mixture(self, seen: Seen, latent: Tensor, steps: int) -> FutureMixture:
+        """Return p(y | z, x) in everybody's frame, for latents (P, latent_dim)."""
+        return self.decoder(seen.features, latent, lines.constant_velocity(seen.last, steps))
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return random futures (B, K, A, T, 2): latent, component and what the component leaves open."""
+        seen = self.see(batch)
+        many = _repeat(seen, samples)
+        z = _normal(many.prior.mean, generator) * many.prior.stddev + many.prior.mean
+        mixture = self.mixture(many, z, steps)
+        share = torch.special.ndtr(_normal(z[:, 0], generator))
+        component = mixture.at_quantile(share)
+        path, scale = mixture.mean_of(component), mixture.scale_of(component)
+        return self._world(seen, path + scale * _normal(path, generator), samples)
+
+    def mode(self, batch: TensorDict, steps: int) -> Tensor:
+        """Return the mean (B, 1, A, T, 2) of the most likely component, at the mode of the latent."""
+        seen = self.see(batch)
+        return self._world(seen, self._most_likely(seen, steps), 1)
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the first steps of one future (B, A, steps, 2); no others are decoded.
+
+        The noise chooses latent and component; the component's mean is walked. What it leaves open is
+        independent at each step, and noise that stays for an episode would make it a drift.
+        """
+        if noise is None:
+            return self.mode(batch, steps)[:, 0]
+        seen = self.see(batch)
+        drawn = seen.crowd.pack(noise)
+        z = seen.prior.mean + seen.prior.stddev * drawn[:, :-1]
+        mixture = self.mixture(seen, z, steps)
+        component = mixture.at_quantile(torch.special.ndtr(drawn[:, -1]))
+        return self._world(seen, mixture.mean_of(component), 1)[:, 0]
+
+    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+        """Return minus the evidence lower bound, nats per step, summed over people.
+
+            E_q(z | x, y) [log p(y | z, x)] - KL(q(z | x, y) || p(z | x))
+
+        with one draw of z, and ``diversity_weight`` times minus the log density of the best component.
+        """
+        seen = self.see(batch)
+        truth, known = self._truth(batch, seen)
+        posterior = self._infer(seen, truth, known)
+        z = posterior.mean + posterior.stddev * _normal(posterior.mean, generator)
+        mixture = self.mixture(seen, z, truth.shape[1])
+        divergence = kl_divergence(posterior, seen.prior).sum(-1) * known.any(-1)
+        cost = self.kl_weight * divergence - mixture.log_prob(truth, known)
+        if self.diversity_weight:
+            best = mixture.component_log_prob(truth, known).amax(-1)
+            cost = cost - self.diversity_weight * best
+        if self.mode_weight:
+            wrong = (self._most_likely(seen, truth.shape[1]) - truth).cumsum(1)
+            # the root has no slope at zero
+            distance = (wrong.square().sum(-1) + 1e-8).sqrt()
+            cost = cost + self.mode_weight * (distance * known.cumprod(1)).sum(-1)
+        return cost.sum() / truth.shape[1]
+
+    @torch.no_grad()
+    def log_likelihood(
+        self, batch: TensorDict, samples: int = 20, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return a lower bound of everybody's log p(y | x) (B, A), nats; 0 where nothing of y is known.
+
+        The importance-weighted bound (Burda et al., ICLR 2016, eq. 8) on the density of the displacements
+        that `pedzoo.models.base.known_displacements` tells, which is also that of the positions:
+
+            log 1/K sum_k p(y | z_k, x) p(z_k | x) / q(z_k | x, y),  z_k ~ q.
+
+        Args:
+            batch: Recorded scenes.
+            samples: K; the bound rises to the likelihood with it.
+            generator: Draws the latents.
+        """
+        seen = self.see(batch)
+        truth, known = self._truth(batch, seen)
+        many = _repeat(seen, samples)
+        truth, known = truth.repeat(samples, 1, 1), known.repeat(samples, 1)
+        posterior = self._infer(many, truth, known)
+        z = posterior.mean + posterior.stddev * _normal(posterior.mean, generator)
+        weight = (many.prior.log_prob(z) - posterior.log_prob(z)).sum(-1)
+        nats = self.mixture(many, z, truth.shape[1]).log_prob(truth, known) + weight
+        bound = nats.view(samples, -1).logsumexp(0) - torch.tensor(float(samples)).log()
+        return seen.crowd.unpack(bound * known[: len(bound)].any(-1))
+
+    def _most_likely(self, seen: Seen, steps: int) -> Tensor:
+        """Return the most likely component's mean (P, T, 2) in everybody's frame, at the latent's mode."""
+        mixture = self.mixture(seen, seen.prior.mean, steps)
+        return mixture.mean_of(mixture.most_likely())
+
+    def _truth(self, batch: TensorDict, seen: Seen) -> tuple[Tensor, Tensor]:
+        """Return true displacements (P, T, 2) in everybody's frame and which are known (P, T)."""
+        path = frames.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
+        return path, seen.crowd.pack(known_displacements(batch))
+
+    def _infer(self, seen: Seen, truth: Tensor, known: Tensor) -> Normal:
+        """Return the posterior q(z | x, y)."""
+        surprise = (truth - seen.last.unsqueeze(1)) * known.unsqueeze(-1)
+        return self.posterior(seen.features, self.future(surprise))
+
+    def _world(self, seen: Seen, path: Tensor, samples: int) -> Tensor:
+        """Return paths (K * P, T, 2) of everybody's frame as displacements in the world (B, K, A, T, 2)."""
+        turned = frames.out_of(seen.heading, path.view(samples, -1, *path.shape[1:]))
+        return seen.crowd.unpack(turned.transpose(0, 1)).transpose(1, 2)
+
+
+def _repeat(seen: Seen, samples: int) -> Seen:
+    """Return what is known about K times the same people, one whole crowd after the other."""
+    prior = Normal(seen.prior.mean.repeat(samples, 1), seen.prior.stddev.repeat(samples, 1), False)
+    return seen._replace(
+        features=seen.features.repeat(samples, 1), prior=prior, last=seen.last.repeat(samples, 1)
+    )
+
+
+def _normal(like: Tensor, generator: torch.Generator | None) -> Tensor:
+    """Return standard normal numbers of the shape of ``like``, drawn where ``generator`` lives."""
+    device = like.device if generator is None else generator.device
+    return torch.randn(like.shape, generator=generator, device=device, dtype=like.dtype).to(like.device)
