@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,7 +90,13 @@ def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
     console = _console()
     for line in [said(report, shown), *(f"note: {note}" for note in report["notes"])]:
         console.print(line, highlight=False, markup=False)
-    for page in pages(report, shown):
+    print_tables(pages(report, shown))
+
+
+def print_tables(pages: Iterable[Page]) -> None:
+    """Print tables, in as many parts as the terminal's width needs."""
+    console = _console()
+    for page in pages:
         _print_page(console, page)
 
 

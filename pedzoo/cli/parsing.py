@@ -50,6 +50,18 @@ def given(argv: list[str], flag: str) -> str | None:
     return None
 
 
+def whole_numbers(option: str, text: str) -> list[int]:
+    """Return the numbers of ``0,1,2``.
+
+    Raises:
+        UserError: Something else is among them.
+    """
+    try:
+        return [int(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise UserError(f"{option} {text}: expected whole numbers between commas") from None
+
+
 def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
     if found := re.search(r"unrecognized arguments: (\S+)", message):

@@ -15,7 +15,7 @@ def run(argv: list[str]) -> int:
     from jsonargparse.typing import PositiveInt
 
     from pedzoo.cli.output import check_outputs, print_pages, write_json, write_text
-    from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+    from pedzoo.cli.parsing import PARSER_SETTINGS, parse, whole_numbers
     from pedzoo.cli.progress import overall_bar
     from pedzoo.errors import UserError
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation
@@ -103,7 +103,7 @@ def run(argv: list[str]) -> int:
         options.policies,
         _listed(options.suite),
         request,
-        _numbers("--seeds", options.seeds),
+        whole_numbers("--seeds", options.seeds),
         options.deterministic,
         options.resume or beside,
     )
@@ -142,12 +142,3 @@ def run(argv: list[str]) -> int:
 
 def _listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _numbers(option: str, text: str) -> list[int]:
-    from pedzoo.errors import UserError
-
-    try:
-        return [int(part) for part in _listed(text)]
-    except ValueError:
-        raise UserError(f"{option} {text}: expected whole numbers between commas") from None
