@@ -48,7 +48,12 @@ def digest(unit: Unit) -> str:
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
     files = [_file_sum(name) for name in (unit.walks, unit.case.suite, unit.case.scenario)]
-    parts = [known, files, _code_sum(), _versions()]
+    return fingerprint(known, files)
+
+
+def fingerprint(*known: Any) -> str:
+    """Return what tells work from any other: what is known of it, pedzoo's code and the versions it uses."""
+    parts = [*known, _code_sum(), _versions()]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 

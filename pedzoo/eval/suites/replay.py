@@ -71,7 +71,7 @@ class Replay(Suite):
         found = []
         usual = 1 if request.quick else ROLLOUTS
         for fold in _folds(request.root):
-            inputs = _digest(fold, request.root)
+            inputs = digest_of(fold, request.root)
             for simulated in SIMULATED:
                 settings = [f"fold={fold}", f"simulated={simulated}"]
                 share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
@@ -179,8 +179,12 @@ def _folds(root: str | None) -> list[str]:
     return found or [EMBEDDED]
 
 
-def _digest(fold: str, root: str | None) -> str:
-    """Return what tells recordings and floor plans of a fold from any others."""
+def digest_of(fold: str, root: str | None) -> str:
+    """Return what tells the test recordings and floor plans of a fold from any others.
+
+    Raises:
+        UserError: There are no such recordings.
+    """
     if fold == EMBEDDED:
         return ""  # its files are pedzoo's
     found = hashlib.sha256()
