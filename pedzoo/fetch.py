@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
 from pedzoo import __version__
 from pedzoo.errors import UserError
@@ -151,7 +150,7 @@ def _from_mirrors(
     if sha256 is None:
         part.unlink(missing_ok=True)
     said = []
-    for url in sorted(addresses, key=lambda url: urlsplit(url).netloc in _FAILED):
+    for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
         try:
             _whole(url, part, sha256, lambda start, url=url: _stream(url, part, start, size, token))
         except _NotHereError as error:
@@ -172,7 +171,7 @@ def _whole(url: str, part: Path, sha256: str | None, stream: Callable[[int], Non
             if _length(part) > furthest:
                 furthest, waits = _length(part), iter(WAITS)
             if (wait := next(waits, None)) is None:
-                _FAILED.add(urlsplit(url).netloc)
+                _FAILED.add(_host(url))
                 raise _NotHereError(f"{error}, tried {len(WAITS) + 1} times") from error
             time.sleep(max(wait, error.wait))
             continue
@@ -183,6 +182,10 @@ def _whole(url: str, part: Path, sha256: str | None, stream: Callable[[int], Non
         if not mixed:
             raise _NotHereError(f"does not have the expected content: sha256 {found}, expected {sha256}")
         mixed = False  # some of it was left by an earlier download: once more, all from here
+
+
+def _host(url: str) -> str:
+    return url.partition("://")[2].partition("/")[0]
 
 
 def _length(part: Path) -> int:

@@ -197,8 +197,14 @@ def test_redirections_lead_to_the_web_only(site: Site, tmp_path: Path) -> None:
         url = site.put("out.bin", Page(statuses=[302] * 9, headers={"Location": goal}))
         with pytest.raises(UserError, match="No connection adapters"):
             fetch(url, None, "out.bin")
-    with pytest.raises(UserError, match="No connection adapters"):
-        fetch(f"file://{secret}", None, "out.bin")
+
+
+@pytest.mark.parametrize(
+    "url", ["file:///etc/hosts", "http://[bad/x", "http://", "http://\n/x", "nonsense", ""]
+)
+def test_odd_addresses_are_refused(site: Site, url: str) -> None:
+    with pytest.raises(UserError, match=r"cannot download out\.bin: "):
+        fetch(url, None, "out.bin")
 
 
 def test_a_token_stays_with_its_host(site: Site) -> None:
