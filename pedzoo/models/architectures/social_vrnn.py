@@ -7,8 +7,10 @@ all future displacements y; training maximises the evidence lower bound.
 
 Beyond the paper: everybody's own frame, displacements relative to the last one repeated, pooling instead of
 an LSTM over the others in order of distance, distances to walls instead of a pretrained autoencoder's
-features, and a loss of the most likely future alone. The posterior sees the future, q(z | x, y), as in conditional variational autoencoders (Sohn et al.,
-NeurIPS 2015): of a posterior that sees x alone, the bound is highest where z says nothing.
+features, and a loss of the most likely future alone. The posterior sees the future, q(z | x, y), as in
+conditional variational autoencoders (Sohn et al., NeurIPS 2015): of a posterior that sees x alone, the bound
+is highest where z says nothing. The published code's diversity term, which it computes and does not add to
+its loss, is left out here too.
 """
 
 from __future__ import annotations
@@ -67,7 +69,6 @@ class SocialVRNN(Forecaster):
         components: int = 3,
         min_scale: float = 0.02,
         kl_weight: float = 1.0,
-        diversity_weight: float = 0.0,
         mode_weight: float = 0.0,
     ) -> None:
         """Compose a model.
@@ -86,9 +87,7 @@ class SocialVRNN(Forecaster):
             min_scale: Smallest standard deviation, metres per step. Who stands is recorded at exactly one
                 place, and the likelihood of that would have no bound.
             kl_weight: Weight of the divergence of posterior and prior; at 1 the loss is the bound itself.
-            diversity_weight: Weight of the best component's own likelihood, which keeps components from
-                sharing one future.
-            mode_weight: Weight of the distance, metres, of the one most likely future from the truth.
+            mode_weight: Weight of the mean distance, metres, of the one most likely future from the truth.
 
         Raises:
             UserError: Options out of range.
@@ -101,7 +100,7 @@ class SocialVRNN(Forecaster):
                 "least 1, at least 1, and above 0 m"
             )
         self.latent_dim, self.noise_dim = latent_dim, latent_dim + 1
-        self.kl_weight, self.diversity_weight, self.mode_weight = kl_weight, diversity_weight, mode_weight
+        self.kl_weight, self.mode_weight = kl_weight, mode_weight
         self.needs = frozenset(["map"] * (map is not None))
         self.state = DisplacementEncoder(embedding_dim, state_dim)
         self.others = RelativePooling(hidden_dim, others_dim) if others_dim else None
@@ -177,7 +176,7 @@ class SocialVRNN(Forecaster):
 
             E_q(z | x, y) [log p(y | z, x)] - KL(q(z | x, y) || p(z | x))
 
-        with one draw of z, and ``diversity_weight`` times minus the log density of the best component.
+        with one draw of z, and ``mode_weight`` times the mean distance of `mode` from the truth.
         """
         seen = self.see(batch)
         truth, known = self._truth(batch, seen)
@@ -186,9 +185,6 @@ class SocialVRNN(Forecaster):
         mixture = self.mixture(seen, z, truth.shape[1])
         divergence = kl_divergence(posterior, seen.prior).sum(-1) * known.any(-1)
         cost = self.kl_weight * divergence - mixture.log_prob(truth, known)
-        if self.diversity_weight:
-            best = mixture.component_log_prob(truth, known).amax(-1)
-            cost = cost - self.diversity_weight * best
         if self.mode_weight:
             wrong = (self._most_likely(seen, truth.shape[1]) - truth).cumsum(1)
             # the root has no slope at zero
