@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import re
 from typing import Any, NamedTuple, get_type_hints
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.registry import Registry
+
+_ADDRESS = re.compile(r"(hf|https?)://[^/:]*(:\d+(?=/))?[^:]*")
+"""An address on the net: the colons of its scheme and its port are its own."""
 
 
 class Spec(NamedTuple):
@@ -19,10 +23,14 @@ class Spec(NamedTuple):
 def parse(text: str) -> Spec:
     """Return the parts of ``name``, ``name:key=value,key=[a,b]`` or ``path/to/file.py:Class:key=value``.
 
+    A name may be an address: ``hf://owner/repo:key=value``.
+
     Raises:
         UserError: A setting without ``=``, or given twice.
     """
-    name, colon, rest = text.partition(":")
+    address = _ADDRESS.match(text)
+    name = address[0] if address else text.partition(":")[0]
+    _, colon, rest = text.removeprefix(name).partition(":")
     if name.endswith(".py"):
         inside, colon, rest = rest.partition(":")
         name = f"{name}:{inside}"

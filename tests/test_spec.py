@@ -20,6 +20,9 @@ def test_parts() -> None:
     assert parse("my/file.py:Mine") == ("my/file.py:Mine", {})
     assert parse("my/file.py:Mine:a=1") == ("my/file.py:Mine", {"a": "1"})
     assert parse("runs/best.ckpt:noise=step") == ("runs/best.ckpt", {"noise": "step"})
+    for address in ("hf://me/zoo@v1/sgan.mall", "http://localhost:8000/zoo/sgan.mall", "https://a.b/sgan.x"):
+        assert parse(address) == (address, {})
+        assert parse(f"{address}:noise=step,a=x/y") == (address, {"noise": "step", "a": "x/y"})
 
 
 def test_values_have_their_types() -> None:

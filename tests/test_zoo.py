@@ -15,10 +15,10 @@ from batches import make_batch, random_weights
 from safetensors.torch import load_file, save_file
 
 import pedzoo
-from pedzoo import paths
 from pedzoo.errors import UserError
+from pedzoo.eval.publish import describe
 from pedzoo.maps.bank import MapBank
-from pedzoo.models import zoo
+from pedzoo.models import store, zoo
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.header import read_config
@@ -71,7 +71,8 @@ def checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder in the place of the shipped one."""
     folder = tmp_path / "checkpoints"
     folder.mkdir()
-    monkeypatch.setattr(paths, "shipped", lambda name: tmp_path / name)
+    monkeypatch.setattr(store, "shipped", lambda name: tmp_path / name)
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
     return folder
 
 
@@ -88,10 +89,9 @@ def answers(model: Forecaster) -> torch.Tensor:
 
 
 def ship(model: Forecaster, folder: Path, name: str) -> None:
-    """Save weights as the shipped ones are, with their sum."""
-    digest = save_weights(model, folder / f"{name}.safetensors")
-    with (folder / "SHA256SUMS").open("a") as sums:
-        sums.write(f"{digest}  {name}.safetensors\n")
+    """Save weights as the shipped ones are, with their card."""
+    save_weights(model, folder / f"{name}.safetensors")
+    describe(folder / f"{name}.safetensors")
 
 
 def test_saved_and_loaded_is_the_same_model(model: Forecaster, tmp_path: Path) -> None:
@@ -167,7 +167,8 @@ def test_weights_of_others_are_refused(model: Forecaster, tmp_path: Path) -> Non
     save_file(model.state_dict(), path)
     with pytest.raises(UserError, match="no pedzoo config"):
         load(str(path))
-    for damaged in ("{", "[]", "{}", '{"architecture": "sgan", "init": 3}'):
+    unknown = '{"architecture": "sgan", "init": {}, "hook": "x"}'
+    for damaged in ("{", "[]", "{}", '{"architecture": "sgan", "init": 3}', unknown):
         save_file(model.state_dict(), path, {"config": damaged})
         with pytest.raises(UserError, match="config that cannot be read"):
             load(str(path))
@@ -241,11 +242,11 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model: Forecaster
     with pytest.raises(UserError, match=r"did you mean 'constant_velocity'.* known: .*sgan\.zara1"):
         load("constant_speed_velocity")
     save_weights(random_weights(model, seed=1), checkpoints / "sgan.zara1.safetensors")
-    with pytest.raises(UserError, match=r"sgan\.zara1\.safetensors have sha256 .* but SHA256SUMS says"):
+    with pytest.raises(UserError, match=r"sgan\.zara1\.safetensors' have sha256 .* card says .*reinstall"):
         load("sgan.zara1")
-    (checkpoints / "SHA256SUMS").unlink()
-    with pytest.raises(UserError, match="SHA256SUMS says nothing about them"):
-        load("sgan_goal.zara1")
+    (checkpoints / "sgan.zara1.yaml").unlink()
+    with pytest.raises(UserError, match=r"unknown model 'sgan\.zara1': did you mean 'sgan_goal\.zara1'"):
+        load("sgan.zara1")
 
 
 def test_really_shipped_weights_load_and_answer() -> None:

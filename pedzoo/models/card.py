@@ -134,9 +134,14 @@ def check_name(name: str) -> str:
     Raises:
         UserError: It is none.
     """
-    if not re.fullmatch(r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+", name):
+    if not is_name(name):
         raise UserError(f"name {name!r}: expected ARCHITECTURE.TAG of letters, digits, _ and -")
     return name
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text can be a zoo name, ``architecture.tag``."""
+    return bool(re.fullmatch(r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+", text))
 
 
 def read_card(path: str | Path) -> ModelCard:

@@ -16,41 +16,47 @@ import torch
 from safetensors.torch import save
 
 from pedzoo.errors import UserError, unknown
+from pedzoo.models.address import is_address
 from pedzoo.models.base import Forecaster
+from pedzoo.models.card import ModelCard
 from pedzoo.models.header import check_config, config_in, opened
-from pedzoo.paths import weight_files, write_whole
+from pedzoo.models.store import find, names, weights_of
+from pedzoo.models.store import obtain as obtain
+from pedzoo.paths import write_whole
 from pedzoo.registry import MODELS
 from pedzoo.types import GoalProtocol
-
-SUMS = "SHA256SUMS"
 
 _DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
 """What reading a damaged checkpoint can end in."""
 
 
 def list_models(pattern: str = "*") -> list[str]:
-    """Return the names of all shipped weights that match ``pattern``, as ``architecture.tag``."""
-    return [name for name in weight_files() if fnmatch(name, pattern)]
+    """Return the names of all models on this machine that match ``pattern``, as ``architecture.tag``.
+
+    Those are the shipped ones, those in folders of the variable ``PEDZOO_ZOO``, and those fetched before.
+    """
+    return [name for name in names() if fnmatch(name, pattern)]
 
 
 def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
     """Return a model in eval mode.
 
     Args:
-        name: A zoo name (``sgan_goal.zara1``), a ``.safetensors`` or Lightning ``.ckpt`` file, a baseline
-            (``bent_line``), or an untrained class ``path/to/file.py:Class``.
+        name: A zoo name (``sgan_goal.zara1``), a folder with its card (``FOLDER/sgan_goal.mall``), an address
+            (``hf://OWNER/REPO``, ``https://HOST/FOLDER/sgan_goal.mall``), a ``.safetensors`` or Lightning
+            ``.ckpt`` file, a baseline (``bent_line``), or an untrained class ``path/to/file.py:Class``.
         goal: The goal protocol for untrained models that ask for it; trained ones keep their own.
 
     Raises:
-        UserError: No such model, or its file is damaged.
+        UserError: No such model, its files are damaged or cannot be had, or they are not what its card says.
     """
     name = str(name)
-    if name.endswith(".safetensors"):
+    if name.endswith(".safetensors") and not is_address(name):
         return _from_safetensors(Path(name))
     if name.endswith(".ckpt"):
         return _from_checkpoint(Path(name))
-    if file := weight_files().get(name):
-        return _from_safetensors(file, checked=True)
+    if ".py:" not in name and (entry := find(name)):
+        return _from_safetensors(weights_of(entry), entry.card)
     if name not in MODELS.names() and ".py:" not in name:
         raise unknown("model", name, [*list_models(), *baselines()])
     model = MODELS.get(name)
@@ -112,12 +118,15 @@ def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -
     return hashlib.sha256(data).hexdigest()
 
 
-def _from_safetensors(path: Path, checked: bool = False) -> Forecaster:
-    if checked:
-        _check_sum(path)
+def _from_safetensors(path: Path, card: ModelCard | None = None) -> Forecaster:
     with opened(path, "pt") as file:
         config = config_in(file, path)
         state = {key: file.get_tensor(key) for key in file.keys()}
+    if card and card.config != config:
+        other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
+        raise UserError(
+            f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
+        )
     if ".py:" in config["architecture"]:
         raise UserError(
             f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
@@ -167,18 +176,6 @@ def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Fore
             f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
         ) from error
     return model.eval()
-
-
-def _check_sum(path: Path) -> None:
-    listed = path.parent / SUMS
-    lines = listed.read_text().splitlines() if listed.is_file() else []
-    sums = {name: digest for digest, name in (line.split() for line in lines if line.strip())}
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
-    expected = sums.get(path.name, "nothing about them")
-    if expected != found:
-        raise UserError(
-            f"weights {path.name} have sha256 {found}, but {SUMS} says {expected}: reinstall pedzoo"
-        )
 
 
 def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:

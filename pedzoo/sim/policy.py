@@ -8,6 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
+from pedzoo.models.store import find
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import baselines, list_models, load
 from pedzoo.registry import MODELS, POLICIES
@@ -40,7 +41,7 @@ def load_policy(name: str) -> Policy | Walker:
     """Return a policy of the registry, or any model as one.
 
     Args:
-        name: ``orca:radius=0.3``, a zoo name, checkpoint or ``file.py:Class`` with settings of `Walker`
+        name: ``orca:radius=0.3``, or whatever `pedzoo.load` takes with settings of `Walker`
             (``sgan_goal.zara1:noise=step``).
 
     Raises:
@@ -51,8 +52,7 @@ def load_policy(name: str) -> Policy | Walker:
         return build(POLICIES, name, Policy)
     if ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy):
         return build(POLICIES, name, Policy)
-    if spec.name not in MODELS.names() and not spec.name.endswith((".ckpt", ".safetensors")):
-        known = [*POLICIES.names(), *list_models(), *baselines()]
-        if spec.name not in known and ".py:" not in spec.name:
-            raise unknown("policy", spec.name, known)
+    is_file = ".py:" in spec.name or spec.name.endswith((".ckpt", ".safetensors"))
+    if not is_file and spec.name not in MODELS.names() and not find(spec.name):
+        raise unknown("policy", spec.name, [*POLICIES.names(), *list_models(), *baselines()])
     return make(Walker, "walker", spec.name, spec.settings, model=load(spec.name))
