@@ -10,7 +10,7 @@ import hashlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -152,7 +152,7 @@ def _from_mirrors(
     said = []
     for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
         try:
-            _whole(url, part, sha256, lambda start, url=url: _stream(url, part, start, size, token))
+            _whole(url, part, sha256, size, token)
         except _NotHereError as error:
             said.append(f"{url}: {error}")
         else:
@@ -161,12 +161,12 @@ def _from_mirrors(
     raise UserError(f"cannot download {target.name}: {'; '.join(said)}: {way_out}")
 
 
-def _whole(url: str, part: Path, sha256: str | None, stream: Callable[[int], None]) -> None:
+def _whole(url: str, part: Path, sha256: str | None, size: int | None, token: str | None) -> None:
     """Try at one address until ``part`` has the file's content."""
     mixed, furthest, waits = part.exists(), 0, iter(WAITS)
     while True:
         try:
-            stream(_length(part) if sha256 else 0)
+            _stream(url, part, _length(part) if sha256 else 0, size, token)
         except _BrokeOffError as error:
             if _length(part) > furthest:
                 furthest, waits = _length(part), iter(WAITS)
@@ -241,10 +241,8 @@ def _read(answer: requests.Response, part: Path, start: int, size: int | None) -
     total = done + int(length) if length.isdecimal() else size
     if size is not None and total != size:
         raise _NotHereError(f"has {total} bytes, expected {size}")
-    bar = tqdm(
-        total=total, initial=done, unit="B", unit_scale=True, desc=part.name[1:-5],
-        disable=None, leave=False, delay=0.5,
-    )  # fmt: skip
+    look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
+    bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
     with part.open("ab" if goes_on else "wb") as file, bar:
         for block in answer.iter_content(_BLOCK):
             done += file.write(block)

@@ -21,9 +21,9 @@ class Page:
         ranges: Whether parts are given to who asks for them.
         cuts: Bytes sent in answer to the first requests before the connection is closed on them.
         says_length: Whether the answer has a Content-Length.
-        wait: Seconds before each answer, once; then ``drip`` seconds after each of the file's ``drops``.
+        wait: Seconds before the first answer.
         drops: In how many pieces the file is sent.
-        drip: Seconds between them.
+        drip: Seconds after each of them.
     """
 
     content: bytes = b""

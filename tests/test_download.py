@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -202,6 +207,43 @@ def test_a_second_call_mends_what_is_missing_or_damaged(
     assert asked[1:] == mirrors, "all else is kept"
     assert damaged.stat().st_size == 116970
     assert len(EthUcy("zara1", str(folder)).recordings("val")) == 7
+
+
+def start_download(site: Site) -> subprocess.Popen[str]:
+    """Run ``pedzoo download eth_ucy`` in a process of its own."""
+    code = f"""
+import sys
+from pedzoo.cli.main import main
+from pedzoo.data.published import files
+
+files.HOSTS = ({f"{site.url}/{RAW}"!r},)
+sys.exit(main(["download", "eth_ucy"]))
+"""
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", code], text=True, stdout=pipe, stderr=pipe)
+
+
+def test_an_interrupted_download_is_ended_by_two_at_once(full: Site, tmp_path: Path) -> None:
+    slow = next(page for path, page in full.pages.items() if path.endswith("crowds_zara02.txt"))
+    slow.drops, slow.drip = 2, 15.0
+    process = start_download(full)
+    part = tmp_path / "cache" / "data" / "eth_ucy" / "raw" / ".crowds_zara02.txt.part"
+    end = time.monotonic() + 20
+    while not (part.exists() and part.stat().st_size):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=20)[1].endswith("pedzoo: interrupted\n")
+    assert process.returncode == 130
+
+    slow.drops, slow.drip = 1, 0.0
+    for process in [start_download(full), start_download(full)]:
+        _, said = process.communicate(timeout=60)
+        assert process.returncode == 0, said
+    asked = Counter(path for path, _ in full.asked)
+    assert asked.pop(next(path for path in asked if path.endswith("crowds_zara02.txt"))) == 2
+    assert set(asked.values()) == {1}
+    assert len(EthUcy("zara1", None).recordings("train")) == 7
 
 
 def test_other_content_in_a_public_place_is_refused(
