@@ -237,7 +237,7 @@ def test_without_recordings_the_embedded_crowd_is_replayed_and_says_so(
     real, rounds, missing = report["notes"]
     assert "models with noise walk 1 x where all" in rounds
     assert "real halves one half of them against the other" in real
-    assert missing == "replay: no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
+    assert "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone" in missing
     assert report["protocol"]["warm_start"] == {"replay": "recorded"}
     names = [(row["name"], row["case"]["simulated"]) for row in report["rows"]]
     assert names == [

@@ -54,7 +54,7 @@ class TrajectoryDataModule(L.LightningDataModule):
 
         Args:
             fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class``.
-            root: Folder of the recordings; the environment variable PEDZOO_DATA if not given.
+            root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.
             split: Shares of the recorded time of ``files`` for train, val and test.

@@ -106,7 +106,7 @@ class Replay(Suite):
             "is; others once"
         )
         if folds == [EMBEDDED]:
-            missing = "no recordings of ETH/UCY (--data.root, PEDZOO_DATA): the embedded ones alone"
+            missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
             return [*found, f"{self.name}: {missing}"]
         found += [
             f"{self.name}: one of those who come in the first {share:.0%} of {fold}"

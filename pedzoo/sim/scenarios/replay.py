@@ -72,7 +72,7 @@ class Replay(Scenario):
 
         Args:
             fold: Whose test recordings: eth, hotel, univ, zara1, zara2, ``embedded``, or ``file.py:Class``.
-            root: Folder of the recordings; the environment variable PEDZOO_DATA if not given.
+            root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.
             map: The floor plan of ``files``; without one there are no walls.
