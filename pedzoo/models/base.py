@@ -27,6 +27,7 @@ class Forecaster(nn.Module):
     Attributes:
         needs: What it reads besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
+        mode_at_zero: The most likely future is that of noise zero.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
@@ -34,6 +35,7 @@ class Forecaster(nn.Module):
     needs: frozenset[str] = frozenset()
     stochastic: ClassVar[bool] = True
     noise_dim: int = 0
+    mode_at_zero: ClassVar[bool] = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 
@@ -89,6 +91,14 @@ class Forecaster(nn.Module):
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
         raise UserError(f"{type(self).__name__} has nothing to train")
+
+    def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
+        """Return how likely everybody's true future was (B, A); None for a model without a density.
+
+        Log densities, nats, of the displacements (or, which is the same, positions) that `known_displacements`
+        tells, all steps of a person together, or a lower bound of them; 0 where nothing is known.
+        """
+        return None
 
 
 def agents_of(batch: TensorDict) -> TensorDict:

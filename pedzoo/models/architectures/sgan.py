@@ -52,6 +52,8 @@ class Encoded(NamedTuple):
 class SGAN(Forecaster):
     """Encoder, pooling, conditions, noise, decoder."""
 
+    mode_at_zero = True
+
     def __init__(
         self,
         embedding_dim: int = 16,
