@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -90,7 +91,7 @@ def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) 
             axes.set_aspect("equal")
             axes.tick_params(labelsize=7)
             axes.set_xlabel("x, m", fontsize=8)
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
+    figure.legend(handles=legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
     data = BytesIO()
     figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=130)
     try:
@@ -99,15 +100,18 @@ def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) 
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 
-def draw_episode(axes: Axes, walked: Walked, episode: int = 0) -> None:
-    """Draw the ways of one episode until its end, with a margin around them.
+def draw_episode(
+    axes: Axes, walked: Walked, episode: int = 0, until: Literal["meeting", "end"] = "end"
+) -> None:
+    """Draw the ways of one episode until its end, or until two people meet, with a margin around all of them.
 
     Raises:
         UserError: No such episode.
     """
     check_episode(walked, episode)
     one = _Episode(walked, episode)
-    one.draw(axes, one.length, Normalize(0.0, one.length * TRACE_SECONDS))
+    point = one.length if until == "end" else one.met
+    one.draw(axes, point, Normalize(0.0, one.length * TRACE_SECONDS))
     low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
@@ -152,8 +156,8 @@ class _Episode:
         seen = torch.cat((self.path[self.present], self.goal[self.present]))
         self.low, self.high = seen.amin(0), seen.amax(0)
         self.stays = self.rollout.stays(episode)
-        met = 1 + meeting(self.rollout, episode)
-        around = [met + round(seconds / TRACE_SECONDS) for seconds in AROUND]
+        self.met = min(1 + meeting(self.rollout, episode), self.length)
+        around = [self.met + round(seconds / TRACE_SECONDS) for seconds in AROUND]
         self.moments = [min(max(point, 0), self.length) for point in around] + [self.length]
 
     def draw(self, axes: Axes, point: int, clock: Normalize) -> None:
@@ -221,7 +225,9 @@ def _panel_size(extent: Tensor) -> tuple[float, float]:
     return max(width, 1.6), max(width * ratio, 0.9)
 
 
-def _legend() -> list[Line2D]:
+def legend() -> list[Line2D]:
+    """Return the entries of a legend for what is drawn."""
+
     def entry(label: str, **style: object) -> Line2D:
         return Line2D([], [], label=label, **({"color": "0.3", "linestyle": "none"} | style))  # type: ignore[arg-type]
 

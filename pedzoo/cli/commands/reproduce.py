@@ -1,0 +1,112 @@
+"""``pedzoo reproduce``: the paper's tables and its Figure 4 beside ours."""
+
+from __future__ import annotations
+
+HELP = "the paper's tables and figure, its numbers beside ours and the trivial baselines"
+EXAMPLE = "pedzoo reproduce table2 --quick --out results"
+
+ONLY = {
+    "folds": ("table1",),
+    "data_root": ("table1",),
+    "maps": ("table2",),
+    "models": ("table2", "figure4"),
+    "episodes": ("table2", "figure4"),
+    "world": ("table2", "figure4"),
+}
+"""Options that only some have a use for."""
+
+
+def run(argv: list[str]) -> int:
+    """Do what is not done, print the tables and write page, report and picture; returns the exit code."""
+    from pathlib import Path
+
+    from pedzoo.cli.arguments import Arguments
+
+    about = f"""{HELP}
+
+table1   forecasts on ETH/UCY: five folds, 8 and 12 steps, every protocol, released Social GANs
+table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
+figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
+
+Writes TABLE1.md and .json, TABLE2, FIGURE4. What was interrupted goes on where it was."""
+    parser = Arguments("reproduce", about, EXAMPLE)
+    parser.add_argument("what", choices=("table1", "table2", "figure4"), help="of the paper")
+    parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
+    parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
+    parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (table1: one)")
+    parser.add_argument("--workers", type=int, default=1, help="processes; the numbers stay the same")
+    parser.add_argument("--folds", metavar="FOLD,...", help="table1: test scenes (default: all five)")
+    parser.add_argument("--data.root", dest="data_root", metavar="FOLDER", help="table1: the recordings")
+    parser.add_argument("--models", nargs="+", metavar="NAME", help="table2, figure4: instead of eth_ucy's")
+    parser.add_argument("--episodes", type=int, help="table2, figure4: of every case and seed")
+    parser.add_argument("--world", choices=("bullet", "grid"), help="table2, figure4 (default: bullet)")
+    parser.add_argument(
+        "--map", dest="maps", nargs="+", metavar="PLAN", help="table2: floor plans, files or names"
+    )
+    options = parser.parse_args(argv)
+
+    from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
+    from pedzoo.cli.parsing import whole_numbers
+    from pedzoo.cli.progress import overall_bar
+    from pedzoo.errors import UserError
+    from pedzoo.eval.reproduce.base import markdown
+    from pedzoo.versions import versions
+
+    for key, having in ONLY.items():
+        if getattr(options, key) is not None and options.what not in having:
+            flag = {"data_root": "data.root", "maps": "map"}.get(key, key)
+            raise UserError(f"--{flag}: no use for it in {options.what}; {' and '.join(having)} would have")
+    folder, stem = Path(options.out), options.what.upper()
+    page, file, journal = (folder / f"{stem}{end}" for end in (".md", ".json", ".json.partial"))
+    check_outputs(out=str(page), json=str(file))
+    made = _made(options, journal, whole_numbers("--seeds", options.seeds))
+    if made.parts[0]:
+        print(f"{made.parts[0]} of {made.parts[1]} parts were done before: {journal}")
+
+    def tell(**more: bool) -> None:
+        report = {"command": "reproduce", **made.report(), "versions": versions(), **more}
+        for note in report["notes"]:
+            print(f"note: {note}")
+        print_tables(made.pages(report))
+        if more:
+            return
+        write_json(file, report)
+        write_text(page, markdown(made, report, ["pedzoo", "reproduce", *argv], made.draw(folder)))
+        print(f"page:   {page}\nreport: {file}")
+
+    try:
+        with overall_bar() as progress:
+            made.run(options.workers, progress)
+    except (KeyboardInterrupt, UserError, RuntimeError):  # the last: a worker was killed
+        done, total = made.parts
+        if done:
+            tell(interrupted=True)
+            print(f"not finished: {done} of {total} parts, kept in {journal}: the same command goes on")
+        raise
+    tell()
+    journal.unlink(missing_ok=True)  # the report has all of it
+    return 0
+
+
+def _made(options, journal, seeds):
+    """Return the reproduction that was asked for."""
+    from pedzoo.errors import UserError, unknown
+    from pedzoo.eval.reproduce.paper import FOLDS
+    from pedzoo.eval.suite import Request
+
+    if options.what == "table1":
+        from pedzoo.eval.reproduce.table1 import Table1
+
+        if len(seeds) != 1:
+            raise UserError(f"--seeds {options.seeds}: table1 has one seed of its samples")
+        folds = options.folds.split(",") if options.folds else ["zara1"] if options.quick else list(FOLDS)
+        for fold in folds:
+            if fold not in FOLDS:
+                raise unknown("fold", fold, FOLDS)
+        return Table1(folds, seeds[0], options.data_root, journal)
+    if options.what == "table2":
+        from pedzoo.eval.reproduce.table2 import Table2 as Walked
+    else:
+        from pedzoo.eval.reproduce.figure4 import Figure4 as Walked
+    request = Request(options.episodes, options.quick, options.world, tuple(options.maps or ()))
+    return Walked(options.models or (), request, seeds, journal)

@@ -1,0 +1,1 @@
+"""The paper's tables and its Figure 4, made again beside the paper's own numbers."""

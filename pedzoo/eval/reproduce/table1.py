@@ -1,0 +1,252 @@
+"""Table I: forecasts on the five folds of ETH/UCY, beside the paper, released models and trivial lines."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing, redirect_stdout
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.errors import UserError
+from pedzoo.eval.clock import Progress, Step
+from pedzoo.eval.forecast import BASELINES, forecast_row
+from pedzoo.eval.journal import Journal
+from pedzoo.eval.reproduce.base import Reproduction
+from pedzoo.eval.reproduce.paper import FOLDS, RELEASED, TABLE_1
+from pedzoo.eval.reproduce.table1_pages import notes, table1_pages
+from pedzoo.eval.results import Page
+from pedzoo.eval.suites.replay import digest_of
+from pedzoo.eval.summary import mean_interval
+from pedzoo.eval.units import fingerprint
+from pedzoo.eval.workers import finished
+from pedzoo.models.store import find
+from pedzoo.models.zoo import load
+from pedzoo.types import GoalProtocol
+
+SAMPLES = 20
+WITHOUT_GOAL = ("sgan", "sgan_pool", "social_vrnn")
+WITH_GOAL = ("sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet")
+
+
+class Block(NamedTuple):
+    """What is compared under one protocol.
+
+    Attributes:
+        pred_len: Predicted steps of 0.4 s.
+        goal: Goal protocol.
+        models: Rows, each an architecture and the end of its weights' name behind the fold.
+    """
+
+    pred_len: int
+    goal: GoalProtocol
+    models: tuple[tuple[str, str], ...]
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The untrained predictors that stand beside them."""
+        return BASELINES if self.goal != "none" else BASELINES[:1]
+
+
+BLOCKS = (
+    Block(8, "none", tuple((name, "") for name in WITHOUT_GOAL)),
+    Block(8, "window_end", tuple((name, "") for name in WITH_GOAL)),
+    Block(8, "destination", (("sgan_goal", "_destination"),)),
+    Block(12, "none", tuple((name, "_pred12") for name in WITHOUT_GOAL[:2])),
+)
+"""12 steps are for the comparison with the released models, which have no goal."""
+
+
+class Job(NamedTuple):
+    """One model on one fold under one protocol: the smallest part that is kept.
+
+    Attributes:
+        row: What the row is called.
+        weights: What is loaded.
+        fold: The test scene.
+        goal: Goal protocol.
+        pred_len: Predicted steps.
+        samples: K.
+        seed: Of the samples.
+        root: Folder with recordings.
+    """
+
+    row: str
+    weights: str
+    fold: str
+    goal: GoalProtocol
+    pred_len: int
+    samples: int
+    seed: int
+    root: str | None
+
+    @property
+    def label(self) -> str:
+        """What people are told is going on."""
+        return f"{self.fold}, 8 -> {self.pred_len}, {self.goal}: {self.row}"
+
+
+class Table1(Reproduction):
+    """Every model of the zoo that was trained for a fold, on that fold."""
+
+    title = "Table I: forecasts on ETH/UCY, leave one scene out"
+    stem = "TABLE1"
+
+    def __init__(
+        self,
+        folds: Sequence[str] = FOLDS,
+        seed: int = 0,
+        root: str | None = None,
+        journal: Path | None = None,
+    ) -> None:
+        """Say what is to be done.
+
+        Args:
+            folds: Test scenes.
+            seed: Of the random samples.
+            root: Folder with recordings; None for the usual places.
+            journal: A file that keeps finished parts.
+
+        Raises:
+            UserError: A fold has no recordings.
+        """
+        self.folds, self.seed = tuple(folds), seed
+        self.missing: dict[str, str] = {}
+        self.jobs: list[Job] = []
+        self._digests: list[str] = []
+        recordings = {fold: digest_of(fold, root) for fold in self.folds}
+        for fold in self.folds:
+            for block in BLOCKS:
+                for row, weights, digest in self._rows(block, fold):
+                    job = Job(row, weights, fold, block.goal, block.pred_len, SAMPLES, seed, root)
+                    self.jobs.append(job)
+                    self._digests.append(fingerprint(job._replace(root=None), digest, recordings[fold]))
+        self._journal = Journal(journal)
+        self._done = {
+            number: self._journal.done[known]
+            for number, known in enumerate(self._digests)
+            if known in self._journal.done
+        }
+
+    def _rows(self, block: Block, fold: str) -> list[tuple[str, str, str]]:
+        """Return name, weights and their sum of all rows of a block that can be made."""
+        found = [(name, name, "") for name in block.lines]
+        for architecture, tag in block.models:
+            weights = f"{architecture}.{fold}{tag}"
+            if entry := find(weights):
+                found.append((architecture, weights, entry.card.sha256))
+            else:
+                self.missing[weights] = "no such weights"
+        return found
+
+    @property
+    def parts(self) -> tuple[int, int]:
+        """How many parts are done, and how many there are."""
+        return len(self._done), len(self.jobs)
+
+    def run(self, workers: int = 1, progress: Progress | None = None) -> None:
+        """Do whatever is not done."""
+        missing = [number for number in range(len(self.jobs)) if number not in self._done]
+        start, total = time.perf_counter(), len(self.jobs)
+        results = finished(
+            [self.jobs[number] for number in missing],
+            work,
+            workers,
+            group=lambda job: (job.fold, job.pred_len),
+        )
+        with closing(results):
+            for count, (place, rows) in enumerate(results, 1):
+                number = missing[place]
+                self._done[number] = rows
+                if "missing" not in rows[0]:  # what is missing may be there next time
+                    self._journal.add(self._digests[number], rows)
+                if progress:
+                    left = (time.perf_counter() - start) / count * (len(missing) - count)
+                    done, label = len(self._done), self.jobs[number].label
+                    progress(Step(label, done / total, done, total, rows[0]["seconds"], left))
+
+    def report(self) -> dict[str, Any]:
+        """Return all rows, means over folds, and what others have printed."""
+        rows = [row for number in sorted(self._done) for row in self._done[number]]
+        missing = self.missing | {row["weights"]: row["missing"] for row in rows if "missing" in row}
+        rows = [row for row in rows if "missing" not in row]
+        protocol = {"folds": list(self.folds), "obs_len": 8, "samples": SAMPLES, "split": "test"}
+        protocol |= {"clock": "benchmark", "people": "complete", "min_people": 2}
+        return {
+            "protocol": protocol,
+            "seeds": [self.seed],
+            "notes": notes(missing),
+            "missing": missing,
+            "blocks": [
+                {"pred_len": str(block.pred_len), "goal": block.goal,
+                 "rows": [*block.lines, *(name for name, _ in block.models)]}
+                for block in BLOCKS
+            ],
+            "rows": rows,
+            "means": means(rows, self.folds),
+            "training_seeds": {name: seeds for name in sorted({row["weights"] for row in rows})
+                               if (seeds := _training(name))},
+            "paper": [row._asdict() | {"errors": row.errors._asdict()} for row in TABLE_1],
+            "released": [row._asdict() for row in RELEASED],
+        }  # fmt: skip
+
+    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+        """Return the tables."""
+        return table1_pages(report)
+
+
+def work(job: Job) -> list[dict[str, Any]]:
+    """Do a part and return its one row, or why it cannot be made."""
+    started = time.perf_counter()
+    where = {"fold": job.fold, "goal": job.goal, "pred_len": str(job.pred_len)}
+    row: dict[str, Any] = {"weights": job.weights}
+    try:
+        model = load(job.weights, job.goal)
+        with redirect_stdout(io.StringIO()):  # counts of windows and people: each row has its n
+            data = _data(job.fold, job.goal, job.pred_len, job.root)
+            row |= forecast_row(job.row, model, data, job.samples, job.seed)
+        row |= {"case": where, "windows": len(data.sets["test"])}
+    except UserError as error:  # such as AlexNet's convolutions, which are not in the weights
+        row |= {"missing": str(error)}
+    return [row | {"seconds": round(time.perf_counter() - started, 2)}]
+
+
+@lru_cache(maxsize=1)
+def _data(fold: str, goal: GoalProtocol, pred_len: int, root: str | None) -> TrajectoryDataModule:
+    return TrajectoryDataModule(fold, root, pred_len=pred_len, goal=goal)
+
+
+def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the mean over the folds of every row that all of them have, with its interval."""
+    grouped: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        key = row["name"], row["case"]["goal"], row["case"]["pred_len"]
+        grouped.setdefault(key, {})[row["case"]["fold"]] = row
+    found = []
+    for (name, goal, pred_len), by_fold in grouped.items():
+        if len(folds) < 2 or set(by_fold) != set(folds):
+            continue
+        mine = [by_fold[fold] for fold in folds]
+        metrics, ci95 = {}, {}
+        for key in mine[0]["metrics"]:
+            values = [row["metrics"][key] for row in mine]
+            metrics[key] = sum(values) / len(values)
+            ends = [row["ci95"].get(key, (value, value)) for row, value in zip(mine, values, strict=True)]
+            low, high = mean_interval(values, ends)
+            ci95 |= {key: (low, high)} if low < high else {}
+        case = {"fold": "mean", "goal": goal, "pred_len": pred_len}
+        n = sum(row["n"] for row in mine)
+        found.append({"name": name, "case": case, "n": n, "metrics": metrics, "ci95": ci95})
+    return found
+
+
+def _training(name: str) -> dict[str, Any] | None:
+    """Return what a card says about the seeds that were trained, None where it does not."""
+    entry = find(name)
+    if entry is None or not entry.card.training["seeds"]:
+        return None
+    training = entry.card.training
+    return {key: cast("Any", training[key]) for key in ("seeds", "seed", "chosen_by")}

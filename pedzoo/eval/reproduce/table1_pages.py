@@ -1,0 +1,194 @@
+"""The tables of Table I's reproduction: one for each protocol and way of scoring, folds as columns."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from pedzoo.eval.reproduce.base import interval_text
+from pedzoo.eval.reproduce.paper import RELEASED, TABLE_1, Errors
+from pedzoo.eval.results import Page
+
+
+class Scored(NamedTuple):
+    """A way of scoring.
+
+    Attributes:
+        title: What it is called.
+        ade: Name of its ADE.
+        fde: Name of its FDE.
+    """
+
+    title: str
+    ade: str
+    fde: str
+
+
+PER_SCENE = Scored("best of 20 per scene", "min_ade_20_scene_m", "min_fde_20_scene_m")
+SCORED = (
+    Scored("most likely", "ade_m", "fde_m"),
+    Scored("one random sample", "ade_sampled_m", "fde_sampled_m"),
+    PER_SCENE,
+    Scored("best of 20 per agent", "min_ade_20_agent_m", "min_fde_20_agent_m"),
+)
+
+LIKELIHOOD = "nll_nats_per_step"
+"""Of models that have a likelihood."""
+
+TRIVIAL = {"none": "constant_velocity", "window_end": "bent_line"}
+"""What stands beside a row of the paper: the best of the untrained predictors that are told as much."""
+
+
+def table1_pages(report: Mapping[str, Any]) -> list[Page]:
+    """Return the paper beside ours, then every protocol, the released models, likelihoods and seeds."""
+    rows = [*report["rows"], *report["means"]]
+    folds = [*report["protocol"]["folds"], *(["mean"] if report["means"] else [])]
+    found = [_paper(report["rows"])] if "zara1" in folds else []
+    for block in report["blocks"]:
+        pred_len, goal = block["pred_len"], block["goal"]
+        mine = [row for row in rows if (row["case"]["pred_len"], row["case"]["goal"]) == (pred_len, goal)]
+        for scored in SCORED:
+            title = f"8 -> {pred_len}, goal {goal}: {scored.title}, ADE / FDE"
+            page = _folds(mine, block["rows"], folds, scored, title)
+            if goal == "none" and scored == PER_SCENE:
+                page.rows.extend(_released(int(pred_len), folds))
+            found.append(page)
+        found += _likelihoods(mine, folds, f"8 -> {pred_len}, goal {goal}: negative log-likelihood")
+    ratios = [line for pred_len in (8, 12) for line in _ratios(report["means"], pred_len)]
+    if ratios:
+        head = ["model", "released", "steps", "ADE / FDE ours", "released", "ours / released"]
+        found.append(
+            Page("Beside the released models: means over the folds, best of 20 per scene", head, ratios, 2)
+        )
+    return [*found, *_seeds(report["training_seeds"])]
+
+
+def notes(missing: Mapping[str, str]) -> list[str]:
+    """Return what has to be known to read the numbers."""
+    found = [
+        "8 observed steps of 0.4 s, Social GAN's windows (people seen throughout, at least two), every"
+        " annotated step taken as 0.4 s; metres; test scenes that the weights were not trained on",
+        "in brackets 95 % intervals by a bootstrap over blocks of time as long as a window, since windows"
+        " overlap; they say nothing about other scenes (eth has few windows) nor other trainings: see the"
+        " spread over training seeds",
+        "most likely: the model's one best guess (for SGAN: noise zero). One random sample: what a single"
+        " draw costs on average. Best of 20 looks at the answer: per scene one sample for all people of a"
+        " window (Social GAN's), per agent each their own. Never compare across these columns",
+        "goal `window_end` is the answer's own last position: the straight line to it has FDE 0 untrained."
+        " `destination` is where the person was last recorded: where, not when",
+        "the paper does not say how it scores samples; its numbers are quoted from the project's notes",
+    ]
+    reasons: dict[str, list[str]] = {}
+    for name, why in missing.items():
+        reasons.setdefault(why, []).append(name)
+    return found + [f"not here, {why}: {', '.join(names)}" for why, names in reasons.items()]
+
+
+def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:
+    by_name = {
+        (row["name"], row["case"]["goal"]): row
+        for row in rows
+        if (row["case"]["fold"], row["case"]["pred_len"]) == ("zara1", "8")
+    }
+    body = []
+    for printed in TABLE_1:
+        ours = by_name.get((printed.ours, printed.goal))
+        trivial = by_name[TRIVIAL[printed.goal], printed.goal]
+        line = [printed.label, _pair(printed.errors), f"{printed.ours}, {printed.goal}"]
+        line += [_errors(ours, scored) for scored in SCORED]
+        body.append([*line, f"{trivial['name']}: {_errors(trivial, SCORED[0])}"])
+    head = [
+        "the paper's row",
+        "paper ADE / FDE",
+        "here, goal",
+        *(scored.title for scored in SCORED),
+        "untrained",
+    ]
+    return Page("The paper's Table I (zara1, 8 -> 8) beside ours, ADE / FDE", head, body, 1)
+
+
+def _folds(
+    rows: Sequence[Mapping[str, Any]], names: Sequence[str], folds: Sequence[str], scored: Scored, title: str
+) -> Page:
+    """Return one way of scoring: models as rows, folds as columns."""
+    cells = {(row["name"], row["case"]["fold"]): _errors(row, scored) for row in rows}
+    body = [[name, *(cells.get((name, fold), "-") for fold in folds)] for name in names]
+    return Page(title, ["model", *folds], body, 1)
+
+
+def _released(pred_len: int, folds: Sequence[str]) -> Iterator[list[str]]:
+    for model in RELEASED:
+        errors = model.errors[pred_len] | {"mean": mean_errors(model.errors[pred_len])}
+        yield [model.label, *(_pair(errors[fold]) for fold in folds)]
+
+
+def _ratios(means: Sequence[Mapping[str, Any]], pred_len: int) -> Iterator[list[str]]:
+    """Yield our means over the folds beside those of the released models with the same parts."""
+    for model in RELEASED:
+        theirs = mean_errors(model.errors[pred_len])
+        for row in means:
+            if (row["name"], row["case"]["pred_len"], row["case"]["goal"]) == (
+                model.ours,
+                str(pred_len),
+                "none",
+            ):
+                ours = Errors(row["metrics"][PER_SCENE.ade], row["metrics"][PER_SCENE.fde])
+                ratio = f"{ours.ade / theirs.ade:.2f} / {ours.fde / theirs.fde:.2f}"
+                yield [
+                    model.ours,
+                    model.label,
+                    f"8 -> {pred_len}",
+                    _errors(row, PER_SCENE),
+                    _pair(theirs),
+                    ratio,
+                ]
+
+
+def mean_errors(by_fold: Mapping[str, Errors]) -> Errors:
+    """Return the means over the folds of errors that others printed."""
+    return Errors(*(statistics.fmean(values) for values in zip(*by_fold.values(), strict=True)))
+
+
+def _likelihoods(rows: Sequence[Mapping[str, Any]], folds: Sequence[str], title: str) -> list[Page]:
+    known = [row for row in rows if LIKELIHOOD in row["metrics"]]
+    cells = {
+        (row["name"], row["case"]["fold"]): f"{row['metrics'][LIKELIHOOD]:.2f}\n"
+        + interval_text(row["ci95"].get(LIKELIHOOD))
+        for row in known
+    }
+    body = [
+        [name, *(cells.get((name, fold), "-").strip() for fold in folds)]
+        for name in dict.fromkeys(row["name"] for row in known)
+    ]
+    return [Page(f"{title}, nats per person and step", ["model", *folds], body, 1)] if body else []
+
+
+def _seeds(training: Mapping[str, Mapping[str, Any]]) -> list[Page]:
+    """Return the spread of the validation errors by which one of several trainings was chosen."""
+    body = []
+    for name, known in training.items():
+        values = [float(value) for value in known["seeds"].values()]
+        spread = f"{statistics.fmean(values):.4f}"
+        spread += f" ± {statistics.stdev(values):.4f}" if len(values) > 1 else ""
+        listed = ", ".join(f"{seed}: {float(value):.4f}" for seed, value in known["seeds"].items())
+        body.append([name, str(len(values)), str(known["chosen_by"]), spread, listed, str(known["seed"])])
+    head = ["weights", "seeds", "chosen by", "mean ± standard deviation", "each", "chosen seed"]
+    return (
+        [Page("Spread over training seeds, in validation (from the model cards)", head, body, 1)]
+        if body
+        else []
+    )
+
+
+def _errors(row: Mapping[str, Any] | None, scored: Scored) -> str:
+    """Return ADE / FDE of a row with their intervals on a second line, a dash where there is none."""
+    if row is None or scored.ade not in row["metrics"]:
+        return "-"
+    values = " / ".join(f"{row['metrics'][key]:.3f}" for key in (scored.ade, scored.fde))
+    ends = [interval_text(row["ci95"].get(key), 3) for key in (scored.ade, scored.fde)]
+    return values + (f"\n{' / '.join(end or '-' for end in ends)}" if any(ends) else "")
+
+
+def _pair(errors: Errors) -> str:
+    return f"{errors.ade:.2f} / {errors.fde:.2f}"
