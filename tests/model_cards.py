@@ -15,7 +15,13 @@ def make_card(name: str = "sgan_goal.zara1", **changed: Any) -> ModelCard:
         "seeds": [0],
         "versions": {"pedzoo": "0.1.0"},
         "rows": [
-            {"name": name, "case": {}, "n": 2875, "metrics": {"ade_m": 0.0571, "fde_m": 0.0086}, "ci95": {}}
+            {
+                "name": name,
+                "case": {"fold": "zara1", "split": "test"},
+                "n": 2875,
+                "metrics": {"ade_m": 0.0571, "fde_m": 0.0086},
+                "ci95": {},
+            }
         ],
     }
     door = {
@@ -26,7 +32,8 @@ def make_card(name: str = "sgan_goal.zara1", **changed: Any) -> ModelCard:
         "rows": [
             {
                 "name": name,
-                "case": {"suite": "door", "world": "bullet", "width": "0.9"},
+                "table": "door",
+                "case": {"suite": "door", "world": "bullet"},
                 "n": 40,
                 "metrics": {"success": 0.975},
                 "ci95": {"success": [0.871, 0.996]},

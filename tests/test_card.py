@@ -14,7 +14,8 @@ import yaml
 from model_cards import make_card
 
 from pedzoo.errors import UserError
-from pedzoo.models.card import page, read_card, write_card
+from pedzoo.models.card import read_card, write_card
+from pedzoo.models.card_page import page
 
 
 def written(path: Path, **changed: Any) -> Path:
@@ -106,6 +107,8 @@ def test_what_is_no_card_is_refused_and_nothing_in_it_runs(
         ("2026-11-21", "expected plain values"),
         ("!!binary aGk=", "expected plain values"),
         ("{1.5: x}", "expected plain values"),
+        (r'"\e[2J"', "x1b.*expected no control characters"),
+        (r'{"\b": 1}', "expected no control characters"),
         ("&a [*a]", "expected no references"),
         ("[&b [x, x, x], &c [*b, *b, *b], [*c, *c, *c]]", "expected no references"),
     ],
@@ -142,7 +145,7 @@ def test_a_page_says_everything_and_its_tables_hold() -> None:
     ):
         assert part in text
     blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
-    assert len(blocks) == 8
+    assert len(blocks) == 8  # two evaluations and six sections
     for lines in blocks:
         assert len({line.replace(r"\|", "").count("|") for line in lines}) == 1
     assert "Not measured yet." in page(make_card(evaluations=[]))
@@ -151,7 +154,8 @@ def test_a_page_says_everything_and_its_tables_hold() -> None:
 def test_cards_are_read_without_torch(tmp_path: Path) -> None:
     write_card(make_card(), tmp_path / "a.yaml")
     code = (
-        "import sys; from pedzoo.models.card import page, read_card; page(read_card('a.yaml'));"
+        "import sys; from pedzoo.models.card import read_card; from pedzoo.models.card_page import page;"
+        "page(read_card('a.yaml'));"
         "assert not {'torch', 'numpy', 'rich'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -189,74 +188,3 @@ class _Plain(yaml.SafeDumper):
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
-
-
-def page(card: ModelCard) -> str:
-    """Return the card as a page of Markdown."""
-    facts = {"architecture": card.architecture, "licence of the weights": card.licence}
-    facts |= {"weights": f"{card.file}, {card.size:,} bytes", "sha256": f"`{card.sha256}`"}
-    parts = [
-        f"# {card.name}\n",
-        "A pedestrian model of pedzoo: it forecasts trajectories, and one step at a time it walks.\n",
-        f'```python\nimport pedzoo\n\nmodel = pedzoo.load("{card.name}")\n```\n',
-        f"```\npedzoo rollout {card.name} --scenario door\n```\n",
-        _table(("", ""), facts.items()),
-        *(_section(title, facts) for title, facts in sections(card).items()),
-        "## Results\n",
-        *(_results(report, card.name) for report in card.evaluations),
-        *(["Not measured yet.\n"] if not card.evaluations else []),
-    ]
-    return "\n".join(parts)
-
-
-def sections(card: ModelCard) -> dict[str, dict[str, str]]:
-    """Return what a card says beside its results, as titled lists of texts; empty values are left out."""
-    training = dict(card.training)
-    training |= {"seeds": seeds_of(card), "command": " ".join(training["command"] or [])}
-    training["overrides"] = " ".join(f"{key}={value}" for key, value in (training["overrides"] or {}).items())
-    data = card.data | {"recordings": ", ".join(map(str, card.data["recordings"]))}
-    protocol = card.config.get("protocol", {})
-    found = {"Training": training, "Data": data, "Protocol": protocol, "Settings": card.config["init"]}
-    found["Versions"] = card.versions
-    return {title: {key: str(value) for key, value in facts.items() if value not in (None, "")}
-            for title, facts in found.items()}  # fmt: skip
-
-
-def seeds_of(card: ModelCard) -> str:
-    """Return the seeds that were trained and the validation value of each."""
-    return ", ".join(f"{seed}: {value:.4f}" for seed, value in (card.training["seeds"] or {}).items())
-
-
-def _results(report: Mapping[str, Any], own: str) -> str:
-    """Return the table of a report: models and cases as rows, metrics as columns."""
-    rows = report["rows"]
-    metrics = list(dict.fromkeys(metric for row in rows for metric in row["metrics"]))
-    cells = [[case_of(row, own), row["n"], *(number_of(row, metric) for metric in metrics)] for row in rows]
-    said = ", ".join(f"{key} {value}" for key, value in report["protocol"].items())
-    seeds = " ".join(map(str, report["seeds"]))
-    return f"{said}; seeds {seeds}\n\n{_table(('', 'n', *metrics), cells)}"
-
-
-def case_of(row: Mapping[str, Any], own: str) -> str:
-    """Return what tells a row of a card from others: its case, and its name where it is another model's."""
-    case = " ".join(str(value) for value in row["case"].values())
-    return case if row["name"] == own else f"{row['name']} {case}".rstrip()
-
-
-def number_of(row: Mapping[str, Any], metric: str) -> str:
-    """Return a metric of a row with its 95 % interval, a dash where there is none."""
-    if metric not in row["metrics"]:
-        return "-"
-    interval = ", ".join(f"{end:.3f}" for end in row["ci95"].get(metric, []))
-    return f"{row['metrics'][metric]:.3f}" + f" [{interval}]" * bool(interval)
-
-
-def _section(title: str, facts: Mapping[str, str]) -> str:
-    return f"## {title}\n\n{_table(('', ''), facts.items())}"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table of Markdown; what would end a cell is written so that it does not."""
-    lines = [head, ["---"] * len(head), *rows]
-    cells = [[" ".join(str(cell).replace("|", "\\|").split()) for cell in line] for line in lines]
-    return "\n".join(f"| {' | '.join(line)} |" for line in cells) + "\n"

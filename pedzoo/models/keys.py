@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -12,6 +13,8 @@ NOTHING = type(None)
 
 Kinds = Mapping[str, tuple[type, ...]]
 """Keys and the types that their values may have."""
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 _WORDS = {
     str: "a text",
@@ -56,13 +59,16 @@ def check_plain(value: Any) -> None:
     """Check that a value is made of texts, finite numbers, lists and mappings, as JSON is.
 
     Raises:
-        UserError: It holds something else, such as YAML's dates and sets.
+        UserError: It holds something else, such as YAML's dates and sets, or a text that does more than be
+            read: control characters are orders to a terminal.
     """
     waiting = [value]
     while waiting:
         one = waiting.pop()
+        if isinstance(one, str) and _CONTROL.search(one):
+            raise UserError(f"{one!r:.60}: expected no control characters")
         if isinstance(one, Mapping) and all(isinstance(key, str | int) for key in one):
-            waiting += one.values()
+            waiting += [*one, *one.values()]
         elif isinstance(one, list):
             waiting += one
         elif not isinstance(one, str | int | NOTHING) and not (isinstance(one, float) and math.isfinite(one)):

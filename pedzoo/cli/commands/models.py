@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 from fnmatch import fnmatch
-from pathlib import Path
 from typing import Any
 
 from pedzoo.cli.arguments import Arguments
-from pedzoo.cli.output import write_json
-from pedzoo.models.header import read_config
-from pedzoo.paths import weight_files
+from pedzoo.cli.output import check_outputs, print_tables, write_json
+from pedzoo.errors import UserError
+from pedzoo.models.card import ModelCard
+from pedzoo.models.store import find, names
 from pedzoo.registry import MODELS
 
-HELP = "list architectures and released weights"
+HELP = "list architectures and pretrained models"
 EXAMPLE = "pedzoo models 'sgan*'"
+
+COLUMNS = {
+    "kB": "kB",
+    "fold": "fold",
+    "goal": "goal",
+    "clock": "clock",
+    "steps": "steps",
+    "ade_m": "ade",
+    "fde_m": "fde",
+    "min_ade_20_scene_m": "best of 20 ade",
+    "min_fde_20_scene_m": "best of 20 fde",
+    "door": "door success",
+}
+"""Keys of a row and what the table calls them."""
+
+EXPLAINED = """\
+fold: the scene that the model did not see (eth_ucy: it saw all); steps: that it forecasts, of 0.4 s; ade and
+fde: metres, of the most likely forecast on the fold's test windows (eth_ucy: validation windows), best of 20
+per scene; door success: share of people who get through. All of a model: pedzoo info NAME"""
 
 
 def run(argv: list[str]) -> int:
@@ -22,34 +41,64 @@ def run(argv: list[str]) -> int:
     parser.add_argument("pattern", nargs="?", default="*", help="which names, with * and ?")
     parser.add_argument("--json", metavar="FILE", help="also write the tables to this file")
     options = parser.parse_args(argv)
+    check_outputs(json=options.json)
     architectures = [
         {"name": name, "about": MODELS.describe(name)}
         for name in MODELS.names()
         if fnmatch(name, options.pattern)
     ]
-    files = weight_files().items()
-    weights = [_weights_row(name, path) for name, path in files if fnmatch(name, options.pattern)]
-    _print("architectures (pedzoo fit --config ...)", architectures)
-    _print("weights (pedzoo.load(name), pedzoo forecast NAME)", weights)
+    weights = [_row(name) for name in names() if fnmatch(name, options.pattern)]
+    _print(architectures, weights)
     if options.json:
         write_json(options.json, {"command": "models", "architectures": architectures, "weights": weights})
     return 0
 
 
-def _weights_row(name: str, path: Path) -> dict[str, Any]:
-    config = read_config(path)
-    facts = ", ".join(
-        f"{key} {value}" for key, value in config.items() if isinstance(value, str | int | float)
-    )
-    return {"name": name, "kB": path.stat().st_size // 1000, "about": facts}
+def _row(name: str) -> dict[str, Any]:
+    try:
+        entry = find(name)
+    except UserError as error:  # one bad card of many: the others are listed all the same
+        return {"name": name, "error": str(error)}
+    assert entry
+    card = entry.card
+    facts = {key: card.training[key] for key in ("fold", "goal", "clock")}
+    steps = card.config.get("protocol", {}).get("pred_len")
+    return {"name": name, "kB": card.size // 1000, **facts, "steps": steps, **_numbers(card)}
 
 
-def _print(title: str, rows: list[dict[str, Any]]) -> None:
-    print(f"{title}:")
-    width = max((len(row["name"]) for row in rows), default=0)
-    for row in rows:
-        size = f"{row['kB']:>7} kB  " if "kB" in row else ""
-        print(f"  {row['name']:<{width}}  {size}{row['about']}")
-    if not rows:
-        print("  none")
-    print()
+def _numbers(card: ModelCard) -> dict[str, float]:
+    """Return the headline of a card: errors on its own fold, and success at the door."""
+    found: dict[str, float] = {}
+    for report in card.evaluations:
+        if report["command"] == "forecast" and report["protocol"].get("fold") == card.training["fold"]:
+            metrics = report["rows"][0]["metrics"]
+            found |= {key: metrics[key] for key in COLUMNS if key in metrics}
+        for row in report["rows"]:
+            if row["case"].get("suite") == "door" and "success" in row["metrics"]:
+                found["door"] = row["metrics"]["success"]
+    return found
+
+
+def _print(architectures: list[dict[str, str]], weights: list[dict[str, Any]]) -> None:
+    from pedzoo.eval.results import Page
+
+    print("architectures (pedzoo fit --config ...):")
+    width = max((len(row["name"]) for row in architectures), default=0)
+    for row in architectures:
+        print(f"  {row['name']:<{width}}  {row['about']}")
+    print(f"{'' if architectures else '  none'}\nmodels (pedzoo.load(name), pedzoo rollout NAME):")
+    if good := [row for row in weights if "error" not in row]:
+        shown = [key for key in COLUMNS if any(row.get(key) is not None for row in good)]
+        cells = [[row["name"], *(_cell(row.get(key)) for key in shown)] for row in good]
+        print_tables([Page("", ["name", *(COLUMNS[key] for key in shown)], cells, 1)])
+        print(EXPLAINED)
+    for row in weights:
+        if "error" in row:
+            print(f"  {row['name']}: {row['error']}")
+    print("" if weights else "  none\n", end="")
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if isinstance(value, float) else str(value)

@@ -1,0 +1,87 @@
+"""``pedzoo info``: everything that is known about a model, from its card, without importing torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from pedzoo.cli.arguments import Arguments
+from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
+from pedzoo.errors import UserError, unknown
+from pedzoo.models.card_page import page, results, sections
+from pedzoo.models.store import find, names
+from pedzoo.registry import MODELS
+
+if TYPE_CHECKING:
+    from pedzoo.models.card import ModelCard
+
+HELP = "show a model's card: training, data and its terms, results, checksum"
+EXAMPLE = "pedzoo info sgan_goal_map.zara1"
+
+
+def run(argv: list[str]) -> int:
+    """Print or write the card; returns the exit code."""
+    parser = Arguments("info", HELP, EXAMPLE)
+    parser.add_argument(
+        "name", help="zoo name, folder with a card, hf://OWNER/REPO or https:// address, or an architecture"
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the card to this file instead (- for here)")
+    parser.add_argument("--markdown", metavar="FILE", help="likewise, as a page")
+    options = parser.parse_args(argv)
+    check_outputs(json=options.json, markdown=options.markdown)
+    card = _card(options.name)
+    if options.json:
+        write_json(options.json, {"command": "info", "card": asdict(card)})
+    if options.markdown:
+        write_text(options.markdown, page(card))
+    if not (options.json or options.markdown):
+        _print(card)
+    return 0
+
+
+def _card(name: str) -> ModelCard:
+    if name.endswith((".safetensors", ".ckpt")) and "://" not in name:
+        raise UserError(
+            f"{name!r} is a file of weights, and cards are asked for by name: FOLDER/ARCH.TAG, or a FOLDER; "
+            "`pedzoo export CKPT --zoo` writes the card of a training run"
+        )
+    if entry := find(name):
+        return entry.card
+    if name in MODELS.names():
+        weights = ", ".join(one for one in names() if one.startswith(f"{name}.")) or "none"
+        raise UserError(f"{name!r} is an architecture ({MODELS.describe(name)}); name its weights: {weights}")
+    raise unknown("model", name, names())
+
+
+def _print(card: ModelCard) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
+    from pedzoo.eval.results import Page
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 110
+    console.print(card.name, style="bold", markup=False)
+    for title, facts in sections(card).items():
+        _print_facts(console, title, facts)
+    if not card.evaluations:
+        console.print("\nResults: not measured yet")
+    for found in results(card):
+        console.print(f"\n{found.said}", markup=False)
+        rows = [[escape(cell) for cell in row] for row in found.rows]
+        print_tables([Page("", [escape(cell) for cell in found.head], rows, 1)])
+
+
+def _print_facts(console: Any, title: str, facts: Mapping[str, str]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for key, value in facts.items():
+        table.add_row(Text(f"  {key}"), Text(value))
+    console.print(f"\n{title}", style="bold", markup=False)
+    console.print(table)
