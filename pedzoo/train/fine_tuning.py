@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
-from pedzoo.errors import UserError, unknown
-from pedzoo.models.header import read_config
-from pedzoo.models.zoo import config_of, list_models, load, read_checkpoint
-from pedzoo.paths import config_names, weight_files
+from pedzoo.errors import UserError
+from pedzoo.models.saved import saved_config
+from pedzoo.models.zoo import config_of, load
+from pedzoo.paths import config_names
 from pedzoo.registry import MODELS
 from pedzoo.train.module import LOSSES, ForecastModule, differences
 
@@ -52,7 +51,7 @@ def options_of(weights: str) -> list[str]:
     run = path.parent.parent / "config.yaml"
     if path.suffix == ".ckpt" and run.is_file():
         return ["--config", str(run)]
-    config = _config(weights)
+    config = saved_config(weights)
     name = config.get("training", {}).get("config")
     if name not in config_names():
         raise UserError(
@@ -64,12 +63,3 @@ def options_of(weights: str) -> list[str]:
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in _DATA if key in protocol]
     return ["--config", name, "--model.generator", json.dumps(model), *data]
-
-
-def _config(weights: str) -> dict[str, Any]:
-    if weights.endswith(".ckpt"):
-        return read_checkpoint(weights)["pedzoo"]
-    file = weight_files().get(weights)
-    if not file and not weights.endswith(".safetensors"):
-        raise unknown("weights", weights, list_models())
-    return read_config(file or weights)

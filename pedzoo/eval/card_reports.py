@@ -1,0 +1,105 @@
+"""How the reports on model cards are made: from their protocol alone, so that anybody can make them again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.errors import UserError
+from pedzoo.eval.clock import Step
+from pedzoo.eval.evaluate import Evaluation
+from pedzoo.eval.forecast import forecast_row
+from pedzoo.eval.suite import Request
+from pedzoo.models.zoo import load
+from pedzoo.versions import versions
+
+DATA = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_people")
+"""What a protocol of forecasts says of the data, beside ``samples`` and ``split``."""
+
+Progress = Callable[[str, int, int], None]
+Report = dict[str, Any]
+
+
+class Job(NamedTuple):
+    """What a report is made of and with.
+
+    Attributes:
+        model: What `pedzoo.load` accepts.
+        protocol: Of the report.
+        seeds: Likewise.
+        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
+        workers: Processes that walk.
+        progress: Called with what is done, its parts done and parts in all.
+    """
+
+    model: str
+    protocol: Mapping[str, Any]
+    seeds: Sequence[int]
+    root: str | None = None
+    workers: int = 1
+    progress: Progress | None = None
+
+
+def report_of(command: str, job: Job) -> Report:
+    """Return the report of ``forecast`` or ``evaluate`` on one model; of the latter, the rows of its tables.
+
+    Raises:
+        UserError: The recordings are absent, or nobody knows how to do what the protocol says.
+    """
+    if command not in _MAKERS:
+        raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
+    needed, make = _MAKERS[command]
+    if missing := [key for key in needed if key not in job.protocol]:
+        raise UserError(f"the protocol of {command} does not say its {', '.join(missing)}")
+    protocol, rows = make(job)
+    content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}
+    return {"command": command, **content}
+
+
+def about(protocol: Mapping[str, Any]) -> str:
+    """Return what a report is about, in words: the fold and its part, or the suites."""
+    if "fold" in protocol:
+        return f"{protocol['fold']} {protocol.get('split', '')}"
+    return ", ".join(map(str, protocol.get("suites", [])))
+
+
+def only(values: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """Return the values of some keys, in the order of these."""
+    return {key: values[key] for key in keys if key in values}
+
+
+def _forecasts(job: Job) -> tuple[Report, list[Report]]:
+    protocol = job.protocol
+    if len(job.seeds) != 1:
+        raise UserError(f"forecasts have one seed, not {list(job.seeds)}")
+    data = TrajectoryDataModule(root=job.root, **only(protocol, DATA))
+    how = protocol["samples"], job.seeds[0], protocol["split"], job.progress
+    row = forecast_row(job.model, load(job.model), data, *how)
+    row["case"] = only(protocol, ("fold", "split")) | row["case"]
+    return dict(protocol), [row]
+
+
+def _walks(job: Job) -> tuple[Report, list[Report]]:
+    asked = only(job.protocol, Request._fields)
+    request = Request(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
+    still = job.protocol.get("deterministic", False)
+    evaluation = Evaluation([job.model], job.protocol["suites"], request, job.seeds, still)
+
+    def tell(step: Step) -> None:
+        if job.progress:
+            job.progress(about(job.protocol), step.units, step.total)
+
+    evaluation.run(job.workers, progress=tell)
+    found = evaluation.report()
+    # a folder is not the same on another machine, and what was not asked for needs no word
+    protocol = {key: value for key, value in found["protocol"].items() if key != "root" and value}
+    rows = []
+    for row in found["summary"]:
+        shown = evaluation.shown[row["case"]["suite"]].columns
+        rows.append(row | {key: only(row[key], shown) for key in ("metrics", "ci95")})
+    return protocol, rows
+
+
+_MAKERS = {"forecast": ((*DATA, "samples", "split"), _forecasts), "evaluate": (("suites",), _walks)}
+"""What a protocol must say, and who does it."""
