@@ -21,7 +21,7 @@ from pedzoo import fetch as fetching
 from pedzoo.cli.main import main
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.published import files as listing
-from pedzoo.data.published.eth_ucy import download, splits
+from pedzoo.data.published.eth_ucy import splits
 from pedzoo.data.published.files import files_of, published
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan
 from pedzoo.errors import UserError
@@ -153,7 +153,11 @@ def test_a_homography_says_the_same_at_every_scale_and_is_checked() -> None:
 
 
 def test_a_dataset_comes_whole_and_is_found_without_being_named(
-    full: Site, shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    full: Site,
+    shared: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pytest.raises(UserError, match="`pedzoo download eth_ucy` gets those"):
         EthUcy("zara1", None)
@@ -183,6 +187,11 @@ def test_a_dataset_comes_whole_and_is_found_without_being_named(
         assert (one.plan is None) == (other.plan is None)
         if one.plan and other.plan:
             assert OccupancyGrid.load(one.plan).digest == OccupancyGrid.load(other.plan).digest
+
+    monkeypatch.setenv("PEDZOO_OFFLINE", "1")
+    assert main(["download", "eth_ucy"]) == 0, "all is there"
+    said = refused(capsys, "eth_ucy", "--to", str(tmp_path / "elsewhere"))
+    assert "biwi_eth.txt is not there, and PEDZOO_OFFLINE forbids the network" in said
 
 
 def test_a_second_call_mends_what_is_missing_or_damaged(
@@ -256,16 +265,6 @@ def test_other_content_in_a_public_place_is_refused(
     said = refused(capsys, "eth_ucy", "--to", str(tmp_path))
     assert "cannot download eth_oracle.png" in said
     assert f"{path}: does not have the expected content" in said
-
-
-def test_offline_a_whole_dataset_is_enough(
-    full: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    download(tmp_path / "whole")
-    monkeypatch.setenv("PEDZOO_OFFLINE", "1")
-    assert main(["download", "eth_ucy", "--to", str(tmp_path / "whole")]) == 0
-    said = refused(capsys, "eth_ucy")
-    assert "biwi_eth.txt is not there, and PEDZOO_OFFLINE forbids the network" in said
 
 
 def test_a_folder_that_cannot_be_is_refused(
