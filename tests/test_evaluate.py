@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from model_cards import make_card
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -27,6 +28,7 @@ from pedzoo.eval.suite import Request
 from pedzoo.eval.suites.goals import CELLS
 from pedzoo.eval.summary import mean_interval, summary
 from pedzoo.eval.units import digest
+from pedzoo.models.card import write_card
 from pedzoo.registry import SUITES
 
 SMALL = '''
@@ -273,6 +275,13 @@ def test_checkpoints_of_a_training_are_known_by_its_fold(tmp_path: Path) -> None
     assert unseen.has_seen(f"{file}:noise=step", "hotel") and not unseen.has_seen(str(file), "zara1")
 
 
+def test_models_of_a_folder_are_known_by_their_card(tmp_path: Path) -> None:
+    name = f"{tmp_path}/sgan_goal.mall"
+    write_card(make_card("sgan_goal.mall"), f"{name}.yaml")
+    assert unseen.has_seen(f"{name}:noise=step", "hotel") and not unseen.has_seen(name, "zara1")
+    assert unseen.for_fold(name, "hotel") == name
+
+
 def test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files(tmp_path: Path) -> None:
     file = tmp_path / "parts"
     journal = Journal(file)
@@ -300,6 +309,11 @@ def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:
     ]
     assert len({digest(one) for one in [unit, *others]}) == 6
     assert digest(unit) == digest(Evaluation(["go_to_goal"], [small]).units[0])
+    model, digests = f"{Path(small).parent}/sgan.mall", []
+    for digit in "01":
+        write_card(make_card("sgan.mall", sha256=64 * digit), f"{model}.yaml")
+        digests.append(digest(unit._replace(policy=model, walks=model)))
+    assert digests[0] != digests[1], "other weights under the same name"
     before = digest(unit)
     Path(small.rpartition(":")[0]).write_text(f"{SMALL}# changed")
     assert digest(unit) != before

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.eval.suite import Tell, Unit
-from pedzoo.paths import weight_files
+from pedzoo.models.store import find
 from pedzoo.registry import SUITES
 from pedzoo.spec import parse
 from pedzoo.versions import versions
@@ -47,7 +47,7 @@ def digest(unit: Unit) -> str:
     pedzoo's code and the versions of what it uses.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
-    files = [_file_sum(name) for name in (unit.walks, unit.case.suite, unit.case.scenario)]
+    files = [_model_sum(unit.walks), _file_sum(unit.case.suite), _file_sum(unit.case.scenario)]
     return fingerprint(known, files)
 
 
@@ -57,10 +57,16 @@ def fingerprint(*known: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
+def _model_sum(policy: str) -> str:
+    """Return the sha256 of the weights or the file that walk, nothing where that is pedzoo's own code."""
+    entry = find(parse(policy).name)
+    return entry.card.sha256 if entry else _file_sum(policy)
+
+
 def _file_sum(text: str) -> str:
     """Return the sha256 of the file that a name with settings stands for, nothing where there is none."""
     name = parse(text).name
-    path = weight_files().get(name) or Path(name.rpartition(":")[0] if ".py:" in name else name)
+    path = Path(name.rpartition(":")[0] if ".py:" in name else name)
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
+from pedzoo.models.address import is_address
 from pedzoo.models.header import read_config
+from pedzoo.models.store import find
 from pedzoo.models.zoo import read_checkpoint
 from pedzoo.paths import weight_files
 from pedzoo.spec import parse
@@ -37,9 +39,11 @@ def _held_out(name: str) -> str | None:
     config: dict[str, Any] = {}
     if file := weight_files().get(name):
         config = read_config(file)
-    elif name.endswith(".safetensors"):
+    elif name.endswith(".safetensors") and not is_address(name):
         config = read_config(name)
     elif name.endswith(".ckpt"):
         config = read_checkpoint(name)["pedzoo"]
+    elif entry := find(name):
+        config = entry.card.config
     # pedzoo fit writes down its data, the zoo also the training
     return config.get("training", config.get("protocol", {})).get("fold")

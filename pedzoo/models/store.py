@@ -39,13 +39,15 @@ def find(name: str) -> Entry | None:
             ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` or ``https://HOST/FOLDER/ARCH.TAG``.
 
     Returns:
-        None for a plain word that is no model with a card: an architecture, or nothing at all.
+        None for what has no card: a file of weights or of code, an architecture, a word that is nothing.
 
     Raises:
         UserError: There is no model at that place, several have the name, or its card is refused.
     """
     if is_address(name):
         return _fetched(name)
+    if is_file(name):
+        return None
     path = Path(name).expanduser()
     if path.name == name:
         if is_name(name) and (found := _by_name(name)):
@@ -56,6 +58,11 @@ def find(name: str) -> Entry | None:
     if path.name in (there := _cards(path.parent)):
         return _read(path.parent, path.name)
     raise unknown(f"model of {str(path.parent)!r}", path.name, there)
+
+
+def is_file(name: str) -> bool:
+    """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
+    return not is_address(name) and (".py:" in name or name.endswith((".ckpt", ".safetensors")))
 
 
 def weights_of(entry: Entry) -> Path:

@@ -16,7 +16,6 @@ import torch
 from safetensors.torch import save
 
 from pedzoo.errors import UserError, unknown
-from pedzoo.models.address import is_address
 from pedzoo.models.base import Forecaster
 from pedzoo.models.card import ModelCard
 from pedzoo.models.header import check_config, config_in, opened
@@ -51,12 +50,12 @@ def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
         UserError: No such model, its files are damaged or cannot be had, or they are not what its card says.
     """
     name = str(name)
-    if name.endswith(".safetensors") and not is_address(name):
+    if entry := find(name):
+        return _from_safetensors(weights_of(entry), entry.card)
+    if name.endswith(".safetensors"):
         return _from_safetensors(Path(name))
     if name.endswith(".ckpt"):
         return _from_checkpoint(Path(name))
-    if ".py:" not in name and (entry := find(name)):
-        return _from_safetensors(weights_of(entry), entry.card)
     if name not in MODELS.names() and ".py:" not in name:
         raise unknown("model", name, [*list_models(), *baselines()])
     model = MODELS.get(name)

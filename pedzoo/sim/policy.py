@@ -8,7 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.store import find
+from pedzoo.models.store import find, is_file
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import baselines, list_models, load
 from pedzoo.registry import MODELS, POLICIES
@@ -52,7 +52,6 @@ def load_policy(name: str) -> Policy | Walker:
         return build(POLICIES, name, Policy)
     if ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy):
         return build(POLICIES, name, Policy)
-    is_file = ".py:" in spec.name or spec.name.endswith((".ckpt", ".safetensors"))
-    if not is_file and spec.name not in MODELS.names() and not find(spec.name):
+    if not (is_file(spec.name) or spec.name in MODELS.names() or find(spec.name)):
         raise unknown("policy", spec.name, [*POLICIES.names(), *list_models(), *baselines()])
     return make(Walker, "walker", spec.name, spec.settings, model=load(spec.name))

@@ -10,7 +10,7 @@ from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
 from pedzoo.errors import UserError, unknown
 from pedzoo.models.card_page import page, results, sections
-from pedzoo.models.store import find, names
+from pedzoo.models.store import find, is_file, names
 from pedzoo.registry import MODELS
 
 if TYPE_CHECKING:
@@ -41,9 +41,9 @@ def run(argv: list[str]) -> int:
 
 
 def _card(name: str) -> ModelCard:
-    if name.endswith((".safetensors", ".ckpt")) and "://" not in name:
+    if is_file(name):
         raise UserError(
-            f"{name!r} is a file of weights, and cards are asked for by name: FOLDER/ARCH.TAG, or a FOLDER; "
+            f"{name!r} is a file, and cards are asked for by name: FOLDER/ARCH.TAG, or a FOLDER; "
             "`pedzoo export CKPT --zoo` writes the card of a training run"
         )
     if entry := find(name):
