@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from torchmetrics import Metric, MetricCollection
 
 from pedzoo.metrics import displacement as d
-from pedzoo.models.base import Forecaster
+from pedzoo.metrics.likelihood import NegativeLogLikelihood
+from pedzoo.models.base import Forecaster, known_displacements
 
 
 class ForecastScore(nn.Module):
@@ -18,6 +19,7 @@ class ForecastScore(nn.Module):
 
     ``ade_m``, ``fde_m`` and ``next_step_m`` judge the mode (for SGAN: noise zero); ``ade_sampled_m`` and
     ``fde_sampled_m`` are what one random sample costs on average; ``min_*`` take the best of K.
+    ``nll_nats_per_step`` is there for models with a density, see `Forecaster.log_likelihood`.
     """
 
     def __init__(self, samples: int, spread: bool = True) -> None:
@@ -35,6 +37,7 @@ class ForecastScore(nn.Module):
         }
         self.of_samples = _collection(of_samples if samples else {})
         self.spread = d.SampleDistance() if samples > 1 and spread else None
+        self.likelihood = NegativeLogLikelihood()
 
     @torch.no_grad()
     def update(self, model: Forecaster, batch: TensorDict, generator: torch.Generator | None = None) -> None:
@@ -47,6 +50,9 @@ class ForecastScore(nn.Module):
         mode = model.mode(batch, steps)
         error = d.displacement_error(mode, history, future)
         self.of_mode.update(error, valid)
+        nats = model.log_likelihood(batch, generator)
+        if nats is not None:
+            self.likelihood.update(nats, known_displacements(batch))
         if not samples:
             return
         prediction = model.sample(batch, samples, steps, generator) if model.stochastic else mode
@@ -64,6 +70,8 @@ class ForecastScore(nn.Module):
         }
         if self.spread is not None:
             found["sample_distance_m"] = float(self.spread.compute())
+        if self.likelihood.update_called:
+            found["nll_nats_per_step"] = float(self.likelihood.compute())
         return found
 
     def latest(self) -> dict[str, tuple[Tensor, Tensor]]:
@@ -73,7 +81,7 @@ class ForecastScore(nn.Module):
 
     def reset(self) -> None:
         """Forget all batches."""
-        for metric in (self.of_mode, self.of_samples, self.spread):
+        for metric in (self.of_mode, self.of_samples, self.spread, self.likelihood):
             if metric is not None:
                 metric.reset()
 

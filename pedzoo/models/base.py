@@ -95,8 +95,9 @@ class Forecaster(nn.Module):
     def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
         """Return how likely everybody's true future was (B, A); None for a model without a density.
 
-        Log densities, nats, of the displacements (or, which is the same, positions) that `known_displacements`
-        tells, all steps of a person together, or a lower bound of them; 0 where nothing is known.
+        Log densities, nats, of the displacements that `known_displacements` tells, all steps of a person
+        together, or a lower bound of them; 0 where nothing is known. Where all are known, that is also the
+        density of the positions.
         """
         return None
 

@@ -15,6 +15,7 @@ its loss, is left out here too.
 
 from __future__ import annotations
 
+import math
 from typing import Literal, NamedTuple
 
 import torch
@@ -194,19 +195,14 @@ class SocialVRNN(Forecaster):
 
     @torch.no_grad()
     def log_likelihood(
-        self, batch: TensorDict, samples: int = 20, generator: torch.Generator | None = None
+        self, batch: TensorDict, generator: torch.Generator | None = None, samples: int = 20
     ) -> Tensor:
         """Return a lower bound of everybody's log p(y | x) (B, A), nats; 0 where nothing of y is known.
 
-        The importance-weighted bound (Burda et al., ICLR 2016, eq. 8) on the density of the displacements
-        that `pedzoo.models.base.known_displacements` tells, which is also that of the positions:
+        The importance-weighted bound (Burda et al., ICLR 2016, eq. 8), which rises to the likelihood with the
+        number of ``samples`` K:
 
             log 1/K sum_k p(y | z_k, x) p(z_k | x) / q(z_k | x, y),  z_k ~ q.
-
-        Args:
-            batch: Recorded scenes.
-            samples: K; the bound rises to the likelihood with it.
-            generator: Draws the latents.
         """
         seen = self.see(batch)
         truth, known = self._truth(batch, seen)
@@ -216,7 +212,7 @@ class SocialVRNN(Forecaster):
         z = posterior.mean + posterior.stddev * _normal(posterior.mean, generator)
         weight = (many.prior.log_prob(z) - posterior.log_prob(z)).sum(-1)
         nats = self.mixture(many, z, truth.shape[1]).log_prob(truth, known) + weight
-        bound = nats.view(samples, -1).logsumexp(0) - torch.tensor(float(samples)).log()
+        bound = nats.view(samples, -1).logsumexp(0) - math.log(samples)
         return seen.crowd.unpack(bound * known[: len(bound)].any(-1))
 
     def _most_likely(self, seen: Seen, steps: int) -> Tensor:

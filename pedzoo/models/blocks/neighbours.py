@@ -34,23 +34,17 @@ class RelativePooling(nn.Module):
             heading: Directions of their frames (P, 2), unit vectors.
             crowd: Who is in one scene.
         """
-        pooled = position.new_zeros(len(position), self.dim)
+        pooled = position.new_zeros(position.shape[0], self.dim)
         for group in crowd.groups:
-            size = group.shape[1]
-            if size == 1:
-                continue
-            others = _others(size, position.device)  # (n, n - 1)
-            them, me = group[:, others], group.unsqueeze(-1)  # (G, n, n - 1), (G, n, 1)
+            me, them = group.unsqueeze(2), group.unsqueeze(1)  # (G, n, 1) and (G, 1, n)
             away = geometry.unrotate(position[them] - position[me], heading[me])
             relative = geometry.unrotate(moved[them] - moved[me], heading[me])
             distance = (away.square().sum(-1, keepdim=True) + 1e-8).sqrt()
             near = REACH / (REACH + distance)
             seen = self.net(torch.cat((near * away / REACH, relative, near), -1))
-            pooled = pooled.index_copy(0, group.flatten(), seen.amax(2).flatten(0, 1))
+            nobody = me == them
+            if crowd.absent is not None:
+                nobody = nobody | crowd.absent.unsqueeze(1)
+            most = seen.masked_fill(nobody.unsqueeze(-1), 0).amax(2)
+            pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
         return pooled
-
-
-def _others(size: int, device: torch.device) -> Tensor:
-    """Return for each of ``size`` people the numbers (n, n - 1) of all others."""
-    number = torch.arange(size, device=device)
-    return (number.unsqueeze(1) + number[1:]) % size
