@@ -66,6 +66,7 @@ def test_small_numbers_are_numbers_again_and_shared_parts_are_written_out(tmp_pa
         ({"config": ["sgan"]}, "config is .'sgan'., expected a mapping"),
         ({"training": {"config": "sgan"}}, "training fold is missing"),
         ({"data": make_card().data | {"licence": "?"}}, "unknown data key 'licence'"),
+        ({"data": make_card().data | {"recordings": [["a"]]}}, "data recordings are .*expected names"),
         ({"evaluations": [{"rows": []}]}, "evaluations command is missing"),
         ({"evaluations": ["good"]}, "evaluations is 'good', expected a mapping"),
     ],

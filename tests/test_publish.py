@@ -121,6 +121,27 @@ def test_a_resumed_run_keeps_how_it_began(tmp_path: Path) -> None:
     assert card.versions == {"torch": "2.14.0"}
 
 
+def test_a_run_that_began_with_other_weights_saw_what_they_saw(tmp_path: Path) -> None:
+    base = publish(make_run(tmp_path / "base"), tmp_path / "zoo")
+    embedded = {"fold": "embedded", "files": None}
+    for began in (
+        f"{base.parent}/sgan_goal.zara1",
+        str(tmp_path / "base/sgan_goal/zara1-seed0/checkpoints/best.ckpt"),
+    ):
+        checkpoint = make_run(tmp_path / f"runs{len(began)}", weights=began, data=embedded)
+        content = torch.load(checkpoint, weights_only=True)
+        content["pedzoo"]["protocol"] = PROTOCOL | {"fold": "embedded"}
+        torch.save(content, checkpoint)
+        data = read_card(publish(checkpoint, tmp_path / "tuned")).data
+        assert data["recordings"] == sorted([*provenance("zara1")["recordings"], "plaza_train"])
+        assert "Pellegrini" in data["citation"] and "synthetic" in data["source"]
+    checkpoint = make_run(tmp_path / "lost", weights="gone/sgan.zara1", data=embedded)
+    with pytest.raises(
+        UserError, match=r"began with 'gone/sgan\.zara1', and the card has to say what they saw"
+    ):
+        publish(checkpoint, tmp_path / "tuned")
+
+
 def test_measurements_stay_as_long_as_the_weights_are_the_same(tmp_path: Path) -> None:
     checkpoint, measured = make_run(tmp_path / "runs"), make_card().evaluations
     path = publish(checkpoint, tmp_path, measured=measured)

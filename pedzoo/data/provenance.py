@@ -57,6 +57,12 @@ def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool
     return EMBEDDED if fold == "embedded" else _of_others([], f"dataset {fold or 'unknown'}")
 
 
+def together(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Return what is said of a model that was trained on the data of both, one after the other."""
+    texts = {key: "; ".join(dict.fromkeys((other[key], one[key]))) for key in ("source", "terms", "citation")}
+    return {"recordings": sorted({*one["recordings"], *other["recordings"]}), **texts}
+
+
 def _of_others(recordings: list[str], source: str) -> dict[str, Any]:
     terms = "unknown to pedzoo: ask who recorded them"
     return {"recordings": recordings, "source": source, "terms": terms, "citation": "unknown to pedzoo"}

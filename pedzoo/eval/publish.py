@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.data.datasets.eth_ucy import EVERYTHING
-from pedzoo.data.provenance import provenance
+from pedzoo.data.provenance import provenance, together
 from pedzoo.errors import UserError
 from pedzoo.eval.run_record import RunRecord, read_run
 from pedzoo.models.card import TRAINING, ModelCard, check_name, read_card, write_card
 from pedzoo.models.header import read_config
+from pedzoo.models.store import find
 from pedzoo.models.zoo import load, read_checkpoint, save_weights
 from pedzoo.types import PRED_LEN
 
@@ -78,7 +79,7 @@ def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) 
     check_name(weights.stem)
     config = read_config(weights)
     known = config.get("protocol", {}) | config.get("training", {})
-    record = RunRecord({key: known.get(key) for key in TRAINING}, None, {})
+    record = RunRecord({key: known.get(key) for key in TRAINING})
     return _write(weights, record, measured, LICENCE, None)
 
 
@@ -113,15 +114,36 @@ def _write(
         size=len(data),
         config=config,
         training=record.training,
-        data=provenance(record.training["fold"], record.files, plans="map" in load(weights).needs),
+        data=_trained_on(record, plans="map" in load(weights).needs),
         evaluations=measured,
-        versions=record.versions,
+        versions=record.versions or {},
         licence=licence,
         file=weights.name,
         url=url,
     )
     write_card(card, path)
     return path
+
+
+def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:
+    """Return what a model card says of the data, with those of the weights that the run began with."""
+    data = provenance(record.training["fold"], record.files, plans)
+    if not (weights := record.began_with):
+        return data
+    try:
+        return together(data, _seen_by(weights, plans))
+    except UserError as error:
+        raise UserError(
+            f"the run began with {weights!r}, and the card has to say what they saw: {error}"
+        ) from error
+
+
+def _seen_by(weights: str, plans: bool) -> dict[str, Any]:
+    if entry := find(weights):
+        return entry.card.data
+    if weights.endswith(".ckpt"):
+        return _trained_on(read_run(Path(weights), read_checkpoint(weights)), plans)
+    return provenance(read_config(weights).get("protocol", {}).get("fold"), plans=plans)
 
 
 def _measured_before(path: Path, digest: str) -> list[dict[str, Any]]:

@@ -35,11 +35,13 @@ class RunRecord(NamedTuple):
         training: As a model card has it, see `pedzoo.models.card.TRAINING`.
         files: Recordings of one's own that it was trained on; None for those of a fold.
         versions: Of what it ran with.
+        began_with: Weights or checkpoint that it began with, as they were named; None for new ones.
     """
 
     training: dict[str, Any]
-    files: list[str] | None
-    versions: dict[str, str]
+    files: list[str] | None = None
+    versions: dict[str, str] | None = None
+    began_with: str | None = None
 
 
 def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
@@ -84,7 +86,8 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
         },
     }
     made_with = json.loads((run / "versions.json").read_text())["versions"]
-    return RunRecord(training, config["data"].get("files"), made_with)
+    went_on = next((option.value for option in options if option.key == "ckpt_path"), None)
+    return RunRecord(training, config["data"].get("files"), made_with, config.get("weights") or went_on)
 
 
 def monitored(run: Path, metric: str) -> dict[int, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
-from pedzoo.models.address import is_address
+from pedzoo.data.provenance import TESTED
 from pedzoo.models.header import read_config
 from pedzoo.models.store import find
 from pedzoo.models.zoo import read_checkpoint
@@ -20,8 +20,7 @@ def for_fold(policy: str, fold: str) -> str:
     is ``sgan_goal.hotel:noise=step``. Anything else stays as it is.
     """
     name = parse(policy).name
-    held_out = _held_out(name)
-    if name not in weight_files() or held_out in (None, fold):
+    if name not in weight_files() or (held_out := _held_out(name)) in (None, fold):
         return policy
     architecture, _, tag = name.partition(".")
     other = f"{architecture}.{tag.replace(held_out, fold, 1)}"
@@ -30,8 +29,13 @@ def for_fold(policy: str, fold: str) -> str:
 
 def has_seen(policy: str, fold: str) -> bool:
     """Return whether the weights of a policy were trained on the test recordings of a fold of ETH/UCY."""
-    held_out = _held_out(parse(policy).name)
-    return fold in SCENES and held_out is not None and held_out != fold and held_out in (*SCENES, EVERYTHING)
+    if fold not in SCENES:
+        return False
+    name = parse(policy).name
+    if entry := find(name):
+        return not set(TESTED[fold]).isdisjoint(entry.card.data["recordings"])
+    held_out = _held_out(name)
+    return held_out is not None and held_out != fold and held_out in (*SCENES, EVERYTHING)
 
 
 def _held_out(name: str) -> str | None:
@@ -39,11 +43,9 @@ def _held_out(name: str) -> str | None:
     config: dict[str, Any] = {}
     if file := weight_files().get(name):
         config = read_config(file)
-    elif name.endswith(".safetensors") and not is_address(name):
+    elif name.endswith(".safetensors"):
         config = read_config(name)
     elif name.endswith(".ckpt"):
         config = read_checkpoint(name)["pedzoo"]
-    elif entry := find(name):
-        config = entry.card.config
     # pedzoo fit writes down its data, the zoo also the training
     return config.get("training", config.get("protocol", {})).get("fold")

@@ -105,6 +105,8 @@ class ModelCard:
             )
         check_keys(self.training, TRAINING, "training")
         check_keys(self.data, DATA, "data")
+        if not all(isinstance(name, str) for name in self.data["recordings"]):
+            raise UserError(f"data recordings are {self.data['recordings']!r:.60}, expected names")
         for report in self.evaluations:
             check_keys(report, EVALUATION, "evaluations", more=True)
             for row in report["rows"]:
