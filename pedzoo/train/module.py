@@ -162,7 +162,9 @@ class ForecastModule(L.LightningModule):
             )
 
 
-LOSSES = frozenset({"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "map_dropout"})
+LOSSES = frozenset(
+    {"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "kl_weight", "map_dropout"}
+)
 """Options of a model that may change when a run goes on: they are of its losses, not of its weights."""
 
 
