@@ -139,7 +139,8 @@ def test_a_run_that_began_with_other_weights_saw_what_they_saw(tmp_path: Path) -
     with pytest.raises(
         UserError, match=r"began with 'gone/sgan\.zara1', and the card has to say what they saw"
     ):
-        publish(checkpoint, tmp_path / "tuned")
+        publish(checkpoint, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
 def test_measurements_stay_as_long_as_the_weights_are_the_same(tmp_path: Path) -> None:

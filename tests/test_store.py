@@ -127,6 +127,26 @@ def test_a_model_of_the_web_is_fetched_once_and_found_offline(
         load(f"{site.url}/our/zoo/sgan.mall")
 
 
+def test_what_else_lies_in_the_cache_is_no_model(
+    model: Forecaster, site: Site, tmp_path: Path, home: Path
+) -> None:
+    made(model, tmp_path / "zoo")
+    site.put(f"{NAME}.yaml", (tmp_path / "zoo" / f"{NAME}.yaml").read_bytes())
+    find(f"{site.url}/{NAME}")
+    for junk in (
+        "sgan.a.yaml",
+        "hf/sgan.b.yaml",
+        "hf/me/sgan.c.yaml",
+        "http/sgan.d.yaml",
+        "http/host/notes.yaml",
+    ):
+        (home / "models" / junk).parent.mkdir(parents=True, exist_ok=True)
+        (home / "models" / junk).write_text("x: 1")
+    assert set(list_models()) == {*weight_files(), NAME}
+    with pytest.raises(UserError, match=r"unknown model 'sgan_goal\.mal': did you mean 'sgan_goal\.mall'"):
+        obtain("sgan_goal.mal")
+
+
 def test_damaged_weights_are_fetched_anew(model: Forecaster, site: Site, tmp_path: Path) -> None:
     made(model, tmp_path / "zoo")
     serve(site, tmp_path / "zoo", "zoo")

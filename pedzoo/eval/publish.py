@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from pedzoo.data.datasets.eth_ucy import EVERYTHING
 from pedzoo.data.provenance import provenance, together
 from pedzoo.errors import UserError
 from pedzoo.eval.run_record import RunRecord, read_run
+from pedzoo.fetch import sha256_of
 from pedzoo.models.card import TRAINING, ModelCard, check_name, read_card, write_card
 from pedzoo.models.header import read_config
 from pedzoo.models.store import find
@@ -59,10 +59,11 @@ def publish(
     record = read_run(checkpoint, content)
     protocol = content["pedzoo"]["protocol"]
     name = check_name(name or zoo_name(record.training["config"], protocol))
-    weights = Path(folder) / f"{name}.safetensors"
+    weights, model = Path(folder) / f"{name}.safetensors", load(checkpoint)
+    data = _trained_on(record, plans="map" in model.needs)
     said = {key: record.training[key] for key in IN_WEIGHTS}
-    save_weights(load(checkpoint), weights, protocol=protocol, training=said)
-    return _write(weights, record, measured, licence, url)
+    save_weights(model, weights, protocol=protocol, training=said)
+    return _write(weights, record, data, measured, licence, url)
 
 
 def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
@@ -80,7 +81,8 @@ def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) 
     config = read_config(weights)
     known = config.get("protocol", {}) | config.get("training", {})
     record = RunRecord({key: known.get(key) for key in TRAINING})
-    return _write(weights, record, measured, LICENCE, None)
+    data = _trained_on(record, plans="map" in load(weights).needs)
+    return _write(weights, record, data, measured)
 
 
 def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
@@ -94,27 +96,31 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
         tag += "_destination"
     if protocol["pred_len"] != PRED_LEN:
         tag += f"_pred{protocol['pred_len']}"
-    if protocol["clock"] != ("true" if tag.startswith(EVERYTHING) else "benchmark"):
+    if protocol["clock"] != ("true" if protocol["fold"] == EVERYTHING else "benchmark"):
         tag += f"_{protocol['clock']}"
     return f"{config.removesuffix('_destination')}.{tag}"
 
 
 def _write(
-    weights: Path, record: RunRecord, measured: list[dict[str, Any]] | None, licence: str, url: str | None
+    weights: Path,
+    record: RunRecord,
+    data: dict[str, Any],
+    measured: list[dict[str, Any]] | None,
+    licence: str = LICENCE,
+    url: str | None = None,
 ) -> Path:
     """Write the card beside the weights."""
-    path, data = weights.with_suffix(".yaml"), weights.read_bytes()
-    config, digest = read_config(weights), hashlib.sha256(data).hexdigest()
+    path, config, digest = weights.with_suffix(".yaml"), read_config(weights), sha256_of(weights)
     if measured is None:
         measured = _measured_before(path, digest)
     card = ModelCard(
         name=weights.stem,
         architecture=config["architecture"],
         sha256=digest,
-        size=len(data),
+        size=weights.stat().st_size,
         config=config,
         training=record.training,
-        data=_trained_on(record, plans="map" in load(weights).needs),
+        data=data,
         evaluations=measured,
         versions=record.versions or {},
         licence=licence,

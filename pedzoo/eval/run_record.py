@@ -54,7 +54,7 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
     Raises:
         UserError: It does not lie in the folder of a run.
     """
-    run = checkpoint.resolve().parents[1]
+    run = checkpoint.resolve().parent.parent
     if missing := [name for name in RECORDS if not (run / name).is_file()]:
         raise UserError(
             f"checkpoint {str(checkpoint)!r} is not in the folder of its run: {str(run)!r} has no "

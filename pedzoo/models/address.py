@@ -56,19 +56,16 @@ def place(name: str) -> Place:
 
 def kept_models() -> dict[str, list[str]]:
     """Return the addresses of all models whose cards were fetched, by their plain names."""
-    found: dict[str, list[str]] = {}
     root = cache_home() / KEPT
-    for path in sorted(root.rglob("*.yaml")):
-        scheme, *parts = path.relative_to(root).with_suffix("").parts
-        if not is_name(parts[-1]):
-            continue
-        if scheme == "hf":
-            owner, repo, revision, model = parts
-            address = f"hf://{owner}/{repo}@{revision}/{model}"
-        else:
-            address = f"{scheme}://{'/'.join([unquote(parts[0]), *parts[1:]])}"
-        found.setdefault(parts[-1], []).append(address)
-    return found
+    found: dict[str, list[str]] = {}
+    for path in sorted(root.glob("hf/*/*/*/*.yaml")):
+        owner, repo, revision = path.relative_to(root).parts[1:-1]
+        found.setdefault(path.stem, []).append(f"hf://{owner}/{repo}@{revision}/{path.stem}")
+    for path in sorted(root.glob("http*/*/**/*.yaml")):
+        scheme, host, *folders = path.relative_to(root).parts[:-1]
+        address = "/".join([unquote(host), *folders, path.stem])
+        found.setdefault(path.stem, []).append(f"{scheme}://{address}")
+    return {name: addresses for name, addresses in found.items() if is_name(name)}
 
 
 def download(
