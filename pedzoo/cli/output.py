@@ -100,6 +100,11 @@ def print_tables(pages: Iterable[Page]) -> None:
         _print_page(console, page)
 
 
+def print_page(page: Page) -> None:
+    """Print one table."""
+    _print_page(_console(), page)
+
+
 def _console() -> Console:
     from rich.console import Console
 

@@ -14,8 +14,8 @@ from pedzoo.models.saved import saved_config
 from pedzoo.models.zoo import load
 from pedzoo.types import OBS_LEN
 
-SUITES = ("door", "goals", "cards")
-"""Where a card's model has walked, with a tenth of the episodes: they need no files and take a minute."""
+WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "cards")]
+"""Where a card's model has walked, with a tenth of the episodes: that needs no files and takes a minute."""
 
 EMBEDDED = "embedded"
 """The fold that everybody has: its numbers can be redone anywhere."""
@@ -92,7 +92,7 @@ def measure(
     embedded = own | {"fold": EMBEDDED, "split": "test"}
     wanted = [("forecast", own), ("forecast", embedded)][own["fold"] == EMBEDDED :]
     if own["obs_len"] == OBS_LEN:  # so many steps are seen by what walks
-        wanted.append(("evaluate", {"suites": list(SUITES), "quick": True}))
+        wanted += [("evaluate", protocol) for protocol in WALKS]
     found = []
     for command, protocol in wanted:
         try:

@@ -26,7 +26,10 @@ def run(argv: list[str]) -> int:
     from pedzoo.registry import SUITES
     from pedzoo.versions import versions
 
-    usage = f"pedzoo evaluate POLICY... [--suite SUITE,...] [--quick] [...]\nexample: {EXAMPLE}"
+    usage = (
+        "pedzoo evaluate POLICY... [--suite SUITE,...] [--quick] [...]\n"
+        f"       pedzoo evaluate NAME... --from-card\nexample: {EXAMPLE}"
+    )
     parser = ArgumentParser(prog="pedzoo evaluate", usage=usage, description=HELP, **PARSER_SETTINGS)
     parser.add_argument("policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model.")
     parser.add_argument(
@@ -74,12 +77,27 @@ def run(argv: list[str]) -> int:
         type=str | None,
         help="Keep finished parts in this file, and do not do again what is in it.",
     )
+    parser.add_argument(
+        "--from_card",
+        "--from-card",
+        action="store_true",
+        help="Do what the models' cards say again, forecasts too; exit code 1 where a number is another one.",
+    )
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     parser.add_argument("--markdown", type=str | None, help="Also write the tables to this page.")
     parser.add_argument(
         "--plot", type=str | None, help="Draw density and speed in replay into this .png, .pdf or .svg."
     )
     options = parse(parser, argv)
+    if options.from_card:
+        from pedzoo.cli.from_card import redo
+
+        allowed = ("policies", "from_card", "data.root", "workers", "json")
+        changed = [key for key in options.keys() if options[key] != parser.get_default(key)]
+        if said := [key for key in changed if key not in allowed]:
+            raise UserError(f"--{said[0]}: --from-card does what the card says; leave it out")
+        check_outputs(json=options.json)
+        return redo(options.policies, options.data.root, options.workers, options.json)
     if options.plot:
         check_plot_path(options.plot)
         if "replay" not in _listed(options.suite):

@@ -1,0 +1,113 @@
+"""``pedzoo evaluate NAME --from-card``: the numbers on a model card, done again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
+
+from pedzoo.cli.output import print_page, write_json
+from pedzoo.cli.progress import progress_bar
+from pedzoo.errors import UserError
+from pedzoo.eval.card_numbers import Again, Compared, again, compare
+from pedzoo.eval.card_reports import about
+from pedzoo.eval.results import Page
+from pedzoo.models.card import ModelCard
+from pedzoo.models.store import find
+from pedzoo.versions import versions
+
+_WORDS = {True: "yes", False: "NO", None: "no interval"}
+
+
+def redo(names: Sequence[str], root: str | None, workers: int, json: str | None) -> int:
+    """Do all that the cards of some models say again and print it; returns the exit code.
+
+    Args:
+        names: Of models with a card.
+        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
+        workers: Processes that walk.
+        json: File for the report.
+
+    Returns:
+        1 where a number is another one, or where none of a card could be looked at.
+
+    Raises:
+        UserError: A name without a card, or a card without numbers.
+    """
+    cards = {name: _card(name) for name in names}
+    rows: list[dict[str, Any]] = []
+    agree = True
+    for name, card in cards.items():
+        with progress_bar() as progress:
+            found = again(card, name, root, workers, progress)
+        numbers = [number for one in found if one.now for number in compare(one.before, one.now)]
+        if numbers:
+            print_page(_page(name, numbers))
+        for one in found:
+            _tell(one)
+        print(_summed_up(name, numbers))
+        rows += _rows(name, found, numbers)
+        agree = agree and bool(numbers) and all(number.same is not False for number in numbers)
+    if json:
+        seeds = sorted({seed for card in cards.values() for one in card.evaluations for seed in one["seeds"]})
+        content = {"protocol": {"from_card": list(cards)}, "seeds": seeds, "versions": versions()}
+        write_json(json, {"command": "evaluate", **content, "rows": rows})
+    return int(not agree)
+
+
+def _card(name: str) -> ModelCard:
+    if entry := find(name):
+        return entry.card
+    raise UserError(f"{name!r} has no model card: --from-card is for weights that `pedzoo models` lists")
+
+
+def _page(name: str, numbers: Sequence[Compared]) -> Page:
+    rows = [
+        [one.case, one.metric, _shown(one.card, one.interval), _shown(one.now), _WORDS[one.same]]
+        for one in numbers
+    ]
+    return Page(name, ["case", "number", "card", "now", "same"], rows, 2)
+
+
+def _shown(value: float | None, interval: Sequence[float] | None = None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" + (f" [{interval[0]:.3g}, {interval[1]:.3g}]" if interval else "")
+
+
+def _tell(one: Again) -> None:
+    """Print what a reader of the table has to know of an evaluation."""
+    what = about(one.before["protocol"])
+    if not one.now:
+        print(f"{what}: skipped, {one.why}")
+        return
+    then, now = one.before["versions"], one.now["versions"]
+    packages = [key for key in then if key != "commit" and then[key] != now.get(key)]
+    if changed := [f"{key} {then[key]} (here {now.get(key, 'absent')})" for key in packages]:
+        print(f"{what}: the card was made with {', '.join(changed)}")
+
+
+def _summed_up(name: str, numbers: Sequence[Compared]) -> str:
+    if not numbers:
+        return f"{name}: nothing of its card could be done again"
+    same = sum(one.same is True for one in numbers)
+    unsure = sum(one.same is None for one in numbers)
+    text = f"{name}: {same} of {len(numbers)} numbers are those of the card"
+    return text + f"; {unsure} differ and have no interval to judge by" * bool(unsure)
+
+
+def _rows(name: str, found: Sequence[Again], numbers: Sequence[Compared]) -> list[dict[str, Any]]:
+    """Return a row for every case, with the card's numbers beside today's, and for what was skipped."""
+    rows: list[dict[str, Any]] = []
+    for case, group in groupby(numbers, key=lambda number: number.case):
+        mine = {number.metric: number for number in group}
+        people = mine.pop("n")
+        now = {metric: number.now for metric, number in mine.items() if number.now is not None}
+        row = {"name": name, "case": {"evaluation": case}, "n": people.now, "metrics": now, "ci95": {}}
+        row["card"] = {metric: number.card for metric, number in mine.items()}
+        rows.append(row | {"same": {metric: number.same for metric, number in mine.items()}})
+    for one in found:
+        if not one.now:
+            case = {"evaluation": about(one.before["protocol"]), "skipped": one.why}
+            rows.append({"name": name, "case": case, "n": 0, "metrics": {}, "ci95": {}})
+    return rows
