@@ -8,7 +8,7 @@ Table II is.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Errors(NamedTuple):
@@ -55,6 +55,14 @@ class Released(NamedTuple):
     label: str
     ours: str
     errors: dict[int, dict[str, Errors]]
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as it is in JSON."""
+        errors = {
+            str(steps): {fold: value._asdict() for fold, value in by_fold.items()}
+            for steps, by_fold in self.errors.items()
+        }
+        return {"label": self.label, "ours": self.ours, "errors": errors}
 
 
 FOLDS = ("eth", "hotel", "univ", "zara1", "zara2")

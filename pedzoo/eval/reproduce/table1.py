@@ -190,7 +190,7 @@ class Table1(Reproduction):
             "training_seeds": {name: seeds for name in sorted({row["weights"] for row in rows})
                                if (seeds := _training(name))},
             "paper": [row._asdict() | {"errors": row.errors._asdict()} for row in TABLE_1],
-            "released": [row._asdict() for row in RELEASED],
+            "released": [model.plain() for model in RELEASED],
         }  # fmt: skip
 
     def pages(self, report: Mapping[str, Any]) -> list[Page]:

@@ -94,10 +94,11 @@ def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:
     body = []
     for printed in TABLE_1:
         ours = by_name.get((printed.ours, printed.goal))
-        trivial = by_name[TRIVIAL[printed.goal], printed.goal]
-        line = [printed.label, _pair(printed.errors), f"{printed.ours}, {printed.goal}"]
-        line += [_errors(ours, scored) for scored in SCORED]
-        body.append([*line, f"{trivial['name']}: {_errors(trivial, SCORED[0])}"])
+        line = TRIVIAL[printed.goal]
+        untrained = f"{line}: {_errors(by_name.get((line, printed.goal)), SCORED[0])}"
+        cells = [_errors(ours, scored) for scored in SCORED]
+        names = [printed.label, _pair(printed.errors), f"{printed.ours}, {printed.goal}"]
+        body.append([*names, *cells, untrained])
     head = [
         "the paper's row",
         "paper ADE / FDE",
