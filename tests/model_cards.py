@@ -26,7 +26,12 @@ def make_card(name: str = "sgan_goal.zara1", **changed: Any) -> ModelCard:
     }
     door = {
         "command": "evaluate",
-        "protocol": {"quick": True},
+        "protocol": {
+            "suites": ["door", "goals"],
+            "quick": True,
+            "deterministic": False,
+            "warm_start": {"door": "orca"},
+        },
         "seeds": [0],
         "versions": {"pedzoo": "0.1.0"},
         "rows": [

@@ -46,6 +46,8 @@ def test_info_shows_the_whole_card(capsys: pytest.CaptureFixture[str]) -> None:
         "0: 0.0612, 1: 0.0605",
         "for research",
         "forecast: fold zara1, goal window_end, pred_len 8, samples 20; seeds 0",
+        "it leaks the answer's last position",
+        "evaluate: suites door goals, quick, warm_start door orca; seeds 0",
         "0.975 [0.871, 0.996]",
     ):
         assert part in text

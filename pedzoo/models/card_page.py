@@ -74,16 +74,23 @@ def results(card: ModelCard) -> list[Results]:
 def _results(report: Mapping[str, Any], own: str) -> Results:
     rows = report["rows"]
     metrics = list(dict.fromkeys(metric for row in rows for metric in row["metrics"]))
-    cells = [[metric, *(_number(row, metric) for row in rows)] for metric in metrics]
-    protocol = ", ".join(f"{key} {_said(value)}" for key, value in report["protocol"].items())
-    said = f"{_said(report['command'])}: {protocol}; seeds {_said(report['seeds'])}"
-    return Results(
-        said, ["", *(_case(row, own) for row in rows)], [["n", *(str(row["n"]) for row in rows)], *cells]
-    )
+    cells = [["n", *(str(row["n"]) for row in rows)]]
+    cells += [[metric, *(_number(row, metric) for row in rows)] for metric in metrics]
+    protocol = report["protocol"]
+    said = f"{_said(report['command'])}: {_said(protocol)}; seeds {_said(report['seeds'])}"
+    if protocol.get("goal") == "window_end":
+        said += ". The goal is where the person is at the window's end: it leaks the answer's last position"
+    return Results(said, ["", *(_case(row, own) for row in rows)], cells)
 
 
 def _said(value: Any) -> str:
-    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+    """Return a value of a protocol as it is said: what is true by its name, what is false not at all."""
+    if isinstance(value, Mapping):
+        parts = (
+            (key, "" if one is True else f" {_said(one)}") for key, one in value.items() if one is not False
+        )
+        return ", ".join(f"{key}{text}" for key, text in parts)
+    return " ".join(map(_said, value)) if isinstance(value, list) else str(value)
 
 
 def _case(row: Mapping[str, Any], own: str) -> str:
