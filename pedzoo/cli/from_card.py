@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from pedzoo.cli.output import print_page, write_json
+from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
 from pedzoo.errors import UserError
 from pedzoo.eval.card_numbers import Again, Compared, again, compare
@@ -42,7 +42,7 @@ def redo(names: Sequence[str], root: str | None, workers: int, json: str | None)
             found = again(card, name, root, workers, progress)
         numbers = [number for one in found if one.now for number in compare(one.before, one.now)]
         if numbers:
-            print_page(_page(name, numbers))
+            print_tables([_page(name, numbers)])
         for one in found:
             _tell(one)
         print(_summed_up(name, numbers))

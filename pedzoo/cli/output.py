@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,12 +64,18 @@ def write_text(file: str | Path, text: str) -> None:
         raise UserError(f"cannot write {str(file)!r}: {error.strerror}") from error
 
 
-def print_report(report: dict[str, Any]) -> None:
-    """Print the rows of a report under their protocol, in as many tables as the terminal's width needs."""
+def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> None:
+    """Print the rows of a report under their protocol, in as many tables as the terminal's width needs.
+
+    Args:
+        report: With metrics in every row.
+        only: The metrics that are shown, in this order; None for all.
+    """
     from pedzoo.eval.results import Page
 
     rows = report["rows"]
-    metrics = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
+    known = dict.fromkeys(name for row in rows for name in row["metrics"])
+    metrics = [name for name in only if name in known] if only else list(known)
     console = _console()
     console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()), highlight=False)
     body = [
@@ -98,11 +104,6 @@ def print_tables(pages: Iterable[Page]) -> None:
     console = _console()
     for page in pages:
         _print_page(console, page)
-
-
-def print_page(page: Page) -> None:
-    """Print one table."""
-    _print_page(_console(), page)
 
 
 def _console() -> Console:

@@ -16,10 +16,11 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.errors import UserError
+    from pedzoo.errors import UserError, unknown
     from pedzoo.eval.closed_loop import Comparison
     from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
     from pedzoo.eval.video import check_video_path, film
+    from pedzoo.metrics.closed_loop import NAMES
     from pedzoo.registry import SCENARIOS
     from pedzoo.sim.make import CLEARANCE
     from pedzoo.sim.warm_start import WarmStart
@@ -55,6 +56,11 @@ def run(argv: list[str]) -> int:
         type=float | None,
         help="Refused unless the policies' own, seconds.",
     )
+    parser.add_argument(
+        "--metrics",
+        type=list[str] | None,
+        help="Print no others, as success,time_ratio (default: all; the report has all).",
+    )
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     parser.add_argument("--plot", type=str | None, help="Draw trajectories into this .png, .pdf or .svg.")
     parser.add_argument("--video", type=str | None, help="Film an episode into this .webm or .mp4.")
@@ -78,6 +84,8 @@ def run(argv: list[str]) -> int:
     if options.video:
         check_video_path(options.video)
     check_outputs(json=options.json, plot=options.plot, video=options.video)
+    if wrong := set(options.metrics or ()) - set(NAMES):
+        raise unknown("metric", min(wrong), NAMES)
     if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
@@ -88,7 +96,7 @@ def run(argv: list[str]) -> int:
 
         def tell(**more: bool) -> None:
             report = {"command": "rollout", **comparison.report(), "versions": versions(), **more}
-            print_report(report)
+            print_report(report, options.metrics)
             if options.json:
                 write_json(options.json, report)
 
