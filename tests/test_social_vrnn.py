@@ -138,7 +138,8 @@ def plain_loss(model: SocialVRNN, batch: TensorDict, eps: Tensor) -> float:
     seen = model.see(batch)
     truth, known = model._truth(batch, seen)
     posterior = model._infer(seen, truth, known)
-    mixture = model.mixture(seen, posterior.mean + posterior.stddev * eps, truth.shape[1])
+    z = posterior.mean + posterior.stddev * eps
+    mixture = model.mixture(seen, z.unsqueeze(0), truth.shape[1])
     total = 0.0
     for i in range(len(truth)):
         if not known[i].any():
@@ -147,7 +148,7 @@ def plain_loss(model: SocialVRNN, batch: TensorDict, eps: Tensor) -> float:
             m, s = float(posterior.mean[i, j]), float(posterior.stddev[i, j])
             n, r = float(seen.prior.mean[i, j]), float(seen.prior.stddev[i, j])
             total += math.log(r / s) + (s * s + (m - n) ** 2) / (2 * r * r) - 0.5
-        mine = FutureMixture(mixture.logits[i], mixture.mean[i], mixture.scale[i])
+        mine = FutureMixture(mixture.logits[0, i], mixture.mean[0, i], mixture.scale[0, i])
         total -= by_hand(mine, truth[i], known[i])
     return total / truth.shape[1]
 
@@ -175,10 +176,11 @@ def test_bounds_rise_to_the_likelihood() -> None:
     one, some, most = (float(model.log_likelihood(batch, seeded(1), k).mean()) for k in (1, 10, 100))
     seen = model.see(batch)
     truth, known = model._truth(batch, seen)
-    many = seen._replace(features=seen.features[:1].expand(20_000, -1), last=seen.last[:1].expand(20_000, 2))
-    z = seen.prior.mean[:1] + seen.prior.stddev[:1] * torch.randn(20_000, 3, generator=seeded()).double()
-    nats = model.mixture(many, z, 8).log_prob(truth[0], known[0])
-    exact = float(nats.logsumexp(0)) - math.log(20_000)
+    alone = seen._replace(features=seen.features[:1], last=seen.last[:1])
+    noise = torch.randn(20_000, 1, 3, generator=seeded()).double()
+    z = seen.prior.mean[:1] + seen.prior.stddev[:1] * noise
+    nats = model.mixture(alone, z, 8).log_prob(truth[0], known[0])
+    exact = float(nats.logsumexp(0).squeeze()) - math.log(20_000)
     assert one == pytest.approx(elbo, abs=0.1 * (exact - elbo))
     assert elbo < some - 0.1 < most - 0.2 < exact
     assert most == pytest.approx(exact, abs=0.25 * (exact - elbo))
@@ -192,7 +194,7 @@ def test_without_latents_the_likelihood_is_the_mixtures() -> None:
                 parameter.zero_()
     seen = model.see(batch)
     truth, known = model._truth(batch, seen)
-    exact = model.mixture(seen, seen.prior.mean, 8).log_prob(truth, known)
+    exact = model.mixture(seen, seen.prior.mean.unsqueeze(0), 8).log_prob(truth, known)[0]
     torch.testing.assert_close(model.log_likelihood(batch)[agents_of(batch)["mask"]], exact)
     torch.testing.assert_close(model.loss(batch), -exact.sum() / 8)
 
@@ -202,12 +204,12 @@ def test_samples_are_of_the_mixture() -> None:
     model, batch = without_latents(small()), batch_of((2,))
     with torch.no_grad():
         seen = model.see(batch)
-        mixture = model.mixture(seen, seen.prior.mean, 3)
+        mixture = model.mixture(seen, seen.prior.mean.unsqueeze(0), 3)
         drawn = model.sample(batch, 20_000, 3, seeded())[0].transpose(0, 1)
     drawn = geometry.unrotate(drawn, seen.heading[:, None, None])
-    weight = mixture.logits.softmax(-1)[..., None, None]
-    mean = (weight * mixture.mean).sum(1)
-    variance = (weight * (mixture.scale.square() + mixture.mean.square())).sum(1) - mean.square()
+    weight = mixture.logits[0].softmax(-1)[..., None, None]
+    mean = (weight * mixture.mean[0]).sum(1)
+    variance = (weight * (mixture.scale[0].square() + mixture.mean[0].square())).sum(1) - mean.square()
     torch.testing.assert_close(drawn.mean(1), mean, atol=0.02, rtol=0)
     torch.testing.assert_close(drawn.var(1), variance, atol=0.01, rtol=0.05)
 
@@ -218,11 +220,11 @@ def test_no_noise_is_the_mode_and_noise_chooses_latent_and_component() -> None:
     assert torch.equal(model.next_steps(batch, None, 3, 8), model.mode(batch, 8)[:, 0, :, :3])
     noise = torch.zeros(3, 4, model.noise_dim, dtype=torch.float64)
     seen = model.see(batch)
-    mixture = model.mixture(seen, seen.prior.mean, 2)
+    mixture = model.mixture(seen, seen.prior.mean.unsqueeze(0), 2)
     for quantile, component in ((-9.0, 0), (9.0, 2)):
         noise[..., -1] = quantile
         walked = model.next_steps(batch, noise, 2, 8)
-        expected = geometry.rotate(mixture.mean[:, component], seen.heading.unsqueeze(1))
+        expected = geometry.rotate(mixture.mean[0, :, component], seen.heading.unsqueeze(1))
         torch.testing.assert_close(walked[mask], expected)
         assert (walked[~mask] == 0).all()
     noise[..., 0] = 1.0

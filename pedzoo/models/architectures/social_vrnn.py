@@ -136,26 +136,27 @@ class SocialVRNN(Forecaster):
         return Seen(joined, self.prior(joined), own[:, -1], heading, crowd)
 
     def mixture(self, seen: Seen, latent: Tensor, steps: int) -> FutureMixture:
-        """Return p(y | z, x) in everybody's frame, for latents (P, latent_dim)."""
-        return self.decoder(seen.features, latent, lines.constant_velocity(seen.last, steps))
+        """Return p(y | z, x) in everybody's frame, of K x P people for latents (K, P, latent_dim)."""
+        samples = latent.shape[0]
+        base = lines.constant_velocity(seen.last, steps).repeat(samples, 1, 1)
+        written = self.decoder(seen.features.repeat(samples, 1), latent.flatten(0, 1), base)
+        return FutureMixture(*(values.view(samples, -1, *values.shape[1:]) for values in written))
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2): latent, component and what the component leaves open."""
         seen = self.see(batch)
-        many = _repeat(seen, samples)
-        z = _normal(many.prior.mean, generator) * many.prior.stddev + many.prior.mean
-        mixture = self.mixture(many, z, steps)
-        share = torch.special.ndtr(_normal(z[:, 0], generator))
-        component = mixture.at_quantile(share)
+        z = _draw(seen.prior, samples, generator)
+        mixture = self.mixture(seen, z, steps)
+        component = mixture.at_quantile(torch.special.ndtr(_normal(z[..., 0], generator)))
         path, scale = mixture.mean_of(component), mixture.scale_of(component)
-        return self._world(seen, path + scale * _normal(path, generator), samples)
+        return self._world(seen, path + scale * _normal(path, generator))
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the mean (B, 1, A, T, 2) of the most likely component, at the mode of the latent."""
         seen = self.see(batch)
-        return self._world(seen, self._most_likely(seen, steps), 1)
+        return self._world(seen, self._most_likely(seen, steps))
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); no others are decoded.
@@ -168,9 +169,9 @@ class SocialVRNN(Forecaster):
         seen = self.see(batch)
         drawn = seen.crowd.pack(noise)
         z = seen.prior.mean + seen.prior.stddev * drawn[:, :-1]
-        mixture = self.mixture(seen, z, steps)
-        component = mixture.at_quantile(torch.special.ndtr(drawn[:, -1]))
-        return self._world(seen, mixture.mean_of(component), 1)[:, 0]
+        mixture = self.mixture(seen, z.unsqueeze(0), steps)
+        component = mixture.at_quantile(torch.special.ndtr(drawn[:, -1]).unsqueeze(0))
+        return self._world(seen, mixture.mean_of(component))[:, 0]
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return minus the evidence lower bound, nats per step, summed over people.
@@ -182,14 +183,14 @@ class SocialVRNN(Forecaster):
         seen = self.see(batch)
         truth, known = self._truth(batch, seen)
         posterior = self._infer(seen, truth, known)
-        z = posterior.mean + posterior.stddev * _normal(posterior.mean, generator)
-        mixture = self.mixture(seen, z, truth.shape[1])
+        mixture = self.mixture(seen, _draw(posterior, 1, generator), truth.shape[1])
         divergence = kl_divergence(posterior, seen.prior).sum(-1) * known.any(-1)
-        cost = self.kl_weight * divergence - mixture.log_prob(truth, known)
+        cost = self.kl_weight * divergence - mixture.log_prob(truth, known).squeeze(0)
         if self.mode_weight:
-            wrong = (self._most_likely(seen, truth.shape[1]) - truth).cumsum(1)
+            wrong = (self._most_likely(seen, truth.shape[1]).squeeze(0) - truth).cumsum(1)
             # the root has no slope at zero
             distance = (wrong.square().sum(-1) + 1e-8).sqrt()
+            # after a gap in the displacements the way is not known any more
             cost = cost + self.mode_weight * (distance * known.cumprod(1)).sum(-1)
         return cost.sum() / truth.shape[1]
 
@@ -206,18 +207,16 @@ class SocialVRNN(Forecaster):
         """
         seen = self.see(batch)
         truth, known = self._truth(batch, seen)
-        many = _repeat(seen, samples)
-        truth, known = truth.repeat(samples, 1, 1), known.repeat(samples, 1)
-        posterior = self._infer(many, truth, known)
-        z = posterior.mean + posterior.stddev * _normal(posterior.mean, generator)
-        weight = (many.prior.log_prob(z) - posterior.log_prob(z)).sum(-1)
-        nats = self.mixture(many, z, truth.shape[1]).log_prob(truth, known) + weight
-        bound = nats.view(samples, -1).logsumexp(0) - math.log(samples)
-        return seen.crowd.unpack(bound * known[: len(bound)].any(-1))
+        posterior = self._infer(seen, truth, known)
+        z = _draw(posterior, samples, generator)
+        weight = (seen.prior.log_prob(z) - posterior.log_prob(z)).sum(-1)
+        nats = self.mixture(seen, z, truth.shape[1]).log_prob(truth, known) + weight
+        bound = nats.logsumexp(0) - math.log(samples)
+        return seen.crowd.unpack(bound * known.any(-1))
 
     def _most_likely(self, seen: Seen, steps: int) -> Tensor:
-        """Return the most likely component's mean (P, T, 2) in everybody's frame, at the latent's mode."""
-        mixture = self.mixture(seen, seen.prior.mean, steps)
+        """Return the most likely component's mean (1, P, T, 2) in everybody's frame, at the latent's mode."""
+        mixture = self.mixture(seen, seen.prior.mean.unsqueeze(0), steps)
         return mixture.mean_of(mixture.most_likely())
 
     def _truth(self, batch: TensorDict, seen: Seen) -> tuple[Tensor, Tensor]:
@@ -230,18 +229,16 @@ class SocialVRNN(Forecaster):
         surprise = (truth - seen.last.unsqueeze(1)) * known.unsqueeze(-1)
         return self.posterior(seen.features, self.future(surprise))
 
-    def _world(self, seen: Seen, path: Tensor, samples: int) -> Tensor:
-        """Return paths (K * P, T, 2) of everybody's frame as displacements in the world (B, K, A, T, 2)."""
-        turned = frames.out_of(seen.heading, path.view(samples, -1, *path.shape[1:]))
+    def _world(self, seen: Seen, path: Tensor) -> Tensor:
+        """Return paths (K, P, T, 2) of everybody's frame as displacements in the world (B, K, A, T, 2)."""
+        turned = frames.out_of(seen.heading, path)
         return seen.crowd.unpack(turned.transpose(0, 1)).transpose(1, 2)
 
 
-def _repeat(seen: Seen, samples: int) -> Seen:
-    """Return what is known about K times the same people, one whole crowd after the other."""
-    prior = Normal(seen.prior.mean.repeat(samples, 1), seen.prior.stddev.repeat(samples, 1), False)
-    return seen._replace(
-        features=seen.features.repeat(samples, 1), prior=prior, last=seen.last.repeat(samples, 1)
-    )
+def _draw(given: Normal, samples: int, generator: torch.Generator | None) -> Tensor:
+    """Return draws (K, P, D) of a distribution (P, D), which pass gradients on to it."""
+    like = given.mean.expand(samples, *given.mean.shape)
+    return given.mean + given.stddev * _normal(like, generator)
 
 
 def _normal(like: Tensor, generator: torch.Generator | None) -> Tensor:
