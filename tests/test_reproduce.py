@@ -26,6 +26,7 @@ from pedzoo.eval.results import Page
 from pedzoo.eval.suite import Request
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.metrics.likelihood import NegativeLogLikelihood
 from pedzoo.metrics.navigation import seconds_per_goal
 from pedzoo.metrics.outcome import OUTCOMES, bearing_sweep, outcome_ratios, outcomes
 from pedzoo.metrics.ratios import summarised
@@ -104,6 +105,15 @@ def test_sums_of_scenes_add_up_to_the_mean() -> None:
         total, people = total + float(errors.sum()), people + int(counts.sum())
     assert people == len(data.sets["test"].rows)
     assert score.compute()["ade_m"] == pytest.approx(total / people)
+
+
+def test_sums_of_likelihoods_by_hand() -> None:
+    """Over two steps each: -1 and 2 nats in one scene, 3 in the other, whose second person is absent."""
+    metric = NegativeLogLikelihood()
+    known = torch.tensor([[[True, True], [True, True]], [[True, True], [False, False]]])
+    metric.update(torch.tensor([[1.0, -2.0], [-3.0, math.nan]]), known)
+    assert [values.tolist() for values in metric.latest] == [[1.0, 3.0], [4, 2]]
+    assert float(metric.compute()) == pytest.approx(4 / 6)
 
 
 # Numbers of the loop

@@ -75,9 +75,12 @@ class ForecastScore(nn.Module):
         return found
 
     def latest(self) -> dict[str, tuple[Tensor, Tensor]]:
-        """Return, of each scene of the last batch, the sum and the number of people (B,) of every mean."""
-        found = (item for of in (self.of_mode, self.of_samples) for item in of.items())
-        return {name: metric.latest for name, metric in found if isinstance(metric, d.AgentMean)}
+        """Return sums and counts (B,) of every mean, for each scene of the last batch."""
+        items = (item for of in (self.of_mode, self.of_samples) for item in of.items())
+        found = {name: metric.latest for name, metric in items if isinstance(metric, d.AgentMean)}
+        if self.likelihood.update_called:
+            found["nll_nats_per_step"] = self.likelihood.latest
+        return found
 
     def reset(self) -> None:
         """Forget all batches."""
