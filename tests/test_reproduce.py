@@ -218,7 +218,15 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
         "protocol": {"folds": list(FOLDS)},
         "rows": rows,
         "means": means(rows, FOLDS),
-        "blocks": [{"pred_len": "12", "goal": "none", "rows": ["constant_velocity", "sgan", "sgan_pool"]}],
+        "missing": {f"sgan_pool.{fold}_pred12": "no such weights" for fold in FOLDS[1:]},
+        "blocks": [
+            {
+                "pred_len": "12",
+                "goal": "none",
+                "tag": "_pred12",
+                "rows": ["constant_velocity", "sgan", "sgan_pool"],
+            }
+        ],
         "training_seeds": {"sgan.eth": {"seeds": {0: 0.1, 1: 0.3}, "seed": 0, "chosen_by": "val/ade"}},
     }
     pages = {page.title: page for page in table1_pages(report)}
@@ -227,7 +235,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     best = pages["8 -> 12, goal none: best of 20 per scene, ADE / FDE"]
     assert best.head == ["model", *FOLDS, "mean"]
     assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan_pool"]
-    assert best.rows[2][1:] == ["-"] * 6  # whoever is missing has a row
+    assert best.rows[2][1:] == ["-", *["no weights"] * 4, "-"]
     assert best.rows[3][1] == "0.71 / 1.29"
     likely = pages["8 -> 12, goal none: most likely, ADE / FDE"]
     assert likely.rows[1][1] == "0.500 / 1.000\n[0.470, 0.540] / -"

@@ -28,8 +28,6 @@ from pedzoo.models.zoo import load
 from pedzoo.types import GoalProtocol
 
 SAMPLES = 20
-WITHOUT_GOAL = ("sgan", "sgan_pool", "social_vrnn")
-WITH_GOAL = ("sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet")
 
 
 class Block(NamedTuple):
@@ -38,12 +36,14 @@ class Block(NamedTuple):
     Attributes:
         pred_len: Predicted steps of 0.4 s.
         goal: Goal protocol.
-        models: Rows, each an architecture and the end of its weights' name behind the fold.
+        models: Architectures, one row each.
+        tag: The end of their weights' names, behind the fold.
     """
 
     pred_len: int
     goal: GoalProtocol
-    models: tuple[tuple[str, str], ...]
+    models: tuple[str, ...]
+    tag: str = ""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -52,10 +52,10 @@ class Block(NamedTuple):
 
 
 BLOCKS = (
-    Block(8, "none", tuple((name, "") for name in WITHOUT_GOAL)),
-    Block(8, "window_end", tuple((name, "") for name in WITH_GOAL)),
-    Block(8, "destination", (("sgan_goal", "_destination"),)),
-    Block(12, "none", tuple((name, "_pred12") for name in WITHOUT_GOAL[:2])),
+    Block(8, "none", ("sgan", "sgan_pool", "social_vrnn")),
+    Block(8, "window_end", ("sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet")),
+    Block(8, "destination", ("sgan_goal",), "_destination"),
+    Block(12, "none", ("sgan", "sgan_pool"), "_pred12"),
 )
 """12 steps are for the comparison with the released models, which have no goal."""
 
@@ -134,8 +134,8 @@ class Table1(Reproduction):
     def _rows(self, block: Block, fold: str) -> list[tuple[str, str, str]]:
         """Return name, weights and their sum of all rows of a block that can be made."""
         found = [(name, name, "") for name in block.lines]
-        for architecture, tag in block.models:
-            weights = f"{architecture}.{fold}{tag}"
+        for architecture in block.models:
+            weights = f"{architecture}.{fold}{block.tag}"
             if entry := find(weights):
                 found.append((architecture, weights, entry.card.sha256))
             else:
@@ -181,8 +181,8 @@ class Table1(Reproduction):
             "notes": notes(missing),
             "missing": missing,
             "blocks": [
-                {"pred_len": str(block.pred_len), "goal": block.goal,
-                 "rows": [*block.lines, *(name for name, _ in block.models)]}
+                {"pred_len": str(block.pred_len), "goal": block.goal, "tag": block.tag,
+                 "rows": [*block.lines, *block.models]}
                 for block in BLOCKS
             ],
             "rows": rows,

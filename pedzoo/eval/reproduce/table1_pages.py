@@ -50,7 +50,7 @@ def table1_pages(report: Mapping[str, Any]) -> list[Page]:
         mine = [row for row in rows if (row["case"]["pred_len"], row["case"]["goal"]) == (pred_len, goal)]
         for scored in SCORED:
             title = f"8 -> {pred_len}, goal {goal}: {scored.title}, ADE / FDE"
-            page = _folds(mine, block["rows"], folds, scored, title)
+            page = _folds(mine, block, folds, scored, title, report["missing"])
             if goal == "none" and scored == PER_SCENE:
                 page.rows.extend(_released(int(pred_len), folds))
             found.append(page)
@@ -110,11 +110,21 @@ def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:
 
 
 def _folds(
-    rows: Sequence[Mapping[str, Any]], names: Sequence[str], folds: Sequence[str], scored: Scored, title: str
+    rows: Sequence[Mapping[str, Any]],
+    block: Mapping[str, Any],
+    folds: Sequence[str],
+    scored: Scored,
+    title: str,
+    missing: Mapping[str, str],
 ) -> Page:
     """Return one way of scoring: models as rows, folds as columns."""
     cells = {(row["name"], row["case"]["fold"]): _errors(row, scored) for row in rows}
-    body = [[name, *(cells.get((name, fold), "-") for fold in folds)] for name in names]
+
+    def shown(name: str, fold: str) -> str:
+        none = "no weights" if f"{name}.{fold}{block['tag']}" in missing else "-"
+        return cells.get((name, fold), none)
+
+    body = [[name, *(shown(name, fold) for fold in folds)] for name in block["rows"]]
     return Page(title, ["model", *folds], body, 1)
 
 
