@@ -128,18 +128,26 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
             # not by torch.onnx.export alone, which turns every LSTM into a loop
             program = torch.export.export(graph, (graph.example(_SIZES),), dynamic_shapes={"inputs": shapes})
             onnx = torch.onnx.export(
-                program, input_names=list(graph.ports), output_names=list(graph.outputs), verbose=False
+                program,
+                input_names=list(graph.ports),
+                output_names=list(graph.outputs),
+                dynamic_shapes={"inputs": shapes},  # gives the free sizes their names
+                verbose=False,
             )
     except (NotTraceable, GuardOnDataDependentSymNode, torch.onnx.OnnxExporterError) as error:
         reason = str(error).strip().splitlines()[0]
         raise UserError(
-            f"{type(graph.model).__name__} cannot be made an ONNX graph, which must not depend on what its "
-            f"inputs hold: {reason}"
+            f"{type(graph.model).__name__} cannot be made an ONNX graph ({reason}): what it does must depend "
+            "neither on the numbers in its inputs nor on how many people there are, and sizes must be taken "
+            "from x.shape[0], not from len(x)"
         ) from error
     assert onnx is not None
+    proto = onnx.model_proto  # made anew each time it is asked for
+    for part in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
+        del part.metadata_props[:]  # lines of our code, with the folders of this machine
     for key, value in metadata.items():
-        onnx.model_proto.metadata_props.add(key=key, value=value)
-    return onnx.model_proto.SerializeToString(deterministic=True)
+        proto.metadata_props.add(key=key, value=value)
+    return proto.SerializeToString(deterministic=True)
 
 
 @contextmanager

@@ -65,8 +65,9 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
         try:
             found = session.run(list(graph.outputs), {key: given[key] for key in graph.ports})
         except (Fail, InvalidArgument, RuntimeException) as error:
+            reason = " ".join(str(error).split())
             raise UserError(
-                f"{who} fails with {agents.shape[0]} scenes of {agents.shape[1]} people ({error}): in the "
+                f"{who} fails with {agents.shape[0]} scenes of {agents.shape[1]} people ({reason}): in the "
                 "model, take sizes from x.shape[0] and not from len(x), which the graph does not follow"
             ) from error
         expected = graph.answers(model, scenes, noise)
