@@ -1,45 +1,60 @@
-"""``pedzoo demo``: the first minutes, from recorded people to tables, pictures and a video."""
+"""``pedzoo demo``: the first minutes with pretrained models. Its steps are commands that anybody can type."""
 
 from __future__ import annotations
 
+import shlex
+from importlib.util import find_spec
 from pathlib import Path
 
-HELP = "train SGAN+goal for a minute on embedded data, draw what it expects; walk through a door"
+HELP = "the first minutes: pretrained models walk beside ORCA and social force, one is fine-tuned"
 EXAMPLE = "pedzoo demo"
 
-POLICIES = ("orca:radius=0.5", "orca:radius=0.1", "sgan_goal_map.zara1")
-"""Who walks: two disks that do not fit through the door, two that do, and the shipped SGAN+goal+map."""
+NAME = "sgan_goal_map.eth_ucy"
+POLICIES = f"{NAME} orca:radius=0.3 social_force:preset=indoor"
+METRICS = "success,deadlock,agent_contacts_per_min,wall_contacts_per_min,time_ratio,least_distance_m"
+EPISODES = 10
+FILM_SECONDS = 8
 
-EPISODES = 5
-FILM_SECONDS = 8.0
-PANEL = (400, 300)
+
+def steps(out: str = "demo", epochs: int = 20, world: str = "bullet") -> list[tuple[str, str]]:
+    """Return the commands of the demo: what each shows, and what to type behind ``pedzoo``.
+
+    Args:
+        out: Folder of everything that is written.
+        epochs: Of fine-tuning.
+        world: ``bullet``, or ``grid`` where there is no pybullet.
+    """
+    common = f"--world {world} --episodes {EPISODES} --metrics {METRICS}"
+    files = f"--plot {out}/door.png --json {out}/door.json"
+    film = f"--video {out}/door.webm --video_seconds {FILM_SECONDS}"
+    home = "--scenario goals:map=apartment.7,people=4,goals=1,pool=8"
+    return [
+        ("pretrained models that walk where nobody was recorded", "models '*.eth_ucy'"),
+        (
+            "two people meet at a narrow door",
+            f"rollout {POLICIES} --scenario door {common} {files} {film}",
+        ),
+        (
+            "four people walk through an apartment that is drawn from a seed",
+            f"rollout {POLICIES} {home} {common} --plot {out}/apartment.png",
+        ),
+        (
+            "fine-tuning on other recordings (synthetic people on a plaza, no results to quote)",
+            f"fit --weights {NAME} --data.fold embedded --model.lr 1e-3 --trainer.max_epochs {epochs} "
+            f"--runs {out}/runs",
+        ),
+    ]
 
 
-def walk(out: Path) -> list[Path]:
-    """Let two people meet at a door, print the table and return what was written."""
-    from importlib.util import find_spec
-
-    from pedzoo.cli.output import print_report, write_json
-    from pedzoo.cli.progress import progress_bar
-    from pedzoo.eval.closed_loop import Comparison
-    from pedzoo.eval.trajectories import plot_rollouts
-    from pedzoo.eval.video import film
-    from pedzoo.versions import versions
-
-    world = "bullet" if find_spec("pybullet") else "grid"
-    plot, video, table = out / "door.png", out / "door.webm", out / "door.json"
-    with Comparison(POLICIES, "door", world, EPISODES) as comparison, progress_bar() as progress:
-        comparison.run(progress)
-        report = {"command": "demo", **comparison.report(), "versions": versions()}
-        plot_rollouts(comparison.walked, plot)
-        film(comparison.walked, video, size=PANEL, seconds=FILM_SECONDS, progress=progress)
-    print_report(report)
-    write_json(table, report)
-    return [plot, video, table]
+def compared(tuned: str) -> tuple[str, str]:
+    """Return the last command, whose model is known only then: what it shows, and what to type."""
+    models = f"{NAME} {tuned}"
+    title = "before and after fine-tuning, between the trivial baselines"
+    return title, f"forecast {models} --data.fold embedded --samples 5"
 
 
 def run(argv: list[str]) -> int:
-    """Train, print a table between the baselines, draw predictions, walk; returns the exit code."""
+    """Do all steps; returns the exit code."""
     from pedzoo.cli.arguments import Arguments
 
     parser = Arguments("demo", HELP, EXAMPLE)
@@ -47,46 +62,51 @@ def run(argv: list[str]) -> int:
         "--out", default="demo", metavar="FOLDER", help="where everything goes (default: demo)"
     )
     parser.add_argument(
-        "--epochs", type=int, default=80, help="epochs of training (default: 80, about a minute)"
+        "--epochs", type=int, default=20, help="epochs of fine-tuning (default: 20, about a minute)"
     )
     options = parser.parse_args(argv)
 
-    from pedzoo.cli.output import print_report, write_json
-    from pedzoo.cli.training import train
-    from pedzoo.data.datamodule import TrajectoryDataModule
-    from pedzoo.eval.forecast import forecast
-    from pedzoo.eval.plots import plot_forecasts
-    from pedzoo.models.zoo import load
-    from pedzoo.train.run import RunFolder
-    from pedzoo.versions import versions
+    from pedzoo.cli.main import main
 
     out = Path(options.out)
-    print(
-        "1/4 training SGAN+goal on the embedded recordings (synthetic people, no results to quote)",
-        flush=True,
-    )
-    arguments = ["--config", "demo", "--runs", str(out / "runs"), "--trainer.max_epochs", str(options.epochs)]
-    every = min(4, options.epochs)
-    if code := train("fit", [*arguments, "--trainer.check_val_every_n_epoch", str(every)], HELP, EXAMPLE):
+    world = "bullet" if find_spec("pybullet") else "grid"
+    commands = steps(shlex.quote(options.out), options.epochs, world)
+    total = len(commands) + 2
+    for number, (title, command) in enumerate(commands, start=1):
+        _announce(number, total, title, command)
+        if code := main(shlex.split(command)):
+            return code
+    tuned = _newest(out / "runs")
+    title, command = compared(shlex.quote(str(tuned)))
+    _announce(total - 1, total, title, command)
+    if code := main(shlex.split(command)):
         return code
-    newest = max((out / "runs" / "demo").iterdir(), key=lambda folder: folder.stat().st_mtime)
-    checkpoint = str(RunFolder(newest).best)
-
-    print("\n2/4 its errors between the trivial baselines")
-    data = TrajectoryDataModule(fold="embedded", goal="window_end")
-    report = {"command": "demo", **forecast([checkpoint], data), "versions": versions()}
-    report["rows"][1]["name"] = "sgan_goal (this demo)"
-    print_report(report)
-    table = out / "forecast.json"
-    write_json(table, report)
-
-    print("3/4 drawing predictions")
-    picture = out / "forecasts.png"
-    plot_forecasts(load(checkpoint), data, picture)
-
-    print("\n4/4 two people meet at a door: what errors of forecasts do not tell")
-    walked = walk(out)
-    print(
-        f"predictions: {picture}, {table}\nwalks:       {', '.join(map(str, walked))}\nrun:         {newest}"
-    )
+    print(f"\n{total}/{total} from Python: a controller for any simulator, and a picture of forecasts")
+    _in_python(tuned, out / "forecasts.png")
+    print(f"\neverything is in {out}: door.png door.webm door.json apartment.png forecasts.png runs")
     return 0
+
+
+def _announce(number: int, total: int, title: str, command: str) -> None:
+    print(f"\n{number}/{total} {title}\n$ pedzoo {command}", flush=True)
+
+
+def _in_python(tuned: Path, picture: Path) -> None:
+    import pedzoo
+    from pedzoo.data.datamodule import TrajectoryDataModule
+    from pedzoo.eval.plots import plot_forecasts
+
+    print(f'>>> walker = pedzoo.load("{NAME}").controller()')
+    print('>>> walker.step({"anna": (0, 0), "ben": (4, 0.2)}, {"anna": (6, 0), "ben": (-2, 0)})')
+    walker = pedzoo.load(NAME).controller()
+    velocity = walker.step({"anna": (0, 0), "ben": (4, 0.2)}, {"anna": (6, 0), "ben": (-2, 0)})
+    print({name: tuple(round(float(part), 2) for part in value) for name, value in velocity.items()})
+    print(f'>>> plot_forecasts(pedzoo.load("{tuned}"), data, "{picture}")')
+    data = TrajectoryDataModule(fold="embedded", goal="window_end")
+    plot_forecasts(pedzoo.load(str(tuned)), data, picture)
+
+
+def _newest(runs: Path) -> Path:
+    from pedzoo.train.run import RunFolder
+
+    return RunFolder(max(runs.glob("*/*"), key=lambda folder: folder.stat().st_mtime)).best

@@ -1,0 +1,56 @@
+"""The demo: all of its commands run, write what they promise, and show what they are there to show."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from pedzoo.cli.commands import demo
+from pedzoo.cli.main import main
+from pedzoo.eval.video import read_video
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
+    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
+]
+
+
+def test_the_demo_walks_tunes_and_compares(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    monkeypatch.setattr(demo, "FILM_SECONDS", 1)
+    monkeypatch.setattr(demo, "EPISODES", 2)
+    monkeypatch.setattr(demo, "METRICS", "success,time_ratio")
+    assert main(["demo", "--out", "my demo", "--epochs", "3"]) == 0
+    printed = capsys.readouterr().out
+    out = tmp_path / "my demo"
+    for picture in ("door.png", "apartment.png", "forecasts.png"):
+        assert (out / picture).read_bytes().startswith(b"\x89PNG")
+    assert read_video(out / "door.webm")[0] == 11
+    world = "bullet" if find_spec("pybullet") else "grid"
+    for title, command in demo.steps(shlex.quote("my demo"), 3, world):
+        assert f" {title}\n$ pedzoo {command}\n" in printed
+    tuned = out / "runs" / "sgan_goal_map" / "embedded-seed0" / "checkpoints" / "best.ckpt"
+    assert tuned.is_file() and demo.compared(shlex.quote(str(tuned.relative_to(tmp_path))))[1] in printed
+    report = json.loads((out / "door.json").read_text())
+    assert [row["name"] for row in report["rows"]] == demo.POLICIES.split()
+    assert report["protocol"]["world"] == world
+    for number in range(1, 7):
+        assert f"\n{number}/6 " in printed
+    # everybody at the table of forecasts, and who goes where in Python
+    assert all(name in printed for name in ("constant_velocity", "straight_line", "bent_line"))
+    velocity = next(line for line in printed.splitlines() if line.startswith("{'anna'"))
+    (anna, _), (ben, _) = json.loads(velocity.translate(str.maketrans("'()", '"[]'))).values()
+    assert anna > 0 > ben
+
+
+def test_a_step_that_fails_ends_the_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["demo", "--out", str(tmp_path / "file")]) == 2
+    assert "is a file, expected a folder" in capsys.readouterr().err
