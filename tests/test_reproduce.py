@@ -233,7 +233,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     (ratio,) = pages["Beside the released models: means over the folds, best of 20 per scene"].rows
     assert ratio[-2:] == ["0.48 / 0.96", "1.04 / 1.04"]  # 0.5 / 0.48, 1 / 0.964
     best = pages["8 -> 12, goal none: best of 20 per scene, ADE / FDE"]
-    assert best.head == ["model", *FOLDS, "mean"]
+    assert best.head == ["model", *(f"{fold} (10)" for fold in FOLDS), "mean (50)"]
     assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan_pool"]
     assert best.rows[2][1:] == ["-", *["no weights"] * 4, "-"]
     assert best.rows[3][1] == "0.71 / 1.29"
@@ -399,6 +399,15 @@ def test_mistakes_are_told_before_anything_is_done(
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert not list(Path().iterdir())
+
+
+def test_without_recordings_the_way_to_get_them_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
+    assert main(["reproduce", "table1", "--quick"]) == 2
+    assert "PEDZOO_DATA" in capsys.readouterr().err
 
 
 def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None:

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pedzoo.eval.reproduce.base import Reproduction
+
 HELP = "the paper's tables and figure, its numbers beside ours and the trivial baselines"
 EXAMPLE = "pedzoo reproduce table2 --quick --out results"
 
@@ -18,8 +25,6 @@ ONLY = {
 
 def run(argv: list[str]) -> int:
     """Do what is not done, print the tables and write page, report and picture; returns the exit code."""
-    from pathlib import Path
-
     from pedzoo.cli.arguments import Arguments
 
     about = f"""{HELP}
@@ -88,8 +93,12 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4. What was interrupted goes on where 
     return 0
 
 
-def _made(options, journal, seeds):
-    """Return the reproduction that was asked for."""
+def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
+    """Return the reproduction that was asked for.
+
+    Raises:
+        UserError: A fold, policy or floor plan that is not there, or recordings that are not.
+    """
     from pedzoo.errors import UserError, unknown
     from pedzoo.eval.reproduce.paper import FOLDS
     from pedzoo.eval.suite import Request

@@ -68,7 +68,8 @@ def notes(missing: Mapping[str, str]) -> list[str]:
     """Return what has to be known to read the numbers."""
     found = [
         "8 observed steps of 0.4 s, Social GAN's windows (people seen throughout, at least two), every"
-        " annotated step taken as 0.4 s; metres; test scenes that the weights were not trained on",
+        " annotated step taken as 0.4 s; metres; test scenes that the weights were not trained on. Behind"
+        " the folds the number of people, each counted in every window; the mean counts each fold the same",
         "in brackets 95 % intervals by a bootstrap over blocks of time as long as a window, since windows"
         " overlap; they say nothing about other scenes (eth has few windows) nor other trainings: see the"
         " spread over training seeds",
@@ -124,8 +125,10 @@ def _folds(
         none = "no weights" if f"{name}.{fold}{block['tag']}" in missing else "-"
         return cells.get((name, fold), none)
 
+    people = {row["case"]["fold"]: row["n"] for row in rows}
+    head = [f"{fold} ({people[fold]})" if fold in people else fold for fold in folds]
     body = [[name, *(shown(name, fold) for fold in folds)] for name in block["rows"]]
-    return Page(title, ["model", *folds], body, 1)
+    return Page(title, ["model", *head], body, 1)
 
 
 def _released(pred_len: int, folds: Sequence[str]) -> Iterator[list[str]]:
