@@ -55,7 +55,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # what goes wrong is said by the exception
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    batch, plan = _embedded(model, graph)
+    batch, plan = _embedded(model)
     generator = torch.Generator().manual_seed(0)
     checks, who = [], f"the ONNX graph of {type(model).__name__}"
     for scenes in (_cut(batch, 1, 1), _cut(batch, 1), batch, _crowd(batch)):
@@ -86,13 +86,13 @@ def _difference(found: Any, expected: np.ndarray) -> float:
     return float(np.nan_to_num(np.abs(found - expected), nan=np.inf).max())
 
 
-def _embedded(model: Forecaster, graph: Graph) -> tuple[TensorDict, dict[str, Any]]:
+def _embedded(model: Forecaster) -> tuple[TensorDict, dict[str, Any]]:
     """Return a batch of the embedded recording, whose floor plan ``model`` is bound to, and that plan."""
     data = TrajectoryDataModule(fold="embedded", goal="window_end" if "goal" in model.needs else "none")
     with redirect_stdout(io.StringIO()):  # counts of windows and people, which say nothing here
         data.setup("test")
     model.bind(data.bank)
-    plan = plan_inputs(graph.model, data.bank, data.bank.grids[0]) if "map" in model.needs else {}
+    plan = plan_inputs(model, data.bank, data.bank.grids[0]) if "map" in model.needs else {}
     return next(iter(data.test_dataloader())), plan
 
 
