@@ -306,6 +306,7 @@ def test_table_2_has_the_papers_cells_in_both_units() -> None:
     assert per_goal[0][1:3] == ["at most 76 (76%)", "at most 60 (60%)"]
     assert per_goal[1][1] == "75 (75%)\n19 (19%)"
     assert table.printed()["total_steps"]["3/5"] == 280
+    assert "apartment.0,apartment.1,apartment.2" in table.notes()[0]
 
 
 def test_floor_plans_that_are_given_take_the_place_of_drawn_ones() -> None:

@@ -65,6 +65,7 @@ class Table2(Walked):
         """Return what has to be known to read the numbers."""
         steps = " and ".join(f"{speed} m/s" for speed in SPEEDS)
         return [
+            f"floor plans: {self.evaluation.units[0].case.shares} (of several every episode draws one)",
             f"speeds: {steps} (the first as people walk, N(1.3, 0.2); the second as everybody in iGibson);"
             " whoever has reached all goals walks on to others until everybody has",
             "a step: iGibson's of 0.1 s, and 0.4 s, in which a learned model decides; the paper does not say"
