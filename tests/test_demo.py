@@ -25,7 +25,7 @@ def test_the_demo_walks_tunes_and_compares(
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     monkeypatch.setattr(demo, "FILM_SECONDS", 1)
-    monkeypatch.setattr(demo, "EPISODES", 2)
+    monkeypatch.setattr(demo, "EPISODES", 1)
     monkeypatch.setattr(demo, "METRICS", "success,time_ratio")
     assert main(["demo", "--out", "my demo", "--epochs", "3"]) == 0
     printed = capsys.readouterr().out
@@ -54,3 +54,12 @@ def test_a_step_that_fails_ends_the_demo(tmp_path: Path, capsys: pytest.CaptureF
     (tmp_path / "file").write_text("")
     assert main(["demo", "--out", str(tmp_path / "file")]) == 2
     assert "is a file, expected a folder" in capsys.readouterr().err
+
+
+def test_rollout_prints_the_metrics_that_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["rollout", "go_to_goal", "--world", "grid", "--episodes", "1", "--metrics"]
+    assert main([*command, "time_ratio,success"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.index("time_") < printed.index("success") and "deadlock" not in printed
+    assert main([*command, "success,sucess"]) == 2
+    assert "unknown metric 'sucess': did you mean 'success'?" in capsys.readouterr().err
