@@ -194,7 +194,10 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
         (["orca", "--suite", "cards", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
         (["orca", "--suite", ","], "no suites"),
         (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, table2 would have"),
-        (["orca", "--suite", "replay", "--episodes", "9"], "in replay; cards, door, figure4, goals, table2 would have"),
+        (
+            ["orca", "--suite", "replay", "--episodes", "9"],
+            "in replay; cards, door, figure4, goals, table2 would have",
+        ),
         (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),
         (["orca", "--sute", "cards"], "--suite"),
     ):
