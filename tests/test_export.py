@@ -107,7 +107,10 @@ def test_the_front_matter_is_what_the_hub_reads() -> None:
     (index,) = said["model-index"]
     forecast, door = index["results"]
     assert forecast["task"] == {"type": "trajectory-forecasting"}
-    assert forecast["dataset"] == {"type": "zara1-test", "name": "zara1 test"}
+    assert forecast["dataset"] == {
+        "type": "zara1-test-goal-window-end",
+        "name": "zara1 test, goal window_end",
+    }
     assert forecast["metrics"] == [{"type": "ade_m", "value": 0.0571}, {"type": "fde_m", "value": 0.0086}]
     assert door["task"] == {"type": "closed-loop-simulation"} and door["dataset"]["name"] == "door bullet"
     assert page(card) in text and 'pedzoo.load("hf://OWNER/REPOSITORY")' in text

@@ -84,6 +84,8 @@ def _result(report: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     """Return a row of a report as the hub's ``model-index`` has it: a task, a dataset and metrics."""
     task = {"forecast": "trajectory-forecasting"}.get(report["command"], "closed-loop-simulation")
     case = " ".join(str(value) for value in row["case"].values()) or str(row.get("table", task))
+    if "goal" in report["protocol"]:  # a number without it would be compared with others of another protocol
+        case += f", goal {report['protocol']['goal']}"
     metrics = [{"type": key, "value": value} for key, value in row["metrics"].items()]
     dataset = {"type": re.sub(r"[^a-z0-9]+", "-", case.lower()).strip("-"), "name": case}
     return {"task": {"type": task}, "dataset": dataset, "metrics": metrics}
