@@ -26,5 +26,5 @@ def test_config_trains(
     assert (run / "checkpoints" / "best.ckpt").is_file()
     logged = (run / "metrics.csv").read_text().splitlines()[0]
     assert "val/ade" in logged
-    # who has a goal walks; the demo is to last a minute
+    # who has a goal walks
     assert ("rollout/door/success" in logged) == name.startswith("sgan_goal")

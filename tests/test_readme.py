@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pedzoo.cli.commands import demo
 from pedzoo.cli.main import main
-from pedzoo.eval.video import read_video
 from pedzoo.paths import config_names, shipped
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +25,19 @@ SHORT = [
 ]
 SHORT += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
 SHORT += ["--rollout.episodes", "2"]
+TUNED = "demo/runs/sgan_goal_map/embedded-seed0/checkpoints/best.ckpt"
 BENCH = ["--quick", "--seconds", "0.01", "--turns", "1", "--size", "2x5"]
+ELSEWHERE = [shlex.split(command) for _, command in [*demo.steps(), demo.compared(TUNED)]]
+"""Commands that other tests run: here those of tests/test_demo.py."""
+ELSEWHERE += [
+    shlex.split(command)
+    for command in (
+        "evaluate sgan_goal_map.zara1 --from-card",  # tests/test_card_numbers.py
+        "export sgan_goal.eth_ucy --onnx model.onnx",  # tests/test_onnx.py
+        "reproduce table1 --out pages",  # tests/test_reproduce.py
+        "reproduce figure4 --out pages --quick",
+    )
+]
 
 
 def blocks(language: str) -> list[str]:
@@ -70,13 +80,19 @@ def test_pedzoo_commands(
     found = commands()
     walk = ["--episodes", "2", "--video_seconds", "1"]
     less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk, "plans": [], "bench": BENCH}
-    less["evaluate"] = ["--suite", "cards", "--episodes", "1"]
-    assert {words[0] for words in found} == set(less)
+    less |= {"models": [], "info": [], "export": [], "evaluate": ["--suite", "cards", "--episodes", "1"]}
+    assert {words[0] for words in found} == {*less, *(words[0] for words in ELSEWHERE)}
     for words in found:
-        assert main([*words, *less[words[0]]]) == 0, words
+        if words not in ELSEWHERE:
+            shorter = ["--no-evaluation"] if "--zoo" in words else less[words[0]]
+            assert main([*words, *shorter]) == 0, words
     for file in ("out.json", "walk.json", "door.png", "door.webm", "walked.json", "walked.md"):
         assert (somebodys_folder / file).is_file()
     assert "min_ade_2" in capsys.readouterr().out
+
+
+def test_what_is_shown_elsewhere_is_in_the_readme() -> None:
+    assert all(words in commands() for words in ELSEWHERE)
 
 
 def test_python_snippets(somebodys_folder: Path) -> None:
@@ -102,34 +118,5 @@ def test_the_two_scripts_and_every_linked_file_exist() -> None:
 
 def test_every_config_is_in_the_table_and_every_name_in_the_table_is_a_config() -> None:
     table = README.partition("| config | model |")[2].partition("\n\n")[0]
-    named = set(re.findall(r"`(sgan\w*)`", table))
-    assert named == {name for name in config_names() if name.startswith("sgan")}
-
-
-def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pedzoo.cli.commands.demo.FILM_SECONDS", 1.0)
-    monkeypatch.setattr("pedzoo.cli.commands.demo.EPISODES", 2)
-    assert main(["demo", "--out", str(tmp_path / "demo"), "--epochs", "1"]) == 0
-    printed = capsys.readouterr().out
-    for name in (
-        "constant_velocity",
-        "straight_line",
-        "bent_line",
-        "sgan_goal",
-        "forecasts.png",
-        "forecast.json",
-        "orca:radius=0.5",
-        "orca:radius=0.1",
-        "sgan_goal_map.zara1",
-        "door.png",
-        "door.webm",
-        "door.json",
-    ):
-        assert name in printed
-    for name in ("forecasts.png", "door.png"):
-        assert (tmp_path / "demo" / name).read_bytes().startswith(b"\x89PNG")
-    assert read_video(tmp_path / "demo" / "door.webm")[0] == 11
-    report = json.loads((tmp_path / "demo" / "door.json").read_text())
-    blocked, passing, learned = (row["metrics"] for row in report["rows"])
-    assert blocked["success"] == 0 and passing["success"] == 1 and learned["failed"] == 0
-    assert report["protocol"]["world"] == ("bullet" if find_spec("pybullet") else "grid")
+    named = set(re.findall(r"`(\w+)`", table))
+    assert named == set(config_names())
