@@ -15,8 +15,8 @@ HEADLINE = "## all suites\n"
 """The first table of checkpoints/RESULTS.md."""
 
 INTRODUCTION = """
-zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many trainings ± their
-standard deviation, each checkpoint chosen on the validation windows of the other scenes.
+zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many trainings ±
+their standard deviation, each checkpoint chosen on the validation windows of the other scenes.
 
 | goal | model | trainings | most likely | one random sample | best of 20, per scene | next step |
 |---|---|---|---|---|---|---|

@@ -19,9 +19,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from forecast_table import table
-from pedzoo.eval.card_numbers import measure
 from zoo_recipes import RECIPES, Recipe
 
+from pedzoo.eval.card_numbers import measure
 from pedzoo.eval.publish import publish
 from pedzoo.models.card import read_card, write_card
 from pedzoo.paths import shipped
