@@ -25,6 +25,12 @@ def written(path: Path, **changed: Any) -> Path:
     return path
 
 
+def measured(row: dict[str, Any] | None = None, **changed: Any) -> dict[str, Any]:
+    """Return an evaluation with something else in it, or in its row."""
+    report = make_card().evaluations[0] | changed
+    return report | {"rows": [report["rows"][0] | (row or {})]}
+
+
 def test_a_card_is_the_same_when_read_again(tmp_path: Path) -> None:
     card = make_card()
     write_card(card, tmp_path / "new" / "a.yaml")
@@ -69,6 +75,18 @@ def test_small_numbers_are_numbers_again_and_shared_parts_are_written_out(tmp_pa
         ({"data": make_card().data | {"recordings": [["a"]]}}, "data recordings are .*expected names"),
         ({"evaluations": [{"rows": []}]}, "evaluations command is missing"),
         ({"evaluations": ["good"]}, "evaluations is 'good', expected a mapping"),
+        ({"evaluations": [measured(command=["a"])]}, "evaluations command is .'a'., expected a text"),
+        (
+            {"evaluations": [measured({"metrics": {"ade_m": "low"}})]},
+            "metrics 'ade_m' is 'low', expected a num",
+        ),
+        (
+            {"evaluations": [measured({"ci95": {"ade_m": [1.0]}})]},
+            "ci95 'ade_m' is .1.0., expected 2 n",
+        ),
+        ({"evaluations": [measured({"ci95": {"ade_m": None}})]}, "ci95 'ade_m' is None, expected 2 numbers"),
+        ({"training": make_card().training | {"seeds": {0: "low"}}}, "seeds 0 is 'low', expected a number"),
+        ({"url": "https://host/a b"}, "expected an address at http"),
     ],
 )
 def test_a_wrong_card_is_refused_with_the_reason(
@@ -106,6 +124,11 @@ def test_what_is_no_card_is_refused_and_nothing_in_it_runs(
     [
         (".nan", "nan: expected plain values"),
         ("2026-11-21", "expected plain values"),
+        ("2026-11-99", "cannot be read: day is out of range"),
+        ("!!timestamp soon", "cannot be read"),
+        ("!!bool perhaps", "cannot be read"),
+        ("!!int many", "cannot be read"),
+        ("9" * 5000, "cannot be read: Exceeds the limit"),
         ("!!binary aGk=", "expected plain values"),
         ("{1.5: x}", "expected plain values"),
         (r'"\e[2J"', "x1b.*expected no control characters"),

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from safetensors.torch import save_file
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -127,4 +128,8 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(
     save_weights(SGAN(), elsewhere / "mine.safetensors", training={"config": "my_own"})
     error = refused(capsys, "--weights", "mine.safetensors", *fold)
     assert "they say my_own" in error and "add --config NAME" in error
+    Path("own.py").write_text("raise SystemExit('this must not run')")
+    config = {"architecture": "own.py:Mine", "init": {}, "training": {"config": "sgan"}}
+    save_file({"x": torch.zeros(1)}, "trap.safetensors", {"config": json.dumps(config)})
+    assert "never makes code run" in refused(capsys, "--weights", "trap.safetensors", *fold)
     assert "no weights at 'none.safetensors'" in refused(capsys, "--weights", "none.safetensors", *fold)

@@ -227,6 +227,25 @@ def test_a_source_of_the_user_is_searched_for_names(
     assert same(load(NAME), model)
     with pytest.raises(UserError, match=r"did you mean 'sgan_goal\.mall'.*PEDZOO_ZOO: .*mal\.yaml: 404"):
         load("sgan_goal.mal")
+    monkeypatch.setenv("PEDZOO_ZOO", f"gone,{tmp_path}/zoo")
+    with pytest.raises(UserError, match=r"PEDZOO_ZOO: no folder 'gone'$"):
+        load("sgan_goal.mal")
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a" * 300 + ".b", "x/" + "a" * 300, "https://[::1/sgan.b"])
+def test_names_that_nothing_can_have_are_refused_as_others_are(name: str) -> None:
+    with pytest.raises(UserError):
+        load(name)
+
+
+def test_who_misspells_is_shown_the_family_and_not_all_there_is() -> None:
+    known = {"sgan_goal": r"known: sgan_goal\.eth, .*, sgan_goal\.zara2$"}
+    known |= {"sgan_gaol.zara1": r"did you mean 'sgan_goal\.zara1'\? known: sgan_goal\.eth, "}
+    known |= {"orca": r"known: sgan\.\*, sgan_goal\.\*, "}
+    for name, message in known.items():
+        with pytest.raises(UserError, match=message) as caught:
+            obtain(name)
+        assert "sgan_goal_map.zara1" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -328,6 +347,8 @@ def test_configs_with_unknown_keys_and_cards_of_others_are_refused(model: Foreca
             {"goal_dim": 5, "goal_protocol": "window_end"},
             "weights of another architecture than 'sgan'",
         ),
+        ("init", {"encoder_dim": "wide"}, "'sgan' cannot be built with the arguments .*wide"),
+        ("init", {"encoder_dim": 10**9}, "'sgan' cannot be built with the arguments"),
         ("architecture", "sgam", "unknown model 'sgam': did you mean 'sgan'"),
         ("architecture", "own.py:Mine", "never makes code run"),
     ],

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
-import yaml
-
 from pedzoo.errors import UserError
 from pedzoo.fetch import fetch
-from pedzoo.models.card import check_name, is_name
+from pedzoo.models.card import check_name, is_name, load_yaml
 from pedzoo.paths import cache_home
 
 _WORD = "[A-Za-z0-9][A-Za-z0-9_.-]*"
@@ -94,9 +92,9 @@ def _only_model(name: str, url: str, kept: str) -> str:
     text = download(f"{url}/README.md", f"{kept}/README.md").read_text(errors="replace")
     front = _FRONT.match(text)
     try:
-        said = yaml.safe_load(front[1]) if front else None
-    except yaml.YAMLError as error:
-        raise UserError(f"{name}: the front matter of its README cannot be read: {error}") from error
+        said = load_yaml(front[1]) if front else None
+    except UserError as error:
+        raise UserError(f"{name}: the front matter of its README {error}") from error
     model = said.get("model_name") if isinstance(said, dict) else None
     if not isinstance(model, str) or not is_name(model):
         raise UserError(f"{name}: its README does not say which model it is (model_name); add /ARCH.TAG")
@@ -104,7 +102,10 @@ def _only_model(name: str, url: str, kept: str) -> str:
 
 
 def _on_web(name: str) -> Place:
-    parts = urlsplit(name)
+    try:
+        parts = urlsplit(name)
+    except ValueError as error:  # brackets that do not close
+        raise UserError(f"{name!r}: {error}") from error
     folder, _, last = parts.path.rpartition("/")
     model = last.removesuffix(".safetensors").removesuffix(".yaml")
     if not parts.hostname or parts.username or parts.query or parts.fragment or not is_name(model):

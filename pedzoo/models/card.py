@@ -11,7 +11,7 @@ import yaml
 
 from pedzoo.errors import UserError
 from pedzoo.models.header import check_config
-from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_plain
+from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_numbers, check_plain
 from pedzoo.paths import write_whole
 
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
@@ -39,13 +39,16 @@ TRAINING: Kinds = {
 
 DATA: Kinds = {"recordings": (list,), "source": (str,), "terms": (str,), "citation": (str,)}
 EVALUATION: Kinds = {
-    "command": (str, list),
+    "command": (str,),
     "protocol": (dict,),
     "seeds": (list,),
     "versions": (dict,),
     "rows": (list,),
 }
 _ROW: Kinds = {"name": (str,), "case": (dict,), "n": (int,), "metrics": (dict,), "ci95": (dict,)}
+
+_NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
+"""What reading values ends in that are not what they say they are, such as the 99th of a month."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ class ModelCard:
             )
         if not re.fullmatch("[0-9a-f]{64}", self.sha256):
             raise UserError(f"sha256 {self.sha256!r}: expected 64 digits of 0-9 and a-f")
-        if self.url is not None and not re.match("https?://", self.url):
+        if self.url is not None and not re.fullmatch(r"https?://\S+", self.url):
             raise UserError(f"url {self.url!r}: expected an address at http:// or https://")
         check_config(self.config)
         if self.architecture != self.config["architecture"]:
@@ -107,10 +110,13 @@ class ModelCard:
         check_keys(self.data, DATA, "data")
         if not all(isinstance(name, str) for name in self.data["recordings"]):
             raise UserError(f"data recordings are {self.data['recordings']!r:.60}, expected names")
+        check_numbers(self.training["seeds"] or {}, "training seeds")
         for report in self.evaluations:
             check_keys(report, EVALUATION, "evaluations", more=True)
             for row in report["rows"]:
                 check_keys(row, _ROW, "evaluations rows", more=True)
+                check_numbers(row["metrics"], "evaluations rows metrics")
+                check_numbers(row["ci95"], "evaluations rows ci95", ends=2)
 
 
 _CARD: Kinds = {
@@ -158,18 +164,28 @@ def read_card(path: str | Path) -> ModelCard:
     if path.stat().st_size > _LARGEST:
         raise UserError(f"{str(path)!r} is no model card: larger than {_LARGEST // 1_000_000} MB")
     try:
-        found = _loaded(path.read_bytes())
+        found = load_yaml(path.read_bytes())
         check_keys(found, _CARD)
         return ModelCard(**found)
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"model card {str(path)!r} cannot be read: {reason}") from error
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error
 
 
-def _loaded(text: bytes) -> Any:
-    """Return what YAML of somebody else's says, without the ways in which a small text becomes endless."""
+def load_yaml(text: bytes | str) -> Any:
+    """Return what YAML of somebody else's says, without the ways in which a small text becomes endless.
+
+    Raises:
+        UserError: It is no YAML, has values that are not of the kind they say, references or many levels.
+    """
+    try:
+        return _loaded(text)
+    except UserError:
+        raise
+    except _NO_YAML as error:
+        raise UserError(f"cannot be read: {error}") from error
+
+
+def _loaded(text: bytes | str) -> Any:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
     depth = 0
     for event in yaml.parse(text, loader):

@@ -9,7 +9,7 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from pedzoo.errors import UserError
-from pedzoo.models.keys import NOTHING, Kinds, check_keys
+from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_plain
 
 CONFIG: Kinds = {
     "architecture": (str,),
@@ -39,7 +39,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
     """Return the config in the metadata of an open file.
 
     Raises:
-        UserError: There is none that pedzoo wrote.
+        UserError: There is none that pedzoo wrote, or it is of a class in somebody's file of code.
     """
     metadata = file.metadata() or {}
     if "config" not in metadata:
@@ -48,9 +48,15 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
         )
     try:
         config = json.loads(metadata["config"])
+        check_plain(config)
         check_config(config)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
+    if ".py:" in config["architecture"]:
+        raise UserError(
+            f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
+            "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.fill"
+        )
     return config
 
 

@@ -55,6 +55,23 @@ def check_keys(
             raise UserError(f"{where}{key} is {found[key]!r:.60}, expected {expected}")
 
 
+def check_numbers(found: Mapping[Any, Any], where: str, ends: int = 1) -> None:
+    """Check that the values of a mapping are numbers, or lists of ``ends`` numbers.
+
+    Raises:
+        UserError: One is something else.
+    """
+    for key, value in found.items():
+        numbers = value if ends > 1 else [value]
+        if not isinstance(numbers, list) or len(numbers) != ends or not all(map(_is_number, numbers)):
+            expected = "a number" if ends == 1 else f"{ends} numbers"
+            raise UserError(f"{where} {key!r:.60} is {value!r:.60}, expected {expected}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def check_plain(value: Any) -> None:
     """Check that a value is made of texts, finite numbers, lists and mappings, as JSON is.
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,6 +46,13 @@ def find(name: str) -> Entry | None:
     Raises:
         UserError: There is no model at that place, several have the name, or its card is refused.
     """
+    try:
+        return _found(name)
+    except OSError as error:  # longer than names of files may be, a folder that others may not read
+        raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
+
+
+def _found(name: str) -> Entry | None:
     if is_address(name):
         return _fetched(name)
     if is_file(name):
@@ -96,7 +105,25 @@ def obtain(name: str) -> Path:
     """
     if entry := find(name):
         return weights_of(entry)
-    raise unknown("model", name, names())
+    raise no_model(name)
+
+
+def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> UserError:
+    """Return the error for a name that no model has, with the nearest one.
+
+    Of all the models that there are it lists those of the same family, ``sgan_goal.*``; families if it is of
+    none.
+
+    Args:
+        name: What was asked for.
+        others: Names that would do as well, besides those of models.
+        kind: What was expected.
+    """
+    known, others = names(), list(others)
+    near = get_close_matches(name, [*others, *known], n=1)
+    families = [f"{one.partition('.')[0]}." for one in (name, *near)]
+    family = next(filter(None, ([one for one in known if one.startswith(stem)] for stem in families)), [])
+    return unknown(kind, name, {*others, *(family or (f"{one.partition('.')[0]}.*" for one in known))})
 
 
 def names() -> list[str]:
@@ -126,14 +153,14 @@ def _by_name(name: str) -> Entry | None:
         raise UserError(f"{name!r} was fetched from {len(kept)} places, say which: {' or '.join(kept)}")
     if kept:
         return _fetched(kept[0])
-    failed = []
+    failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
     for source in _sources(address=True):
         try:
             return _fetched(f"{source}/{name}")
         except UserError as error:
             failed.append(str(error))
     if failed:
-        raise UserError(f"{unknown('model', name, names())}; {SOURCES}: {'; '.join(failed)}")
+        raise UserError(f"{no_model(name)}; {SOURCES}: {'; '.join(failed)}")
     return None
 
 
@@ -151,7 +178,7 @@ def _fetched(name: str) -> Entry:
     try:
         return _read(path.parent, where.model)._replace(place=where)
     except UserError as error:
-        path.unlink()  # perhaps a page of the server's about something else
+        path.unlink(missing_ok=True)  # perhaps a page of the server's about something else
         raise UserError(f"{name}: {error}") from error
 
 

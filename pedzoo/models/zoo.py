@@ -15,11 +15,11 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from pedzoo.errors import UserError, unknown
+from pedzoo.errors import UserError
 from pedzoo.models.base import Forecaster
 from pedzoo.models.card import ModelCard
 from pedzoo.models.header import check_config, config_in, opened
-from pedzoo.models.store import find, names, weights_of
+from pedzoo.models.store import find, names, no_model, weights_of
 from pedzoo.models.store import obtain as obtain
 from pedzoo.paths import write_whole
 from pedzoo.registry import MODELS
@@ -57,7 +57,7 @@ def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
     if name.endswith(".ckpt"):
         return _from_checkpoint(Path(name))
     if name not in MODELS.names() and ".py:" not in name:
-        raise unknown("model", name, [*list_models(), *baselines()])
+        raise no_model(name, baselines())
     model = MODELS.get(name)
     asks = "goal_protocol" in inspect.signature(model).parameters
     built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
@@ -83,7 +83,11 @@ def build(config: dict[str, Any]) -> Forecaster:
     Raises:
         UserError: There is no such architecture, or it takes other arguments.
     """
-    return _made(MODELS.get(config["architecture"]), config["init"], config["architecture"])
+    name, init = config["architecture"], config["init"]
+    try:
+        return _made(MODELS.get(name), init, name)
+    except (TypeError, RuntimeError) as error:  # values of other kinds, sizes that nobody has
+        raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
 
 def architecture_of(model: Forecaster) -> str:
@@ -125,11 +129,6 @@ def _from_safetensors(path: Path, card: ModelCard | None = None) -> Forecaster:
         other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
         raise UserError(
             f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
-        )
-    if ".py:" in config["architecture"]:
-        raise UserError(
-            f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
-            "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.fill"
         )
     return fill(build(config), state, str(path))
 

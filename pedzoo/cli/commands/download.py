@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
-from pedzoo.errors import UserError, unknown
+from pedzoo.errors import UserError
 from pedzoo.paths import data_home
 
 HELP = "download a dataset, AlexNet's weights or a model, checked, to where they are found"
@@ -56,8 +56,8 @@ def _alexnet() -> Path:
 
 
 def _model(name: str, datasets: list[str]) -> Path:
-    from pedzoo.models.store import find, names, weights_of
+    from pedzoo.models.store import find, no_model, weights_of
 
     if entry := find(name):
         return weights_of(entry)
-    raise unknown("dataset or model", name, [*datasets, ALEXNET, *names()])
+    raise no_model(name, [*datasets, ALEXNET], "dataset or model")

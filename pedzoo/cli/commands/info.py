@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
-from pedzoo.errors import UserError, unknown
+from pedzoo.errors import UserError
 from pedzoo.models.card_page import page, results, sections
-from pedzoo.models.store import find, is_file, names
+from pedzoo.models.store import find, is_file, names, no_model
 from pedzoo.registry import MODELS
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def _card(name: str) -> ModelCard:
     if name in MODELS.names():
         weights = ", ".join(one for one in names() if one.startswith(f"{name}.")) or "none"
         raise UserError(f"{name!r} is an architecture ({MODELS.describe(name)}); name its weights: {weights}")
-    raise unknown("model", name, names())
+    raise no_model(name)
 
 
 def _print(card: ModelCard) -> None:

@@ -71,10 +71,9 @@ def _numbers(card: ModelCard) -> dict[str, float]:
     """Return the headline of a card: errors on its own fold, and success at the door."""
     found: dict[str, float] = {}
     for report in card.evaluations:
-        if report["command"] == "forecast" and report["protocol"].get("fold") == card.training["fold"]:
-            metrics = report["rows"][0]["metrics"]
-            found |= {key: metrics[key] for key in COLUMNS if key in metrics}
         for row in report["rows"]:
+            if report["command"] == "forecast" and report["protocol"].get("fold") == card.training["fold"]:
+                found |= {key: value for key, value in row["metrics"].items() if key in COLUMNS}
             if row["case"].get("suite") == "door" and "success" in row["metrics"]:
                 found["door"] = row["metrics"]["success"]
     return found
