@@ -10,6 +10,9 @@ from torch import Tensor
 from pedzoo.data.scenes import SceneSet
 from pedzoo.metrics.intervals import Interval, bootstrap
 
+FEW = 10
+"""Blocks, below which a bootstrap interval of 95 % covers clearly less; tables mark it as rough."""
+
 
 class BlockSums:
     """Sums of errors over blocks of time, whose bootstrap gives 95 % intervals of their means.
@@ -19,6 +22,10 @@ class BlockSums:
     a window has frames, within one recording, so that only neighbouring blocks share frames (the block
     bootstrap: Künsch, "The jackknife and the bootstrap for general stationary observations", Annals of
     Statistics 17, 1989). What differs between scenes and between trainings is not in these intervals.
+    Those of few blocks are too narrow: see `FEW`.
+
+    Attributes:
+        block: Of each window (S,) long.
     """
 
     def __init__(self, scenes: SceneSet) -> None:
@@ -27,12 +34,17 @@ class BlockSums:
         self.block = blocks(windows, scenes.obs_len + scenes.pred_len)
         self._sums: dict[str, tuple[Tensor, Tensor]] = {}
 
+    @property
+    def count(self) -> int:
+        """How many blocks there are."""
+        return int(self.block[-1]) + 1
+
     def add(self, scenes: Tensor, errors: Mapping[str, tuple[Tensor, Tensor]]) -> None:
         """Add the sums and numbers of people (B,) of each error in some scenes (B,)."""
         block = self.block[scenes]
         for name, found in errors.items():
             if name not in self._sums:
-                nothing = torch.zeros(int(self.block[-1]) + 1, dtype=torch.float64)
+                nothing = torch.zeros(self.count, dtype=torch.float64)
                 self._sums[name] = nothing, nothing.clone()
             for total, value in zip(self._sums[name], found, strict=True):
                 total.index_add_(0, block, value.double().cpu())

@@ -16,11 +16,12 @@ from pedzoo.eval.clock import Progress, Step
 from pedzoo.eval.forecast import BASELINES, forecast_row
 from pedzoo.eval.journal import Journal
 from pedzoo.eval.reproduce.base import Reproduction
+from pedzoo.eval.reproduce.folds import means
 from pedzoo.eval.reproduce.paper import FOLDS, RELEASED, TABLE_1
 from pedzoo.eval.reproduce.table1_pages import notes, table1_pages
 from pedzoo.eval.results import Page
 from pedzoo.eval.suites.replay import digest_of
-from pedzoo.eval.summary import mean_interval
+from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.eval.units import fingerprint
 from pedzoo.eval.workers import finished
 from pedzoo.models.store import find
@@ -208,7 +209,8 @@ def work(job: Job) -> list[dict[str, Any]]:
         with redirect_stdout(io.StringIO()):  # counts of windows and people: each row has its n
             data = _data(job.fold, job.goal, job.pred_len, job.root)
             row |= forecast_row(job.row, model, data, job.samples, job.seed)
-        row |= {"case": where, "windows": len(data.sets["test"])}
+        test = data.sets["test"]
+        row |= {"case": where, "windows": len(test), "blocks": BlockSums(test).count}
     except UserError as error:  # such as AlexNet's convolutions, which are not in the weights
         row |= {"missing": str(error)}
     return [row | {"seconds": round(time.perf_counter() - started, 2)}]
@@ -217,30 +219,6 @@ def work(job: Job) -> list[dict[str, Any]]:
 @lru_cache(maxsize=1)
 def _data(fold: str, goal: GoalProtocol, pred_len: int, root: str | None) -> TrajectoryDataModule:
     return TrajectoryDataModule(fold, root, pred_len=pred_len, goal=goal)
-
-
-def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the mean over the folds of every row that all of them have, with its interval."""
-    grouped: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
-    for row in rows:
-        key = row["name"], row["case"]["goal"], row["case"]["pred_len"]
-        grouped.setdefault(key, {})[row["case"]["fold"]] = row
-    found = []
-    for (name, goal, pred_len), by_fold in grouped.items():
-        if len(folds) < 2 or set(by_fold) != set(folds):
-            continue
-        mine = [by_fold[fold] for fold in folds]
-        metrics, ci95 = {}, {}
-        for key in mine[0]["metrics"]:
-            values = [row["metrics"][key] for row in mine]
-            metrics[key] = sum(values) / len(values)
-            ends = [row["ci95"].get(key, (value, value)) for row, value in zip(mine, values, strict=True)]
-            low, high = mean_interval(values, ends)
-            ci95 |= {key: (low, high)} if low < high else {}
-        case = {"fold": "mean", "goal": goal, "pred_len": pred_len}
-        n = sum(row["n"] for row in mine)
-        found.append({"name": name, "case": case, "n": n, "metrics": metrics, "ci95": ci95})
-    return found
 
 
 def _training(name: str) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""The tables of Table I's reproduction: one for each protocol and way of scoring, folds as columns."""
+"""The tables of Table I's reproduction: the paper's row by row, means of everything, and every fold."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pedzoo.eval.reproduce.base import interval_text
+from pedzoo.eval.reproduce.folds import mean_errors
 from pedzoo.eval.reproduce.paper import RELEASED, TABLE_1, Errors
 from pedzoo.eval.results import Page
+from pedzoo.eval.time_blocks import FEW
 
 
 class Scored(NamedTuple):
@@ -41,26 +43,25 @@ TRIVIAL = {"none": "constant_velocity", "window_end": "bent_line"}
 
 
 def table1_pages(report: Mapping[str, Any]) -> list[Page]:
-    """Return the paper beside ours, then every protocol, the released models, likelihoods and seeds."""
-    rows = [*report["rows"], *report["means"]]
-    folds = [*report["protocol"]["folds"], *(["mean"] if report["means"] else [])]
+    """Return the paper beside ours, means, the released models, then every protocol and scoring by fold."""
+    rows, means = [*report["rows"], *report["means"]], report["means"]
+    folds = [*report["protocol"]["folds"], *(["mean"] if means else [])]
     found = [_paper(report["rows"])] if "zara1" in folds else []
+    if means:
+        found.append(_overview(means))
+    if ratios := [line for pred_len in (8, 12) for line in _ratios(means, pred_len)]:
+        head = ["model", "released", "steps", "ours", "released", "ours / released"]
+        found.append(Page(f"{PER_SCENE.title.capitalize()} beside released models, means", head, ratios, 2))
     for block in report["blocks"]:
         pred_len, goal = block["pred_len"], block["goal"]
         mine = [row for row in rows if (row["case"]["pred_len"], row["case"]["goal"]) == (pred_len, goal)]
         for scored in SCORED:
-            title = f"8 -> {pred_len}, goal {goal}: {scored.title}, ADE / FDE"
+            title = f"8 -> {pred_len}, goal {goal}: {scored.title}"
             page = _folds(mine, block, folds, scored, title, report["missing"])
             if goal == "none" and scored == PER_SCENE:
                 page.rows.extend(_released(int(pred_len), folds))
             found.append(page)
         found += _likelihoods(mine, folds, f"8 -> {pred_len}, goal {goal}: negative log-likelihood")
-    ratios = [line for pred_len in (8, 12) for line in _ratios(report["means"], pred_len)]
-    if ratios:
-        head = ["model", "released", "steps", "ADE / FDE ours", "released", "ours / released"]
-        found.append(
-            Page("Beside the released models: means over the folds, best of 20 per scene", head, ratios, 2)
-        )
     return [*found, *_seeds(report["training_seeds"])]
 
 
@@ -70,12 +71,14 @@ def notes(missing: Mapping[str, str]) -> list[str]:
         "8 observed steps of 0.4 s, Social GAN's windows (people seen throughout, at least two), every"
         " annotated step taken as 0.4 s; metres; test scenes that the weights were not trained on. Behind"
         " the folds the number of people, each counted in every window; the mean counts each fold the same",
-        "in brackets 95 % intervals by a bootstrap over blocks of time as long as a window, since windows"
-        " overlap; they say nothing about other scenes (eth has few windows) nor other trainings: see the"
-        " spread over training seeds",
+        "in a cell ADE and below it FDE, in brackets their 95 % intervals by a bootstrap over blocks of time"
+        f" as long as a window, since windows overlap. ~ marks those of fewer than {FEW} blocks (eth is"
+        " short), rough and too narrow. Intervals say nothing about other scenes nor other trainings: for"
+        " these see the spread over training seeds",
         "most likely: the model's one best guess (for SGAN: noise zero). One random sample: what a single"
         " draw costs on average. Best of 20 looks at the answer: per scene one sample for all people of a"
-        " window (Social GAN's), per agent each their own. Never compare across these columns",
+        " window (Social GAN's), per agent each their own. Never compare one of these four with"
+        " another; untrained lines have one future, which is all four",
         "goal `window_end` is the answer's own last position: the straight line to it has FDE 0 untrained."
         " `destination` is where the person was last recorded: where, not when",
         "the paper does not say how it scores samples; its numbers are quoted from the project's notes",
@@ -96,18 +99,32 @@ def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:
     for printed in TABLE_1:
         ours = by_name.get((printed.ours, printed.goal))
         line = TRIVIAL[printed.goal]
-        untrained = f"{line}: {_errors(by_name.get((line, printed.goal)), SCORED[0])}"
+        untrained = f"{line}\n{_errors(by_name.get((line, printed.goal)), SCORED[0])}"
         cells = [_errors(ours, scored) for scored in SCORED]
-        names = [printed.label, _pair(printed.errors), f"{printed.ours}, {printed.goal}"]
+        names = [printed.label, _pair(printed.errors), f"{printed.ours}\ngoal {printed.goal}"]
         body.append([*names, *cells, untrained])
     head = [
         "the paper's row",
-        "paper ADE / FDE",
-        "here, goal",
+        "paper",
+        "here",
         *(scored.title for scored in SCORED),
         "untrained",
     ]
-    return Page("The paper's Table I (zara1, 8 -> 8) beside ours, ADE / FDE", head, body, 1)
+    return Page("The paper's Table I (zara1, 8 -> 8) beside ours", head, body, 1)
+
+
+def _overview(means: Sequence[Mapping[str, Any]]) -> Page:
+    """Return the means over the folds: protocols and models as rows, ways of scoring as columns."""
+    body = []
+    for row in sorted(means, key=lambda row: int(row["case"]["pred_len"])):
+        errors = [Errors(*(row["metrics"][key] for key in (scored.ade, scored.fde))) for scored in SCORED]
+        nats = row["metrics"].get(LIKELIHOOD)
+        case = [f"8 -> {row['case']['pred_len']}", row["case"]["goal"], row["name"]]
+        body.append(
+            [*case, *(_pair(pair, 3, " / ") for pair in errors), "-" if nats is None else f"{nats:.2f}"]
+        )
+    head = ["steps", "goal", "model", *(scored.title for scored in SCORED), "nats per step"]
+    return Page("Means over the folds, ADE / FDE", head, body, 3)
 
 
 def _folds(
@@ -148,7 +165,7 @@ def _ratios(means: Sequence[Mapping[str, Any]], pred_len: int) -> Iterator[list[
                 "none",
             ):
                 ours = Errors(row["metrics"][PER_SCENE.ade], row["metrics"][PER_SCENE.fde])
-                ratio = f"{ours.ade / theirs.ade:.2f} / {ours.fde / theirs.fde:.2f}"
+                ratio = _pair(Errors(ours.ade / theirs.ade, ours.fde / theirs.fde))
                 yield [
                     model.ours,
                     model.label,
@@ -159,23 +176,15 @@ def _ratios(means: Sequence[Mapping[str, Any]], pred_len: int) -> Iterator[list[
                 ]
 
 
-def mean_errors(by_fold: Mapping[str, Errors]) -> Errors:
-    """Return the means over the folds of errors that others printed."""
-    return Errors(*(statistics.fmean(values) for values in zip(*by_fold.values(), strict=True)))
-
-
 def _likelihoods(rows: Sequence[Mapping[str, Any]], folds: Sequence[str], title: str) -> list[Page]:
     known = [row for row in rows if LIKELIHOOD in row["metrics"]]
-    cells = {
-        (row["name"], row["case"]["fold"]): f"{row['metrics'][LIKELIHOOD]:.2f}\n"
-        + interval_text(row["ci95"].get(LIKELIHOOD))
-        for row in known
-    }
+    cells = {(row["name"], row["case"]["fold"]): _with_interval(row, LIKELIHOOD, 2) for row in known}
     body = [
-        [name, *(cells.get((name, fold), "-").strip() for fold in folds)]
+        [name, *(cells.get((name, fold), "-") for fold in folds)]
         for name in dict.fromkeys(row["name"] for row in known)
     ]
-    return [Page(f"{title}, nats per person and step", ["model", *folds], body, 1)] if body else []
+    what = "nats per person and step, at most: a bound from 20 latents; lower is better"
+    return [Page(f"{title}, {what}", ["model", *folds], body, 1)] if body else []
 
 
 def _seeds(training: Mapping[str, Mapping[str, Any]]) -> list[Page]:
@@ -196,13 +205,17 @@ def _seeds(training: Mapping[str, Mapping[str, Any]]) -> list[Page]:
 
 
 def _errors(row: Mapping[str, Any] | None, scored: Scored) -> str:
-    """Return ADE / FDE of a row with their intervals on a second line, a dash where there is none."""
+    """Return ADE and FDE of a row with their intervals, one below the other; a dash where there is none."""
     if row is None or scored.ade not in row["metrics"]:
         return "-"
-    values = " / ".join(f"{row['metrics'][key]:.3f}" for key in (scored.ade, scored.fde))
-    ends = [interval_text(row["ci95"].get(key), 3) for key in (scored.ade, scored.fde)]
-    return values + (f"\n{' / '.join(end or '-' for end in ends)}" if any(ends) else "")
+    return "\n".join(_with_interval(row, key, 3) for key in (scored.ade, scored.fde))
 
 
-def _pair(errors: Errors) -> str:
-    return f"{errors.ade:.2f} / {errors.fde:.2f}"
+def _with_interval(row: Mapping[str, Any], key: str, digits: int) -> str:
+    """Return a number with its interval, which a ~ marks where it is of few blocks of time."""
+    ends = interval_text(row["ci95"].get(key), digits)
+    return f"{row['metrics'][key]:.{digits}f} {'~' if ends and row['blocks'] < FEW else ''}{ends}".strip()
+
+
+def _pair(errors: Errors, digits: int = 2, between: str = "\n") -> str:
+    return between.join(f"{value:.{digits}f}" for value in errors)

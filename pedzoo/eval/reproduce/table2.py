@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pedzoo.eval.reproduce.base import interval_text
-from pedzoo.eval.reproduce.paper import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_STEPS
+from pedzoo.eval.reproduce.paper import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_GOALS, TABLE_2_STEPS
 from pedzoo.eval.reproduce.walked import Walked
 from pedzoo.eval.results import Page, cell
 from pedzoo.eval.suites.goals import CELLS
@@ -71,8 +71,8 @@ class Table2(Walked):
             "a step: iGibson's of 0.1 s, and 0.4 s, in which a learned model decides; the paper does not say"
             " which its steps are. Steps depend on building and speed: compare them within a table",
             "steps per goal: steps that all people walk by the goals that they reach, in episodes in which"
-            " everybody reaches all goals in time; the paper's total steps by the goals that everybody had to"
-            " reach are an upper bound of its own",
+            " everybody reaches all goals in time; the paper's total steps by the goals that all of them reach"
+            " at least (5 of 5/3, as it lists) are an upper bound of its own",
             "`orca:preset=igibson,walls=false` is iGibson's: radius 0.5, walls unseen. Where walls are seen"
             " such a disk fits through no door below 1 m (see FIGURE4.md)",
         ]
@@ -119,8 +119,8 @@ def _steps_text(row: Mapping[str, Any], key: str, step: float) -> str:
 
 
 def steps_per_goal_at_most(people: int, goals: int) -> float:
-    """Return the paper's total steps by the goals that everybody had to reach: who went on reached more."""
-    return TABLE_2_STEPS[people, goals] / goals
+    """Return the paper's total steps by the goals that everybody reaches at least: some reach more."""
+    return TABLE_2_STEPS[people, goals] / TABLE_2_GOALS[people, goals]
 
 
 def _paper_total(people: int, goals: int) -> str:
@@ -132,5 +132,9 @@ def _paper_per_goal(people: int, goals: int) -> str:
     return f"at most {steps:.0f} ({steps / DEFAULT_STEPS_PER_GOAL:.0%})"
 
 
-_PAPER = {"time_s": _paper_total, "seconds_per_goal": _paper_per_goal}
+def _paper_goals(people: int, goals: int) -> str:
+    return f"at least {TABLE_2_GOALS[people, goals]}"
+
+
+_PAPER = {"time_s": _paper_total, "seconds_per_goal": _paper_per_goal, "goals_per_person": _paper_goals}
 """Cells of the paper's own row."""

@@ -1,0 +1,72 @@
+"""Intervals of forecasts: blocks of time, and the sums of scenes that they are made of."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.eval.forecast import forecast_row
+from pedzoo.eval.time_blocks import BlockSums, blocks
+from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.metrics.likelihood import NegativeLogLikelihood
+from pedzoo.models.zoo import load
+
+
+def test_blocks_are_as_long_as_a_window_and_within_a_recording() -> None:
+    """Seven windows are two blocks of three with the last one added, three are one, none are none."""
+    assert blocks([7, 3, 0, 2], 3).tolist() == [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 3, 3]
+
+
+def test_interval_of_two_blocks_by_hand() -> None:
+    """Drawn twice with replacement, blocks with means 1 and 3 give 1, 2 or 3: a quarter, a half, a quarter.
+
+    So the 2.5 % and 97.5 % quantiles are 1 and 3. Windows come in any order, and in two updates.
+    """
+    data = TrajectoryDataModule(pred_len=8)
+    data.setup("test")
+    sums = BlockSums(data.sets["test"])
+    sums.block = torch.tensor([0, 0, 1, 1])
+    sums.add(torch.tensor([3, 0]), {"ade_m": (torch.tensor([6.0, 1.0]), torch.tensor([2, 1]))})
+    sums.add(torch.tensor([1, 2]), {"ade_m": (torch.tensor([3.0, 6.0]), torch.tensor([3, 2]))})
+    assert sums.intervals()["ade_m"] == pytest.approx((1.0, 3.0))
+
+
+def test_one_block_has_no_interval() -> None:
+    data = TrajectoryDataModule()
+    data.setup("test")
+    sums = BlockSums(data.sets["test"])
+    sums.block = torch.zeros(5, dtype=torch.long)
+    sums.add(torch.arange(5), {"ade_m": (torch.rand(5), torch.ones(5))})
+    assert sums.intervals() == {}
+
+
+def test_every_error_of_a_forecast_lies_in_its_interval() -> None:
+    row = forecast_row("bent_line", load("bent_line"), TrajectoryDataModule(goal="window_end"), samples=3)
+    assert set(row["ci95"]) >= {"ade_m", "min_ade_3_scene_m", "min_ade_3_agent_m", "next_step_m"}
+    for name, (low, high) in row["ci95"].items():
+        assert low < row["metrics"][name] < high, name
+
+
+def test_sums_of_scenes_add_up_to_the_mean() -> None:
+    data = TrajectoryDataModule(batch_size=16)
+    data.setup("test")
+    score, total, people = ForecastScore(0), 0.0, 0
+    for batch in data.test_dataloader():
+        score.update(load("constant_velocity"), batch)
+        errors, counts = score.latest()["ade_m"]
+        assert errors.shape == counts.shape == batch.batch_size
+        total, people = total + float(errors.sum()), people + int(counts.sum())
+    assert people == len(data.sets["test"].rows)
+    assert score.compute()["ade_m"] == pytest.approx(total / people)
+
+
+def test_sums_of_likelihoods_by_hand() -> None:
+    """Over two steps each: -1 and 2 nats in one scene, 3 in the other, whose second person is absent."""
+    metric = NegativeLogLikelihood()
+    known = torch.tensor([[[True, True], [True, True]], [[True, True], [False, False]]])
+    metric.update(torch.tensor([[1.0, -2.0], [-3.0, math.nan]]), known)
+    assert [values.tolist() for values in metric.latest] == [[1.0, 3.0], [4, 2]]
+    assert float(metric.compute()) == pytest.approx(4 / 6)
