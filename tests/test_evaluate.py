@@ -259,6 +259,7 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
         "a.zara1": "zara1",
         "a.hotel": "hotel",
         "a.zara1_destination": "zara1",
+        "a.eth_ucy": "eth_ucy",
         "b.eth_ucy": "eth_ucy",
     }
     monkeypatch.setattr(unseen, "weight_files", lambda: {name: Path(name) for name in held_out})
@@ -267,6 +268,8 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
     assert unseen.for_fold("a.zara1", "zara1") == "a.zara1"
     assert unseen.for_fold("a.zara1", "univ") == "a.zara1" and unseen.has_seen("a.zara1", "univ")
     assert unseen.for_fold("a.zara1_destination", "hotel") == "a.zara1_destination"
+    assert unseen.for_fold("a.eth_ucy:noise=none", "hotel") == "a.hotel:noise=none"
+    assert unseen.for_fold("b.eth_ucy", "hotel") == "b.eth_ucy"
     assert unseen.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
     assert not unseen.has_seen("a.hotel", "hotel") and not unseen.has_seen("orca", "hotel")
     assert unseen.has_seen("b.eth_ucy", "zara2") and not unseen.has_seen("a.zara1", "embedded")

@@ -71,7 +71,7 @@ class Table2(Walked):
             "a step: iGibson's of 0.1 s, and 0.4 s, in which a learned model decides; the paper does not say"
             " which its steps are. Steps depend on building and speed: compare them within a table",
             "steps per goal: steps that all people walk by the goals that they reach, in episodes in which"
-            " everybody reaches all goals in time; the paper's total steps by the goals that all of them reach"
+            " everybody reaches all goals in time; the paper's total steps by the goals that all reach"
             " at least (5 of 5/3, as it lists) are an upper bound of its own",
             "`orca:preset=igibson,walls=false` is iGibson's: radius 0.5, walls unseen. Where walls are seen"
             " such a disk fits through no door below 1 m (see FIGURE4.md)",
