@@ -14,8 +14,10 @@ import pytest
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.errors import UserError
 from pedzoo.eval import card_numbers
 from pedzoo.eval.card_numbers import compare, measure
+from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.forecast import forecast
 from pedzoo.models.card import ModelCard, read_card, write_card
 from pedzoo.models.store import find
@@ -135,13 +137,35 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(
     assert code == 1 and "no way to do 'measure' again: expected forecast or evaluate" in printed
     del measured[0]["protocol"]["goal"], measured[0]["protocol"]["samples"]
     code, printed = again(capsys, card_with([measured[0]]))
-    assert code == 1 and "the protocol of forecast does not say its goal, samples" in printed
+    assert code == 1 and "protocol of forecast: goal is missing" in printed
+
+
+@pytest.mark.parametrize(
+    ("command", "changed", "message"),
+    [
+        ("forecast", {"split": "all"}, "unknown split 'all'"),
+        ("forecast", {"clock": "tru"}, "unknown clock 'tru': did you mean 'true'"),
+        ("forecast", {"samples": "many"}, "protocol of forecast: samples is 'many', expected a whole number"),
+        ("evaluate", {"suites": ["own.py:Mine"]}, r"unknown suite 'own\.py:Mine'"),
+        ("evaluate", {"suites": "door"}, "suites is 'door', expected a list"),
+        ("evaluate", {"suites": ["door"], "episodes": "few"}, "episodes is 'few', expected a whole number"),
+    ],
+)
+def test_a_protocol_that_nobody_wrote_is_refused_and_runs_nothing(
+    command: str, changed: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text("raise SystemExit('this must not run')")
+    usual = TrajectoryDataModule(fold="embedded").protocol | {"samples": 2, "split": "test"}
+    protocol = usual | changed if command == "forecast" else changed
+    with pytest.raises(UserError, match=message):
+        report_of(command, Job("constant_velocity", protocol, [0]))
 
 
 def test_who_has_no_card_or_asks_for_something_else_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     for words, message in (
-        (["orca"], "'orca' has no model card"),
-        (["sgan_goal_map.zara11"], "has no model card"),
+        (["orca"], "unknown model with a card 'orca'"),
+        (["sgan_goal_map.zara11"], "did you mean 'sgan_goal_map.zara1'"),
         ([NAME, "--suite", "door"], "--suite: --from-card does what the card says"),
         ([NAME, "--quick"], "--quick: --from-card does what the card says"),
     ):

@@ -24,6 +24,7 @@ from pedzoo.eval.publish import describe
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.card import ModelCard, read_card, write_card
+from pedzoo.models.saved import saved_config
 from pedzoo.models.store import find
 from pedzoo.models.zoo import list_models, load, obtain, save_weights
 from pedzoo.paths import weight_files
@@ -262,6 +263,13 @@ def test_who_misspells_is_shown_the_family_and_not_all_there_is() -> None:
 def test_addresses_of_another_form_are_refused(url: str, expected: str) -> None:
     with pytest.raises(UserError, match=expected):
         load(url)
+
+
+def test_what_is_not_trained_says_nothing_of_its_training() -> None:
+    assert saved_config("constant_velocity") == {} and saved_config("own.py:Mine") == {}
+    assert saved_config("sgan_goal.zara1")["protocol"]["fold"] == "zara1"
+    with pytest.raises(UserError, match=r"did you mean 'sgan_goal\.zara1'"):
+        saved_config("sgan_gaol.zara1")
 
 
 def test_tampered_weights_are_refused(model: Forecaster, site: Site, tmp_path: Path) -> None:

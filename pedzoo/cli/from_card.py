@@ -8,12 +8,11 @@ from typing import Any
 
 from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
-from pedzoo.errors import UserError
 from pedzoo.eval.card_numbers import Again, Compared, again, compare
 from pedzoo.eval.card_reports import about
 from pedzoo.eval.results import Page
 from pedzoo.models.card import ModelCard
-from pedzoo.models.store import find
+from pedzoo.models.store import find, no_model
 from pedzoo.versions import versions
 
 _WORDS = {True: "yes", False: "NO", None: "no interval"}
@@ -58,7 +57,7 @@ def redo(names: Sequence[str], root: str | None, workers: int, json: str | None)
 def _card(name: str) -> ModelCard:
     if entry := find(name):
         return entry.card
-    raise UserError(f"{name!r} has no model card: --from-card is for weights that `pedzoo models` lists")
+    raise no_model(name, kind="model with a card")
 
 
 def _page(name: str, numbers: Sequence[Compared]) -> Page:

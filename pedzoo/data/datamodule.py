@@ -25,6 +25,9 @@ from pedzoo.types import OBS_LEN, Clock, GoalProtocol
 STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
 """Lightning's name for the stage that needs a split."""
 
+PROTOCOL = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_people")
+"""Options of the data on which every number that is made with them depends."""
+
 
 class TrajectoryDataModule(L.LightningDataModule):
     """Recorded people of one fold, as scene batches (see `pedzoo.types`)."""
@@ -93,9 +96,8 @@ class TrajectoryDataModule(L.LightningDataModule):
     @property
     def protocol(self) -> dict:
         """What every number made with these data depends on."""
-        keys = ("obs_len", "pred_len", "goal", "clock", "people", "min_people")
         own = {"clock": "true"} if self.fold == "files" else {}  # always resampled to a real 0.4 s
-        return {"fold": self.fold} | {key: self.hparams[key] for key in keys} | own
+        return {key: self.hparams[key] for key in PROTOCOL} | {"fold": self.fold} | own
 
     def setup(self, stage: str | None = None) -> None:
         """Read the splits of a Lightning stage (``fit``, ``validate``, ``test``; None for all).

@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.data.datasets.eth_ucy import EVERYTHING
 from pedzoo.errors import UserError
-from pedzoo.eval.card_reports import DATA, Job, Progress, Report, about, only, report_of
+from pedzoo.eval.card_reports import Job, Progress, Report, about, only, report_of
 from pedzoo.models.card import ModelCard
 from pedzoo.models.saved import saved_config
 from pedzoo.models.zoo import load
@@ -76,7 +77,7 @@ def measure(
     Args:
         model: What `pedzoo.load` accepts of saved models.
         name: What the rows are called; None for ``model``.
-        root: Folder with recordings; None for the variable ``PEDZOODATA``.
+        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         progress: Called with what is done, its parts done and parts in all.
         tell: Told what cannot be measured here.
 
@@ -86,7 +87,7 @@ def measure(
     trained = saved_config(model).get("protocol")
     if not trained:
         raise UserError(f"{model!r} does not say on what it was trained: its numbers would have no protocol")
-    own: Report = {key: trained[key] for key in DATA}
+    own: Report = {key: trained[key] for key in PROTOCOL}
     own |= {"goal": load(model).goal_protocol or "none", "samples": SAMPLES}
     own["split"] = "val" if own["fold"] == EVERYTHING else "test"
     embedded = own | {"fold": EMBEDDED, "split": "test"}

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
-from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
+from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
+from pedzoo.errors import UserError, unknown
 from pedzoo.eval.clock import Step
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.forecast import forecast_row
+from pedzoo.eval.forecast import STAGES, forecast_row
 from pedzoo.eval.suite import Request
+from pedzoo.models.keys import Kinds, check_keys
 from pedzoo.models.zoo import load
+from pedzoo.registry import SUITES
+from pedzoo.types import Clock, GoalProtocol
 from pedzoo.versions import versions
-
-DATA = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_people")
-"""What a protocol of forecasts says of the data, beside ``samples`` and ``split``."""
 
 Progress = Callable[[str, int, int], None]
 Report = dict[str, Any]
@@ -49,9 +49,8 @@ def report_of(command: str, job: Job) -> Report:
     """
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
-    needed, make = _MAKERS[command]
-    if missing := [key for key in needed if key not in job.protocol]:
-        raise UserError(f"the protocol of {command} does not say its {', '.join(missing)}")
+    kinds, optional, make = _MAKERS[command]
+    check_keys(job.protocol, kinds, f"protocol of {command}:", more=True, optional=optional)
     protocol, rows = make(job)
     content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}
     return {"command": command, **content}
@@ -73,7 +72,10 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
     protocol = job.protocol
     if len(job.seeds) != 1:
         raise UserError(f"forecasts have one seed, not {list(job.seeds)}")
-    data = TrajectoryDataModule(root=job.root, **only(protocol, DATA))
+    for key, known in (("split", STAGES), ("goal", get_args(GoalProtocol)), ("clock", get_args(Clock))):
+        if protocol[key] not in known:
+            raise unknown(key, protocol[key], known)
+    data = TrajectoryDataModule(root=job.root, **only(protocol, PROTOCOL))
     how = protocol["samples"], job.seeds[0], protocol["split"], job.progress
     row = forecast_row(job.model, load(job.model), data, *how)
     row["case"] = only(protocol, ("fold", "split")) | row["case"]
@@ -81,6 +83,9 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
 
 
 def _walks(job: Job) -> tuple[Report, list[Report]]:
+    for suite in job.protocol["suites"]:
+        if suite not in SUITES.names():  # a card never makes code of a file run
+            raise unknown("suite", str(suite), SUITES.names())
     asked = only(job.protocol, Request._fields)
     request = Request(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
     still = job.protocol.get("deterministic", False)
@@ -101,5 +106,21 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     return protocol, rows
 
 
-_MAKERS = {"forecast": ((*DATA, "samples", "split"), _forecasts), "evaluate": (("suites",), _walks)}
-"""What a protocol must say, and who does it."""
+_FORECASTS: Kinds = {
+    **dict.fromkeys(("fold", "goal", "clock", "people", "split"), (str,)),
+    **dict.fromkeys(("obs_len", "pred_len", "min_people", "samples"), (int,)),
+}
+_WALKS: Kinds = {
+    "suites": (list,),
+    "quick": (bool,),
+    "deterministic": (bool,),
+    "world": (str,),
+    "maps": (list,),
+    **dict.fromkeys(("episodes", "rollouts"), (int,)),
+}
+
+_MAKERS = {
+    "forecast": (_FORECASTS, (), _forecasts),
+    "evaluate": (_WALKS, tuple(key for key in _WALKS if key != "suites"), _walks),
+}
+"""What a protocol says, what of it may be left out, and who does it."""

@@ -6,15 +6,18 @@ from typing import Any
 
 from pedzoo.models.address import is_address
 from pedzoo.models.header import read_config
-from pedzoo.models.store import obtain
+from pedzoo.models.store import find, no_model, weights_of
 from pedzoo.models.zoo import read_checkpoint
+from pedzoo.registry import MODELS
 
 
 def saved_config(name: str) -> dict[str, Any]:
     """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
 
+    Nothing is said of a model that was not trained: a baseline, or a class in a file.
+
     Args:
-        name: A ``.ckpt``, a ``.safetensors`` file, or what `pedzoo.models.store.find` accepts.
+        name: What `pedzoo.models.zoo.load` accepts.
 
     Raises:
         UserError: There is no such model, or it cannot be read.
@@ -23,4 +26,8 @@ def saved_config(name: str) -> dict[str, Any]:
         return read_checkpoint(name)["pedzoo"]
     if name.endswith(".safetensors") and not is_address(name):
         return read_config(name)
-    return read_config(obtain(name))
+    if entry := find(name):
+        return read_config(weights_of(entry))
+    if name in MODELS.names() or ".py:" in name:
+        return {}
+    raise no_model(name)

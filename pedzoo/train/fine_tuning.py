@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.errors import UserError
 from pedzoo.models.saved import saved_config
 from pedzoo.models.zoo import config_of, load
 from pedzoo.paths import config_names
 from pedzoo.registry import MODELS
 from pedzoo.train.module import LOSSES, ForecastModule, differences
-
-_DATA = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_people")
 
 
 def start_from(module: ForecastModule, weights: str) -> None:
@@ -61,5 +60,5 @@ def options_of(weights: str) -> list[str]:
     cls = MODELS.get(config["architecture"])
     model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": config["init"]}
     protocol = config.get("protocol", {})
-    data = [f"--data.{key}={protocol[key]}" for key in _DATA if key in protocol]
+    data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]
     return ["--config", name, "--model.generator", json.dumps(model), *data]

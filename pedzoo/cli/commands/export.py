@@ -10,13 +10,20 @@ from pedzoo.cli.arguments import Arguments
 HELP = "models for others: --zoo (weights and card), --hub (a folder to upload), --onnx (a graph)"
 EXAMPLE = "pedzoo export runs/sgan_goal/zara1-seed0/checkpoints/best.ckpt --zoo --to zoo"
 
+_GOES_WITH = {"to": "zoo", "name": "zoo", "no_evaluation": "zoo", "data.root": "zoo", "plan": "onnx"}
+"""Options that say something about one way out alone."""
+
 
 def run(argv: list[str]) -> int:
     """Write what is asked for and say what it is; returns the exit code."""
     from pedzoo.cli.output import check_outputs, write_json
+    from pedzoo.errors import UserError
     from pedzoo.versions import versions
 
     options = _parser().parse_args(argv)
+    for option, way in _GOES_WITH.items():
+        if vars(options)[option] and not vars(options)[way]:
+            raise UserError(f"--{option.replace('_', '-')} goes with --{way}: leave it out")
     check_outputs(onnx=options.onnx, json=options.json)
     if options.zoo:
         said = _zoo(options)
@@ -41,12 +48,12 @@ def _parser() -> Arguments:
     )
     what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (pedzoo[onnx])")
     zoo = parser.add_argument_group("with --zoo, of a checkpoint in its run folder")
-    zoo.add_argument("--to", default="zoo", metavar="FOLDER", help="where to write (default: zoo)")
+    zoo.add_argument("--to", metavar="FOLDER", help="where to write (default: zoo)")
     zoo.add_argument("--name", metavar="ARCH.TAG", help="default: the config and the fold, sgan_goal.zara1")
     zoo.add_argument(
         "--no-evaluation", action="store_true", help="the card gets no numbers: done in a second"
     )
-    zoo.add_argument("--data.root", dest="root", metavar="FOLDER", help="recordings (default: PEDZOO_DATA)")
+    zoo.add_argument("--data.root", metavar="FOLDER", help="recordings (default: PEDZOO_DATA)")
     onnx = parser.add_argument_group("with --onnx, of a model that sees floor plans")
     onnx.add_argument(
         "--plan", metavar="PLAN", help="also write this plan as inputs: apartment.7, a map's yaml"
@@ -66,14 +73,15 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
         raise UserError(
             f"--zoo makes weights of a run: expected RUN/checkpoints/best.ckpt, not {options.model!r}"
         )
-    card = publish(options.model, options.to, options.name)
+    folder = options.to or "zoo"
+    card = publish(options.model, folder, options.name)
     if not options.no_evaluation:
         with progress_bar() as progress:
-            measured = measure(options.model, card.stem, options.root, progress)
-        publish(options.model, options.to, card.stem, measured)
+            measured = measure(options.model, card.stem, vars(options)["data.root"], progress)
+        publish(options.model, folder, card.stem, measured)
     weights = card.with_suffix(".safetensors")
     print(f"{weights}  {weights.stat().st_size:,} bytes\n{card}  its card")
-    print(f'pedzoo.load("{card.with_suffix("")}"), or by its name with PEDZOO_ZOO={options.to}')
+    print(f'pedzoo.load("{card.with_suffix("")}"), or by its name with PEDZOO_ZOO={folder}')
     return {"files": [str(weights), str(card)]}
 
 
