@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from pedzoo.cli.main import main
 from pedzoo.errors import UserError
+from pedzoo.eval.line_density import NATS
 from pedzoo.eval.reproduce import table1 as module
 from pedzoo.eval.reproduce.base import Reproduction, markdown
 from pedzoo.eval.reproduce.figure4 import Figure4, outcome
@@ -109,6 +111,9 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
         "training_seeds": {"sgan.eth": {"seeds": {0: 0.1, 1: 0.3}, "seed": 0, "chosen_by": "val/ade"}},
     }
     rows[0]["blocks"] = 3
+    for row in rows:
+        if row["name"] == "constant_velocity" or row["case"]["fold"] == "eth":
+            row["metrics"][NATS] = -1.234
     pages = {page.title: page for page in table1_pages(report)}
     (ratio,) = pages["Best of 20 per scene beside released models, means"].rows
     assert ratio[-2:] == ["0.48\n0.96", "1.04\n1.04"]  # 0.5 / 0.48, 1 / 0.964
@@ -124,6 +129,10 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan_pool"]
     assert best.rows[2][1:] == ["-", *["no weights"] * 4, "-"]
     assert best.rows[3][1] == "0.71\n1.29"
+    nats = pages[
+        "8 -> 12, goal none: negative log-likelihood, nats per person and step: lower is better"
+    ].rows
+    assert nats == [["sgan", "-1.23", *["-"] * 5], ["constant_velocity", *["-1.23"] * 5, "-"]]
     likely = pages["8 -> 12, goal none: most likely"]
     assert likely.rows[1][1] == "0.500 ~[0.470, 0.540]\n1.000"  # of three blocks
     assert likely.rows[1][2] == "0.500 [0.470, 0.540]\n1.000"
@@ -146,6 +155,9 @@ def test_models_that_are_there_are_scored_and_kept_and_the_rest_is_named(
     assert {row["name"] for row in report["rows"]} == {"constant_velocity", "straight_line", "bent_line"}
     for row in report["rows"]:  # who walks straight on goes where constant velocity goes
         assert row["metrics"]["ade_m"] == pytest.approx(0, abs=1e-5) or row["case"]["goal"] == "destination"
+        if NATS in row["metrics"]:  # exactly right, with the smallest standard deviation that there is
+            assert row["metrics"][NATS] == pytest.approx(math.log(2 * math.pi * 0.02**2), abs=1e-4)
+        assert (NATS in row["metrics"]) == (row["case"]["goal"] == "none")
         assert row["blocks"] == row["windows"] // (8 + int(row["case"]["pred_len"]))
         assert row["n"] == 3 * row["windows"] == 3 * (60 - 8 - int(row["case"]["pred_len"]) + 1)
     assert set(report["missing"]) >= {"sgan.zara1", "sgan_goal.zara1_destination", "sgan_pool.zara1_pred12"}

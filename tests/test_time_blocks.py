@@ -9,9 +9,11 @@ import torch
 
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import forecast_row
+from pedzoo.eval.line_density import NATS, line_likelihood, log_density, strayed
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
+from pedzoo.models.base import agents_of, known_displacements, true_displacements
 from pedzoo.models.zoo import load
 
 
@@ -70,3 +72,21 @@ def test_sums_of_likelihoods_by_hand() -> None:
     metric.update(torch.tensor([[1.0, -2.0], [-3.0, math.nan]]), known)
     assert [values.tolist() for values in metric.latest] == [[1.0, 3.0], [4, 2]]
     assert float(metric.compute()) == pytest.approx(4 / 6)
+
+
+def test_density_around_constant_velocity_is_that_of_torch_and_fits_its_training_windows() -> None:
+    data = TrajectoryDataModule(pred_len=4)
+    data.setup()
+    scale, total, people = strayed(data), torch.zeros(4), 0
+    for batch in data.train_dataloader():
+        agents = agents_of(batch)
+        last = agents["history"][:, :, -1:] - agents["history"][:, :, -2:-1]
+        there = known_displacements(batch).all(-1)
+        total += (true_displacements(batch) - last)[there].square().sum((0, 2))
+        people += int(there.sum())
+        oracle = torch.distributions.Normal(last.expand(-1, -1, 4, -1), scale.unsqueeze(-1))
+        nats = oracle.log_prob(true_displacements(batch)).sum((2, 3))
+        torch.testing.assert_close(log_density(batch, scale)[there], nats[there])
+    torch.testing.assert_close(scale, (total / people / 2).sqrt().clamp_min(0.02))
+    value, ends = line_likelihood(data)
+    assert ends[NATS][0] < value < ends[NATS][1]

@@ -15,6 +15,7 @@ from pedzoo.errors import UserError
 from pedzoo.eval.clock import Progress, Step
 from pedzoo.eval.forecast import BASELINES, forecast_row
 from pedzoo.eval.journal import Journal
+from pedzoo.eval.line_density import NATS, line_likelihood
 from pedzoo.eval.reproduce.base import Reproduction
 from pedzoo.eval.reproduce.folds import means
 from pedzoo.eval.reproduce.paper import FOLDS, RELEASED, TABLE_1
@@ -209,6 +210,9 @@ def work(job: Job) -> list[dict[str, Any]]:
         with redirect_stdout(io.StringIO()):  # counts of windows and people: each row has its n
             data = _data(job.fold, job.goal, job.pred_len, job.root)
             row |= forecast_row(job.row, model, data, job.samples, job.seed)
+            if (job.row, job.goal) == (BASELINES[0], "none"):  # it has no likelihood of its own
+                row["metrics"][NATS], ends = line_likelihood(data)
+                row["ci95"] |= ends
         test = data.sets["test"]
         row |= {"case": where, "windows": len(test), "blocks": BlockSums(test).count}
     except UserError as error:  # such as AlexNet's convolutions, which are not in the weights
