@@ -45,6 +45,11 @@ def refused(capsys, *argv: str) -> str:
     return err
 
 
+def test_a_mistake_gives_no_orders_to_the_terminal(capsys):
+    error = refused(capsys, "models", "--json", "/dev/null/a\x1b[2J\x9b\u202eb")
+    assert error.rstrip().isprintable() and "--json /dev/null/a [2J b: '/dev/null' is a file" in error
+
+
 def test_help_and_version_import_nothing_heavy():
     code = (
         "import sys; from pedzoo.cli.main import main; assert main(['--help']) == main(['--version']) == 0;"

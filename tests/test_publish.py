@@ -164,6 +164,11 @@ def test_what_cannot_be_published_is_refused_and_leaves_nothing(tmp_path: Path) 
         UserError, match=r"not in the folder of its run: .* has no config\.yaml and no metrics"
     ):
         publish(alone, tmp_path / "zoo")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "sgan_goal.zara1.yaml").write_text("name: [")
+    with pytest.raises(UserError, match=r"model card .* cannot be read"):
+        publish(checkpoint, tmp_path / "there", name="sgan_goal.zara1")
+    assert not list((tmp_path / "there").glob("*.safetensors"))
     content = torch.load(checkpoint, weights_only=True)
     content["pedzoo"]["architecture"] = "own.py:Mine"
     torch.save(content, checkpoint)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
+from pedzoo.eval.publish import zoo_name
+from pedzoo.eval.run_record import monitored
 from pedzoo.train.run import RunFolder
-from pedzoo.types import Clock, GoalProtocol
+from pedzoo.types import PRED_LEN, Clock, GoalProtocol
 
 GOALS: dict[str, GoalProtocol] = {
     "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination"
@@ -23,7 +23,7 @@ class Recipe:
 
     config: str
     fold: str = "zara1"
-    pred_len: int = 8
+    pred_len: int = PRED_LEN
     seeds: int = 3
 
     @property
@@ -44,18 +44,14 @@ class Recipe:
     @property
     def name(self) -> str:
         """The zoo name of its weights."""
-        architecture, tag = self.config.removesuffix("_destination"), self.fold
-        if self.goal == "destination":
-            tag += "_destination"
-        if self.pred_len != 8:
-            tag += f"_pred{self.pred_len}"
-        return f"{architecture}.{tag}"
+        protocol = {"fold": self.fold, "goal": self.goal, "clock": self.clock, "pred_len": self.pred_len}
+        return zoo_name(self.config, protocol)
 
     @property
     def options(self) -> dict[str, str]:
         """What ``pedzoo fit`` is told beside the seed."""
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}
-        if self.pred_len != 8:
+        if self.pred_len != PRED_LEN:
             options["data.pred_len"] = str(self.pred_len)
         if self.clock != "benchmark":
             options["data.clock"] = self.clock
@@ -72,11 +68,7 @@ class Recipe:
     def finished(self, root: Path) -> dict[int, float]:
         """Return the seeds whose training is done, each with its best validation value."""
         done = (seed for seed in range(self.seeds) if (self.run(seed, root).path / "finished").is_file())
-        return {seed: min(self._validations(seed, root)) for seed in done}
-
-    def _validations(self, seed: int, root: Path) -> Iterator[float]:
-        with (self.run(seed, root).path / "metrics.csv").open() as file:
-            yield from (float(row[self.monitor]) for row in csv.DictReader(file) if row.get(self.monitor))
+        return {seed: min(monitored(self.run(seed, root).path, self.monitor).values()) for seed in done}
 
 
 CONFIGS = ("sgan_goal_map", "sgan_goal", "sgan", "social_vrnn", "sgan_goal_map_alexnet", "sgan_pool")

@@ -23,11 +23,16 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return _dispatch(argv)
     except UserError as error:
-        print(f"pedzoo: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"pedzoo: {_readable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("pedzoo: interrupted", file=sys.stderr)
         return 130
+
+
+def _readable(message: str) -> str:
+    """Return a message in one line, without what a server or a file put there as orders to the terminal."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in message).split())
 
 
 def _dispatch(argv: list[str]) -> int:

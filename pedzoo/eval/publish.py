@@ -62,6 +62,8 @@ def publish(
     weights, model = Path(folder) / f"{name}.safetensors", load(checkpoint)
     data = _trained_on(record, plans="map" in model.needs)
     said = {key: record.training[key] for key in IN_WEIGHTS}
+    if measured is None and (there := weights.with_suffix(".yaml")).is_file():
+        read_card(there)  # a damaged one is told before its weights are others
     save_weights(model, weights, protocol=protocol, training=said)
     return _write(weights, record, data, measured, licence, url)
 
