@@ -168,7 +168,8 @@ def test_models_that_are_there_are_scored_and_kept_and_the_rest_is_named(
     assert again.parts == (len(table.jobs), len(table.jobs))
     again.run()
     assert json.loads(json.dumps(again.report())) == json.loads(json.dumps(report))
-    assert Table1(["zara1"], seed=1, root=recordings, journal=journal).parts[0] == 0
+    other = Table1(["zara1"], seed=1, root=recordings, journal=journal)
+    assert (again.others, other.parts[0], other.others) == (0, 0, len(table.jobs))
 
 
 def test_what_cannot_be_loaded_says_why_and_is_tried_again(
@@ -286,7 +287,12 @@ def test_what_was_interrupted_goes_on(
     monkeypatch.setattr(Figure4, "draw", lambda self, folder: [])
     assert main(small) == 0
     assert "2 of 3 parts were done before" in capsys.readouterr().out
-    assert not Path("made/FIGURE4.json.partial").exists()
+    kept = Path("made/FIGURE4.json.partial")
+    assert not kept.exists()
+    kept.write_text('{"unit": "of a larger table", "rows": []}\n')
+    assert main(small) == 0
+    assert "with 1 parts of another request" in capsys.readouterr().out
+    assert "of a larger table" in kept.read_text()
 
 
 @pytest.mark.parametrize(
@@ -329,6 +335,10 @@ def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None
         @property
         def parts(self) -> tuple[int, int]:
             return 0, 0
+
+        @property
+        def others(self) -> int:
+            return 0
 
         def run(self, workers: int = 1, progress: Any = None) -> None:
             pass

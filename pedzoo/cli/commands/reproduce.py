@@ -89,7 +89,10 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4. What was interrupted goes on where 
             print(f"not finished: {done} of {total} parts, kept in {journal}: the same command goes on")
         raise
     tell()
-    journal.unlink(missing_ok=True)  # the report has all of it
+    if made.others:  # of a larger table, perhaps, that was interrupted before a quick one was made
+        print(f"kept:   {journal}, with {made.others} parts of another request, other weights or other code")
+    else:
+        journal.unlink(missing_ok=True)  # the report has all of it
     return 0
 
 

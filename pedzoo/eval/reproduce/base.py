@@ -28,6 +28,11 @@ class Reproduction(ABC):
     def parts(self) -> tuple[int, int]:
         """How many parts are done, and how many there are."""
 
+    @property
+    @abstractmethod
+    def others(self) -> int:
+        """How many parts the journal had of other requests, weights or code."""
+
     @abstractmethod
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
         """Do whatever is not done; whatever interrupts it, finished parts are kept in the journal.

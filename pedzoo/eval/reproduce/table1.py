@@ -149,6 +149,11 @@ class Table1(Reproduction):
         """How many parts are done, and how many there are."""
         return len(self._done), len(self.jobs)
 
+    @property
+    def others(self) -> int:
+        """How many parts the journal had of other requests, weights or code."""
+        return len(self._journal.done.keys() - set(self._digests))
+
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
         """Do whatever is not done."""
         missing = [number for number in range(len(self.jobs)) if number not in self._done]

@@ -56,6 +56,11 @@ class Walked(Reproduction):
         """How many parts are done, and how many there are."""
         return self.evaluation.done, len(self.evaluation.units)
 
+    @property
+    def others(self) -> int:
+        """How many parts the journal had of other requests, weights or code."""
+        return self.evaluation.others
+
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
         """Do whatever is not done."""
         self.evaluation.run(workers, progress=progress)
