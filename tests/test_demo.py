@@ -51,9 +51,24 @@ def test_the_demo_walks_tunes_and_compares(
 
 
 def test_a_step_that_fails_ends_the_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out" / "door.png").mkdir(parents=True)
+    assert main(["demo", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert "door.png: is a folder, expected a file" in said.err
+    assert "\n2/6" in said.out and "\n3/6" not in said.out
+
+
+def test_what_cannot_work_is_refused_before_the_first_step(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").write_text("")
-    assert main(["demo", "--out", str(tmp_path / "file")]) == 2
-    assert "is a file, expected a folder" in capsys.readouterr().err
+    for options, message in (
+        (["--epochs", "0"], "--epochs 0: expected at least 1"),
+        (["--out", str(tmp_path / "file")], "is a file, expected a folder"),
+    ):
+        assert main(["demo", *options]) == 2
+        said = capsys.readouterr()
+        assert message in said.err and not said.out
 
 
 def test_rollout_prints_the_metrics_that_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,8 +67,13 @@ def run(argv: list[str]) -> int:
     options = parser.parse_args(argv)
 
     from pedzoo.cli.main import main
+    from pedzoo.cli.output import check_outputs
+    from pedzoo.errors import UserError
 
+    if options.epochs < 1:
+        raise UserError(f"--epochs {options.epochs}: expected at least 1")
     out = Path(options.out)
+    check_outputs(out=str(out / "door.json"))
     world = "bullet" if find_spec("pybullet") else "grid"
     commands = steps(shlex.quote(options.out), options.epochs, world)
     total = len(commands) + 2
