@@ -51,6 +51,22 @@ def test_stochastic_says_whether_samples_differ(name: str) -> None:
 
 
 @EVERY
+def test_predictions_do_not_look_at_the_answer(name: str) -> None:
+    """Without the truth `mode`, `sample` and `next_steps` answer the same."""
+    model, batch = made(name), make_batch((3, 2), padding=0.0)
+    blind = batch.clone()
+    for key in ("future", "future_valid"):
+        del blind["agents", key]
+    noise = torch.zeros(2, 3, model.noise_dim)
+    for seen, unseen in (
+        (model.mode(batch, 8), model.mode(blind, 8)),
+        (model.next_steps(batch, noise, 1, 8), model.next_steps(blind, noise, 1, 8)),
+        tuple(model.sample(b, 2, 8, torch.Generator().manual_seed(0)) for b in (batch, blind)),
+    ):
+        assert torch.equal(seen, unseen)
+
+
+@EVERY
 def test_sampling_leaves_the_batch_alone(name: str) -> None:
     model, batch = made(name), make_batch((3, 2), padding=0.0)
     before = batch.clone()
