@@ -28,3 +28,11 @@ def shared() -> Path:
     if not path.is_dir():
         pytest.skip(f"needs the folder of recordings, maps and weights (PEDZOO_SHARED): {path} is absent")
     return path
+
+
+@pytest.fixture
+def alexnet(shared: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """AlexNet's published weights, where models find them."""
+    weights = shared / "weights" / "alexnet_imagenet_features_fp16.safetensors"
+    monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
+    return weights

@@ -11,12 +11,9 @@ from pedzoo.paths import config_names
 
 
 @pytest.mark.parametrize("name", config_names())
-def test_config_trains(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
+def test_config_trains(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     if "alexnet" in name:
-        weights = request.getfixturevalue("shared") / "weights" / "alexnet_imagenet_features_fp16.safetensors"
-        monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
+        request.getfixturevalue("alexnet")
     options = {"data.fold": "embedded", "runs": str(tmp_path), "trainer.enable_progress_bar": "false"}
     options |= {"trainer.max_epochs": "1", "trainer.check_val_every_n_epoch": "1"}
     options |= {"trainer.limit_train_batches": "2", "trainer.limit_val_batches": "1", "rollout.episodes": "1"}

@@ -235,13 +235,8 @@ def test_missing_packages_are_named(
 
 
 @pytest.mark.parametrize("kind", ["patch", "alexnet"])
-def test_a_plan_as_input_is_seen_as_one_of_a_bank(
-    kind: Any, shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_as_input_is_seen_as_one_of_a_bank(kind: Any, alexnet: Path) -> None:
     """Before any tracing: the floor plan's image and affine against the bank's atlas."""
-    monkeypatch.setenv(
-        "PEDZOO_ALEXNET", str(shared / "weights" / "alexnet_imagenet_features_fp16.safetensors")
-    )
     grid, model = furnished(), random_weights(SGAN(map=kind, map_dim=4))
     graph, bank = Graph(model, 8), MapBank([grid], "wall")
     model.bind(bank)

@@ -23,7 +23,8 @@ from pedzoo.sim.scenarios.goals import Goals
 from pedzoo.types import BODY_RADIUS
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
-EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models()])
+EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models("*.eth_ucy")])
+"""Of every family of weights those of all scenes: others differ in numbers alone."""
 
 
 @EVERY_SCENARIO
@@ -55,7 +56,9 @@ def test_goals_can_be_reached_in_time(name: str) -> None:
 
 
 @EVERY_POLICY
-def test_policies_walk(name: str) -> None:
+def test_policies_walk(name: str, request: pytest.FixtureRequest) -> None:
+    if "alexnet" in name:
+        request.getfixturevalue("alexnet")
     policy = load_policy(name)
     env = make_env("goals:people=[2,4],pool=6", num_envs=3, decision_dt=policy.decision_dt)
     policy.bind(env.bank)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -399,14 +398,9 @@ def training_batches() -> dict[str, tuple[TensorDict, MapBank]]:
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_shipped_variants_learn(
-    name: str, training_batches: dict, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shipped_variants_learn(name: str, training_batches: dict, request: pytest.FixtureRequest) -> None:
     if name.endswith("alexnet"):
-        shared = cast("Path", request.getfixturevalue("shared"))
-        monkeypatch.setenv(
-            "PEDZOO_ALEXNET", str(shared / "weights" / "alexnet_imagenet_features_fp16.safetensors")
-        )
+        request.getfixturevalue("alexnet")
     options = yaml.safe_load(find_config(name).read_text())["model"]["init_args"]["generator"]["init_args"]
     model = SGAN(**options)
     batch, bank = training_batches[model.goal_protocol]

@@ -277,14 +277,10 @@ def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> Non
         load(f"{tmp_path / 'none.py'}:Drifting")
 
 
-def test_no_map_and_no_frozen_network_is_saved(
-    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_map_and_no_frozen_network_is_saved(alexnet: Path, tmp_path: Path) -> None:
     """AlexNet's convolutions are ImageNet's, and floor plans are their owners'."""
     from pedzoo.data.datamodule import TrajectoryDataModule
 
-    weights = shared / "weights" / "alexnet_imagenet_features_fp16.safetensors"
-    monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
     data = TrajectoryDataModule()
     data.setup("test")
     batch = next(iter(data.test_dataloader()))
