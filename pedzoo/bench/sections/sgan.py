@@ -116,8 +116,8 @@ def loaded(
         # the original reads folders; numbers keep the files in pedzoo's order
         for split in SPLITS:
             (Path(folder) / split).mkdir()
-            for i, file in enumerate(source.files[split]):
-                (Path(folder) / split / f"{i}").symlink_to((source.root / file).resolve())
+            for i, file in enumerate(source.files(split)):
+                (Path(folder) / split / f"{i}").symlink_to(file.resolve())
 
         def load_theirs() -> None:
             results["theirs"] = {split: peer.dataset(Path(folder) / split) for split in SPLITS}

@@ -66,7 +66,11 @@ class EthUcy:
         )
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN.
+        """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN."""
+        return [self._recording(file) for file in self.files(split)]
+
+    def files(self, split: Split) -> list[Path]:
+        """Return the files of a split's recordings.
 
         Raises:
             UserError: The test recordings of the fold that leaves none out.
@@ -77,8 +81,8 @@ class EthUcy:
                 f"--data.fold {' or '.join(SCENES)}"
             )
         # by name: the folds share recordings
-        files = {Path(file).name: file for scene in self.scenes for file in self.lists[scene][split]}
-        return [self._recording(self.root / file) for file in files.values()]
+        files = [self.root / file for scene in self.scenes for file in self.lists[scene][split]]
+        return list({file.name: file for file in files}.values())
 
     def _below(self, scene: str) -> dict[Split, list[str]]:
         found: dict[Split, list[str]] = {}
