@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
+from pedzoo.metrics.scene_mean import SceneMean
+
 
 def positions(prediction: Tensor, history: Tensor) -> Tensor:
     """Return where displacements (B, K, A, T, 2) lead from the last observed positions: (B, K, A, T, 2)."""
@@ -64,18 +66,8 @@ def mean_over_samples(per_agent: Tensor, there: Tensor) -> Tensor:
     return per_agent.mean(1)
 
 
-class AgentMean(Metric):
-    """Mean over agents of an error, reduced over samples; state in float64, summed over processes.
-
-    Attributes:
-        latest: Sums and numbers of people (B,) of each scene of the last update, for intervals over scenes.
-    """
-
-    higher_is_better = False
-    full_state_update = False
-    total: Tensor
-    count: Tensor
-    latest: tuple[Tensor, Tensor]
+class AgentMean(SceneMean):
+    """Mean over agents of an error, metres, reduced over samples."""
 
     def __init__(
         self,
@@ -85,20 +77,11 @@ class AgentMean(Metric):
         """Combine ``of`` (average, final, next_step) with a reduction ``over_samples``."""
         super().__init__()
         self.of, self.over_samples = of, over_samples
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(self, error: Tensor, valid: Tensor) -> None:
         """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
         per_agent, there = self.of(error, valid)
-        value = self.over_samples(per_agent, there).where(there, 0)
-        self.latest = value.sum(1, dtype=torch.float64), there.sum(1)
-        self.total += value.sum(dtype=torch.float64)
-        self.count += there.sum()
-
-    def compute(self) -> Tensor:
-        """Return the mean, metres; NaN before any agent."""
-        return self.total / self.count
+        self.add(self.over_samples(per_agent, there).where(there, 0), there.sum(1))
 
 
 class ADE(AgentMean):
