@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.eval.suite import Tell, Unit
+from pedzoo.fetch import sha256_of
 from pedzoo.models.store import find
 from pedzoo.registry import SUITES
 from pedzoo.spec import parse
@@ -67,7 +68,7 @@ def _file_sum(text: str) -> str:
     """Return the sha256 of the file that a name with settings stands for, nothing where there is none."""
     name = parse(text).name
     path = Path(name.rpartition(":")[0] if ".py:" in name else name)
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    return sha256_of(path) if path.is_file() else ""
 
 
 @cache

@@ -7,6 +7,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from pedzoo.data.datasets.eth_ucy import TRUE_SECONDS
 from pedzoo.data.provenance import ETH_UCY, FLOOR_PLANS, TESTED
 from pedzoo.data.published.files import PublishedFile, bring, files_of
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan, plan_of_recording
@@ -16,9 +17,6 @@ from pedzoo.types import STEP_SECONDS
 
 TERMS = f"{ETH_UCY['terms']}{FLOOR_PLANS}. For research; do not pass the files on inside a package."
 CITATION = f"{ETH_UCY['citation']}; for the split: A. Gupta et al., Social GAN, CVPR 2018"
-
-TRUE_SECONDS = {"biwi_eth": 0.6667}
-"""Real time of a step where it is not 0.4 s: biwi_eth has every tenth frame of a 15 Hz video."""
 
 
 def download(folder: Path) -> list[PublishedFile]:
@@ -59,7 +57,7 @@ def splits() -> dict[str, Any]:
         }
     return {
         "seconds_per_step": STEP_SECONDS,
-        "true_seconds_per_step": {name: TRUE_SECONDS.get(name, STEP_SECONDS) for name in plans},
+        "true_seconds_per_step": {name: round(TRUE_SECONDS.get(name, STEP_SECONDS), 4) for name in plans},
         "map_of_recording": plans,
         "folds": folds,
     }
