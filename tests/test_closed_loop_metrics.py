@@ -108,6 +108,8 @@ def test_row_of_two_episodes() -> None:
         {
             "success": 2 / 3,
             "episode_success": 0.5,
+            "clean": 0.0,
+            "contact_free": 0.0,
             "failed": 0.0,
             "deadlock": 0.0,
             "goals_per_person": 2 / 3,
@@ -144,6 +146,30 @@ def test_row_of_two_episodes() -> None:
     assert third["least_distance_m"] is None and third["success"] is False
 
 
+def test_clean_are_episodes_in_which_all_arrive_and_nobody_touches_anything() -> None:
+    """Of five episodes one is clean; in the others somebody touches, is late, or the policy fails."""
+    path = torch.stack((straight(points=5), straight(points=5, start=(0.0, 2.0)))).expand(5, 2, 6, 2)
+    nobody = torch.zeros(5, 2, 5, dtype=torch.bool)
+    agents, walls = nobody.clone(), nobody.clone()
+    agents[1, 0, 2] = walls[2, 1, 0] = True
+    late, failed = torch.zeros(5, 2, dtype=torch.bool), torch.zeros(5, dtype=torch.bool)
+    late[3, 1] = failed[4] = True
+    walked = made(
+        path,
+        agent_contact=agents,
+        wall_contact=walls,
+        reached=torch.ones(5, 2, 5, dtype=torch.long),
+        late=late,
+        failed=failed,
+    )
+    found = metrics(walked)
+    assert found["clean"] == pytest.approx(1 / 5) and found["contact_free"] == pytest.approx(3 / 5)
+    assert found["episode_success"] == pytest.approx(3 / 5)
+    # who is played back may touch: only people whom the policy moves are scored
+    played = replace(walked, controlled=walked.controlled & torch.tensor([[False], [True]]))
+    assert metrics(played)["contact_free"] == pytest.approx(4 / 5)
+
+
 def test_nobody_who_fails_at_once_has_rates() -> None:
     walked = two_episodes()
     nobody = torch.zeros_like(walked.present)
@@ -166,7 +192,8 @@ def test_metrics_depend_neither_on_the_frame_nor_on_how_people_are_numbered() ->
     expected = metrics(walked)
     assert tuple(expected) == NAMES
     trivial = {key for key, value in expected.items() if value in (0.0, 1.0)}
-    assert trivial == {"failed", "deadlock", "agent_contact_episodes", "wall_contact_episodes"}
+    touched = {"agent_contact_episodes", "wall_contact_episodes", "clean", "contact_free"}
+    assert trivial == {"failed", "deadlock"} | touched
     assert metrics(turned(walked, 2.0, (3.0, -7.0))) == pytest.approx(expected, rel=1e-6)
     assert metrics(permuted(walked, [2, 0, 1])) == pytest.approx(expected, rel=1e-9)
     assert walked.gate is not None

@@ -28,6 +28,8 @@ LEGEND = {
     "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each); in a replay"
     " their real exit in twice the real time",
     "episode_success": "share of episodes in which everybody does",
+    "clean": "share of episodes in which everybody does and nobody touches anybody or any wall",
+    "contact_free": "share of episodes in which nobody touches anybody or any wall",
     "time_s": "until everybody has reached all goals, mean of the episodes in which all do in time",
     "seconds_per_goal": "time that people walk in these episodes, by the goals that they reach: whoever is "
     "finished early walks on",

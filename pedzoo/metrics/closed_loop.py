@@ -13,7 +13,7 @@ from pedzoo.metrics.runs import Runs
 from pedzoo.types import STEP_SECONDS
 
 NAMES = (
-    *("success", "episode_success", "failed", "deadlock"),
+    *("success", "episode_success", "clean", "contact_free", "failed", "deadlock"),
     *("goals_per_person", "goals_per_person_min", "goals_per_person_max", "goals_parity"),
     *("time_s", "decisions", "time_ratio", "path_ratio", "spl", "stl"),
     *("agent_contacts_per_min", "wall_contacts_per_min"),
@@ -37,7 +37,7 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
 
     * ``agent_contacts_per_min``, ``wall_contacts_per_min``: events per minute that a person walks, for
       everybody who touches; ``..._per_episode`` their number; ``..._contact_episodes`` the share of episodes
-      with any. See `contact_events`.
+      with any. See `contact_events`. ``contact_free``: the share of episodes with neither.
     * ``personal_space``: share of 0.1 s points at which nobody is within 0.5 m.
     * ``least_distance_m``: between an episode's nearest two, mean over episodes in which people meet.
     * ``time_to_collision_s``: mean over people and 0.4 s windows in which anybody else is there, capped at
@@ -50,7 +50,8 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
     of what follows is of ordinary scenes only.
 
     * ``success``, ``deadlock``: shares of people; ``episode_success`` (all succeed) and ``failed`` (the
-      policy gave no number): of episodes.
+      policy gave no number): of episodes. ``clean``: of episodes in which all succeed and nobody touches
+      anybody or any wall: success, no agent contact and no wall contact together.
     * ``goals_per_person``, and ``..._min`` and ``..._max`` of an episode's person with the fewest and the
       most; ``goals_parity``: fewest by most, mean over episodes in which anybody reached a goal.
     * ``time_s``: when the last person arrives, mean over episodes in which all do in time; ``decisions``:
@@ -93,9 +94,11 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
     compared = arrived & (planned > 0)
     fewest, most = navigation.fewest_goals(reached, mask), navigation.most_goals(reached, mask)
     stuck = navigation.deadlocked(rollout.trace, rollout.goal, scored)
+    everybody = (arrived | ~mask).all(1) & ~rollout.failed
     return {
         "success": share(arrived, mask),
-        "episode_success": share((arrived | ~mask).all(1) & ~rollout.failed),
+        "episode_success": share(everybody),
+        "clean": share(everybody & _untouched(rollout, scored)),
         "failed": share(rollout.failed),
         "deadlock": share(stuck, mask),
         "goals_per_person": ratio(reached[..., -1].where(mask, 0), mask),
@@ -137,9 +140,16 @@ def _meeting(rollout: Rollout, scored: Tensor, near: Tensor) -> dict[str, Ratio]
         found[f"{what}_contacts_per_episode"] = ratio(events.sum(1))
         found[f"{what}_contact_episodes"] = share((events > 0).any(1))
     return found | {
+        "contact_free": share(_untouched(rollout, scored)),
         "personal_space": ratio(safety.keeps_distance(near, scored), scored),
         "least_distance_m": finite(safety.least_distance(near, scored).amin(1)),
     }
+
+
+def _untouched(rollout: Rollout, scored: Tensor) -> Tensor:
+    """Return in which episodes no scored person touches anybody or any wall (E,) bool."""
+    touches = (rollout.agent_contact | rollout.wall_contact) & scored
+    return ~touches.flatten(1).any(1)
 
 
 def _ahead(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
