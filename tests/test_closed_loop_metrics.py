@@ -11,7 +11,7 @@ from torch import Tensor
 from walks import made, straight
 
 from pedzoo.eval.closed_loop import row
-from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
+from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop, time_ratios
 from pedzoo.metrics.intervals import wilson
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.rollout import OVER_TIME, Rollout, joined
@@ -133,9 +133,13 @@ def test_row_of_two_episodes() -> None:
             "least_distance_m": 0.5,
             "speed_m_per_s": (0.5 / 0.4 + 0) / 2,  # two people are there for a whole window
             "path_irregularity_rad_per_m": 0.0,
+            "time_ratio_median": 0.3,  # the lower one of two
         }
     )
-    assert list(found["metrics"]) == [name for name in NAMES if name in found["metrics"]]
+    assert list(found["metrics"]) == [
+        *(name for name in NAMES if name in found["metrics"]),
+        "time_ratio_median",
+    ]
     assert found["name"] == "somebody" and found["n"] == 2 and found["decision_dt_s"] == 0.4
     assert found["ci95"]["episode_success"] == wilson(0.5, 2)
     assert "time_s" not in found["ci95"]  # one episode says nothing about others
@@ -168,6 +172,19 @@ def test_clean_are_episodes_in_which_all_arrive_and_nobody_touches_anything() ->
     # who is played back may touch: only people whom the policy moves are scored
     played = replace(walked, controlled=walked.controlled & torch.tensor([[False], [True]]))
     assert metrics(played)["contact_free"] == pytest.approx(4 / 5)
+
+
+def test_median_time_is_of_those_who_arrive_and_its_interval_is_over_episodes() -> None:
+    walked = busy()
+    value, known = time_ratios(walked)
+    arrived = sorted(value[known].tolist())
+    found = row("somebody", walked, 0.4)
+    middle = found["metrics"]["time_ratio_median"]
+    assert middle == pytest.approx(arrived[(len(arrived) - 1) // 2]) and 0 < len(arrived) < 15
+    low, high = found["ci95"]["time_ratio_median"]
+    assert low <= middle <= high and low in arrived and high in arrived
+    nobody = replace(walked, late=~walked.late)
+    assert "time_ratio_median" not in row("nobody", nobody, 0.4)["metrics"]
 
 
 def test_nobody_who_fails_at_once_has_rates() -> None:

@@ -80,6 +80,8 @@ def test_symmetry_index_of_who_waits_until_the_other_is_through() -> None:
     assert known.all() and float(index) == pytest.approx(2.55 / 2.5)
     scored[0, 0, 25:] = False
     assert float(door.symmetry_index(path, scored, GATE, BOTH)[0]) == pytest.approx(1.3 / 2.5)
+    metres, known = door.asymmetry(path, scored, GATE, BOTH)
+    assert known.all() and float(metres) == pytest.approx(1.3)
     mirrored = torch.stack((goes, -goes)).unsqueeze(0)
     assert float(door.symmetry_index(mirrored, scored, GATE, BOTH)[0]) == 0.0
     assert not door.symmetry_index(path, scored & False, GATE, BOTH)[1]
@@ -127,12 +129,21 @@ def test_metrics_of_somebody_who_yields() -> None:
     assert "symmetry_index" not in metrics(made(path))
 
 
+def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
+    """The sum of both grows by 0.1 m at each point; the second arrives at the 21st."""
+    path = torch.stack((walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))))
+    reached = (torch.arange(50) >= 20).long() * torch.tensor([[[0], [1]]])
+    found = metrics(made(path.unsqueeze(0), gate=GATE, reached=reached))
+    assert found["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
+    assert found["symmetry_index"] == pytest.approx(2.55 / 2.5)
+
+
 def test_nobody_yields_where_orca_walks_in_mirror_images() -> None:
     policy, alike = "orca:radius=0.1,jitter=0,dt=0.4", "door:speed_std=0,jitter=0"
     walked, _ = rollout(policy, alike, "grid", 1)
     found = metrics(walked)
     assert found["success"] == 1.0
-    assert found["symmetry_index"] < 1e-3 and found["yield_delay_s"] < 1e-3
+    assert found["symmetry_index"] < 1e-3 and found["yield_delay_s"] < 1e-3 and found["symmetry_m"] < 1e-3
     assert "faster_first" not in found  # they like to walk as fast as each other
     yields, _ = rollout(policy, f"{alike},speed_ratio=0.6", "grid", 1)
     found = metrics(yields)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.metrics.closed_loop import closed_loop
+from pedzoo.metrics.closed_loop import closed_loop, time_ratio_median
 from pedzoo.metrics.navigation import finish_seconds, success
 from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.metrics.rollout import Rollout, joined
@@ -111,7 +111,8 @@ def row(
 ) -> dict[str, Any]:
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
-    ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says.
+    ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says;
+    ``time_ratio_median`` is beside them.
     In a replay slots are not people: what each of them did `pedzoo.eval.realism` says.
 
     Args:
@@ -121,6 +122,9 @@ def row(
         more: Metrics of the same episodes beside those of every rollout.
     """
     metrics, intervals = summarised({**closed_loop(rollout, decision_dt), **(more or {})})
+    if not rollout.replayed:
+        middle, ends = time_ratio_median(rollout)
+        metrics, intervals = metrics | middle, intervals | ends
     return {
         "name": name,
         "case": {},

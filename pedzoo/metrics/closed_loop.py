@@ -7,6 +7,8 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from pedzoo.metrics import door, navigation, safety, smoothness
+from pedzoo.metrics.intervals import Interval, bootstrap_quantile
+from pedzoo.metrics.quantiles import quantiles
 from pedzoo.metrics.ratios import Ratio, finite, mean, ratio, share
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.runs import Runs
@@ -23,7 +25,8 @@ NAMES = (
     *("time_to_collision_s", "time_to_collision_capped"),
     *("speed_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3", "heading_rate_rad_per_s"),
     "path_irregularity_rad_per_m",
-    *("symmetry_index", "yield_delay_s", "faster_first", "yielder_speed_m_per_s", "specific_flow_per_m_s"),
+    *("symmetry_index", "symmetry_m", "yield_delay_s", "faster_first", "yielder_speed_m_per_s"),
+    "specific_flow_per_m_s",
 )
 """Every metric there is, in the order of tables; `closed_loop` says what each of them is."""
 
@@ -60,8 +63,9 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
       preferred speed, means over people who arrive; ``spl``, ``stl``: see `weighted`, means over people. Who
       decides rarely walks on after a goal before hearing of the next one, which counts as walked.
     * ``personal_space_igibson``: mean over people, see `compliance_igibson`.
-    * At a door: see `pedzoo.metrics.door`. Means over episodes in which they are known; ``faster_first`` is a
-      share of these, ``specific_flow_per_m_s`` all people who got through by all width and time.
+    * At a door: see `pedzoo.metrics.door`; ``symmetry_m`` until the first of the two arrives. Means over
+      episodes in which they are known; ``faster_first`` is a share of these, ``specific_flow_per_m_s`` all
+      people who got through by all width and time.
 
     Args:
         rollout: Some episodes.
@@ -91,7 +95,7 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
     walked = navigation.walked_metres(rollout.path, scored, reached, goals)
     planned = navigation.planned_metres(rollout.planned, reached, goals)
     needed = planned / rollout.pref_speed
-    compared = arrived & (planned > 0)
+    slower, compared = time_ratios(rollout)
     fewest, most = navigation.fewest_goals(reached, mask), navigation.most_goals(reached, mask)
     stuck = navigation.deadlocked(rollout.trace, rollout.goal, scored)
     everybody = (arrived | ~mask).all(1) & ~rollout.failed
@@ -107,11 +111,39 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
         "goals_parity": mean(fewest.double() / most.clamp_min(1), most > 0),
         "time_s": finite(time),
         "decisions": finite((time / decision_dt - 1e-6).ceil()),
-        "time_ratio": mean(seconds / needed, compared),
+        "time_ratio": mean(slower, compared),
         "path_ratio": mean(walked / planned, compared),
         "spl": ratio(navigation.weighted(arrived, planned, walked), mask),
         "stl": ratio(navigation.weighted(arrived, needed, seconds), mask),
     }
+
+
+def time_ratios(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Return each person's time by that of free walking (E, A), and whose is known: of who arrives in time.
+
+    Free walking is the planned way at one's preferred speed.
+    """
+    reached, goals = rollout.reached, rollout.goals
+    arrived = navigation.success(reached, goals, rollout.late, rollout.failed, rollout.mask)
+    planned = navigation.planned_metres(rollout.planned, reached, goals)
+    seconds = navigation.finish_seconds(reached, goals)
+    return seconds * rollout.pref_speed / planned, arrived & (planned > 0)
+
+
+def time_ratio_median(rollout: Rollout) -> tuple[dict[str, float], dict[str, Interval]]:
+    """Return ``time_ratio_median``, the median over people of `time_ratios`, and its 95 % interval.
+
+    Of two middle ones the lower. Both are empty where nobody arrives, as in `summarised`. A median is no
+    ratio of sums: it is not in `NAMES`, and belongs to all episodes together.
+    """
+    value, known = time_ratios(rollout)
+    if not known.any():
+        return {}, {}
+    values, episode, episodes = value[known], known.nonzero()[:, 0], len(known)
+    middle = float(quantiles(values, episode, torch.ones(1, episodes), (0.5,)))
+    low, high = bootstrap_quantile(values, episode, episodes, 0.5)
+    key = "time_ratio_median"
+    return {key: middle}, {key: (low, high)} if low < high else {}
 
 
 def _leaving(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
@@ -184,12 +216,14 @@ def _at_door(
     pair, met = door.pair(rollout.path[:, :, 0], rollout.mask, gate)
     theirs = door.of_pair(passed, pair).where(met.unsqueeze(1), torch.inf)
     index, walked = door.symmetry_index(rollout.path, scored, gate, pair)
+    metres, came = door.asymmetry(rollout.path, scored & rollout.underway, gate, pair)
     slowest = door.yielder_speed(
         door.of_pair(velocity, pair), door.of_pair(known, pair), theirs, STEP_SECONDS
     )
     through, room = door.flow(passed, gate)
     return {
         "symmetry_index": mean(index, walked & met),
+        "symmetry_m": mean(metres, came & met),
         "yield_delay_s": finite(door.yield_delay(theirs)),
         "faster_first": share(*door.faster_first(theirs, door.of_pair(rollout.pref_speed, pair))),
         "yielder_speed_m_per_s": finite(slowest),

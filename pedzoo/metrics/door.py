@@ -67,13 +67,27 @@ def symmetry_index(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> 
         gate: Doors (E, 5).
         pair: Who meets (E, 2) long.
     """
-    two, both = of_pair(path, pair), of_pair(scored, pair).all(1)
-    centre = gate[:, None, :2]
-    off = (two.sum(1) - 2 * centre).norm(dim=-1)[:, 1:]
-    size = (two[:, :, 0] - centre).norm(dim=-1).mean(1)
+    metres, known = asymmetry(path, scored, gate, pair)
+    size = (of_pair(path, pair)[:, :, 0] - gate[:, None, :2]).norm(dim=-1).mean(1)
+    return metres / size.clamp_min(1e-9), known & (size > 0)
+
+
+def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the mean of ``|p1 + p2 - 2c|`` as long as both are there (E,), metres, and where it is known.
+
+    What `symmetry_index` is in metres. Where somebody walks on after arriving the two are no longer about the
+    door: ``there`` that ends with the first arrival tells how they came through it.
+
+    Args:
+        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
+        there: Who counts at each point but the first (E, A, T) bool.
+        gate: Doors (E, 5).
+        pair: Who meets (E, 2) long.
+    """
+    two, both = of_pair(path, pair), of_pair(there, pair).all(1)
+    off = (two.sum(1) - 2 * gate[:, None, :2]).norm(dim=-1)[:, 1:]
     points = both.sum(1)
-    index = off.where(both, 0.0).sum(1, dtype=torch.float64) / (points * size).clamp_min(1e-9)
-    return index, (points > 0) & (size > 0)
+    return off.where(both, 0.0).sum(1, dtype=torch.float64) / points.clamp_min(1), points > 0
 
 
 def yield_delay(seconds: Tensor) -> Tensor:

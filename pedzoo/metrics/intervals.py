@@ -8,6 +8,8 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from pedzoo.metrics.quantiles import quantiles
+
 _NORMAL_95 = 1.959964
 
 Interval = tuple[float, float]
@@ -42,6 +44,25 @@ def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, see
     below = times @ denominator.double()
     found = (times @ numerator.double() / below)[below > 0]
     low, high = torch.quantile(found, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
+    return low, high
+
+
+def bootstrap_quantile(
+    value: Tensor, episode: Tensor, episodes: int, at: float, resamples: int = 2000, seed: int = 0
+) -> Interval:
+    """Return the percentile bootstrap interval of a quantile over episodes, of which each has several values.
+
+    Args:
+        value: Of people (N,), at least one.
+        episode: Whose episode each is of (N,) long.
+        episodes: How many there are, E.
+        at: Which quantile, 0.5 for the median.
+        resamples: Of episodes, drawn with replacement.
+        seed: Of the draws.
+    """
+    found = quantiles(value, episode, _resampled(episodes, resamples, seed), (at,))[:, 0]
+    ends = torch.nanquantile(found, torch.tensor([0.025, 0.975], dtype=torch.float64))
+    low, high = ends.tolist()
     return low, high
 
 

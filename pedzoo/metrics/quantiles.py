@@ -1,0 +1,41 @@
+"""Quantiles of what episodes or people did: values cannot be added up, so that groups are drawn with theirs.
+
+N values of G groups (episodes, people); R resamples are weights (R, G), how often each group counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+_AT_ONCE = 4_000_000
+"""Weights of values that are added up at once: several such tensors fit memory."""
+
+
+def quantiles(value: Tensor, group: Tensor, weights: Tensor, at: Sequence[float]) -> Tensor:
+    """Return quantiles (R, Q) of weighted values, float64; NaN for a resample without any.
+
+    The least value at which the share of the values up to it is no smaller than asked for: the inverse of the
+    cumulative distribution, which is always one of the values.
+
+    Args:
+        value: (N,).
+        group: Whose each is (N,) long, 0 to G - 1.
+        weights: How often each group counts (R, G).
+        at: Shares, above 0 and at most 1.
+    """
+    shares = torch.tensor(at, dtype=torch.float64)
+    if not len(value):
+        return torch.full((len(weights), len(shares)), torch.nan, dtype=torch.float64)
+    order = value.argsort()
+    ordered, whose = value[order].double(), group[order]
+    found = []
+    for part in weights.double().split(max(1, _AT_ONCE // len(value))):
+        until = part[:, whose].cumsum(1)
+        total = until[:, -1:]
+        # a share of a whole number of values may be rounded up to just above it
+        place = torch.searchsorted(until, total * shares - 1e-9 * total).clamp_max(len(value) - 1)
+        found.append(ordered[place].where(total > 0, torch.nan))
+    return torch.cat(found)
