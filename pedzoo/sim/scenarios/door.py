@@ -11,11 +11,15 @@ from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.sim.scenario import WARM_SECONDS, Layout, Scenario, door_at_origin
+from pedzoo.sim.ranges import Drawn, Range
+from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario, door_at_origin
 from pedzoo.sim.variants import Numbers, Variant, Variants
 
 BEFORE = 2.5
-"""Metres from the wall at which everybody is when the warm start ends."""
+"""Metres from the wall at which the first ones are when the warm start ends, unless ``away`` is given."""
+
+NEAREST = 1.0
+"""Metres: the smallest such distance that a setting may ask for."""
 
 BEHIND = 3.0
 """Metres of the goals behind the wall."""
@@ -26,6 +30,12 @@ PUSH = 0.05
 SPACING = 0.9
 """Metres between people who come one behind the other."""
 
+ABREAST = 0.75
+"""Metres between people who walk side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
+
+MOST_ABREAST = 3
+"""People who walk together."""
+
 BORDER = 2
 """Cells of the outer walls' thickness."""
 
@@ -34,7 +44,8 @@ class Door(Scenario):
     """Two rooms and a door between them; people come in turn from the left and from the right.
 
     The wall stands at x = 0 and the door in it is centred at y = 0. Without jitter two people of equal
-    speed are mirror images of each other in the door's centre.
+    speed are mirror images of each other in the door's centre. Agents are numbered from the door: the first
+    from the left, the first from the right, the second from the left, ...
     """
 
     def __init__(
@@ -48,6 +59,10 @@ class Door(Scenario):
         speed_std: float = 0.2,
         speed_ratio: float = 1.0,
         resolution: float = 0.05,
+        away: Range = BEFORE,
+        sync: float | None = None,
+        from_right: int | None = None,
+        abreast: int = 1,
     ) -> None:
         """Set the scene.
 
@@ -62,6 +77,14 @@ class Door(Scenario):
             speed_std: Its standard deviation.
             speed_ratio: Speed of those from the right, divided by that of those from the left.
             resolution: Of the floor plan, metres per cell.
+            away: Metres from the middle of the wall at which the first of a side are when the warm start ends
+                if nothing holds them up; ``[least,most]``: each side draws one.
+            sync: Seconds by which the first of the two sides would be at the door one after the other if each
+                walked alone, at most, evenly distributed; who would be there too early starts farther away
+                than ``away``. None: as ``away`` and their speeds have it.
+            from_right: How many of the people come from the right; None: every other one.
+            abreast: How many of a side walk together, side by side and equally fast, 1 to 3; those of a row
+                that is not full are in its middle.
 
         Raises:
             UserError: A setting that gives no scene.
@@ -73,14 +96,43 @@ class Door(Scenario):
         self.variants = Variants("door", width=width, thickness=thickness, offset=offset)
         self.variants.check_lengths(resolution, "width", "thickness", instead=fine)
         self.jitter, self.speed_ratio, self.resolution = jitter, speed_ratio, resolution
-        queue = -(-people // 2) * SPACING
-        self.half_length = BEFORE + queue + WARM_SECONDS * self.fastest + 1.5
-        self.half_width = max(map(abs, self.variants.values["offset"])) + 3 * jitter + 2.0
+        self.away, self.sync = Drawn("door", "away", away, least=NEAREST), sync
+        self._seat(people, people // 2 if from_right is None else from_right, abreast)
+        queue = (int(self._row.max()) + 1) * SPACING
+        aside = max(map(abs, self.variants.values["offset"])) + 3 * jitter
+        self.half_length = self.away.most + queue + WARM_SECONDS * self.fastest + 1.5
+        if sync is not None:
+            if not sync >= 0 or not 0 < int(self._right.sum()) < people:
+                raise UserError(f"door: sync {sync}: expected at least 0 s, and people from both sides")
+            # who is faster waits for who is slower
+            alone = math.hypot(self.away.most + PUSH, aside) / self.slowest + sync
+            self.half_length = self.fastest * (WARM_SECONDS + alone) + queue + 1.5
+        self.half_width = aside + 2.0 + ABREAST * (abreast - 1) / 2
+
+    def _seat(self, people: int, from_right: int, abreast: int) -> None:
+        """Say who comes from where, in which row, and whom they walk beside."""
+        if not 0 <= from_right <= people:
+            raise UserError(f"door: from_right {from_right} of {people} people: expected 0 to {people}")
+        if not 1 <= abreast <= MOST_ABREAST:
+            raise UserError(f"door: abreast {abreast}: expected 1 to {MOST_ABREAST}")
+        sides = (people - from_right, from_right)
+        seats = sorted((number, side) for side, count in enumerate(sides) for number in range(count))
+        number, self._right = torch.tensor(seats).unbind(1)
+        self._row = number // abreast
+        in_row = (torch.tensor(sides)[self._right] - self._row * abreast).clamp_max(abreast)
+        self._left_of_row = ABREAST * (number % abreast - (in_row - 1) / 2)
+        leaders = [seats.index((number - number % abreast, side)) for number, side in seats]
+        self._leader = torch.tensor(leaders)
 
     @property
     def fastest(self) -> float:
         """The largest preferred speed that can be drawn, m/s."""
         return super().fastest * max(1.0, self.speed_ratio)
+
+    @property
+    def slowest(self) -> float:
+        """The smallest preferred speed that can be drawn, m/s."""
+        return max(SLOWEST, self.speed - 3 * self.speed_std) * min(1.0, self.speed_ratio)
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the two rooms, for every variant."""
@@ -105,8 +157,9 @@ class Door(Scenario):
         self._map_id = torch.tensor([self.bank.id_of(self.variants.name(one)) for one in self.variants])
         goals = []
         for variant, row in zip(self.variants, self.bank.index(self._map_id).tolist(), strict=True):
-            points = [(side * BEHIND, sign * variant["offset"]) for side in (1, -1) for sign in (1, -1)]
-            goals.append(self.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)).view(2, 2))
+            # everybody keeps to their side of the axis: from the left, y = -offset to y = -offset
+            points = [(BEHIND, -variant["offset"]), (-BEHIND, variant["offset"])]
+            goals.append(self.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)))
         self._goals = torch.stack(goals)
         self._offset = torch.tensor([variant["offset"] for variant in self.variants])
 
@@ -116,17 +169,40 @@ class Door(Scenario):
 
     def layout(self, draws: Draws) -> Layout:
         """Return people on both sides, as far away as they walk before the episode begins."""
-        scenes, agents, device = len(draws.key), self.people, draws.key.device
+        device, agents = draws.key.device, len(self._row)
+        right, row, leader = (table.to(device) for table in (self._right, self._row, self._leader))
         variant = self.variants.drawn(draws)
-        agent = torch.arange(agents, device=device)
-        side = 2 * (agent % 2) - 1  # -1 comes from the left, 1 from the right
-        speed = self.speeds(draws)
+        side = 2 * right - 1  # -1 comes from the left, 1 from the right
+        speed = self.speeds(draws)[:, leader]
         speed = torch.where(side > 0, speed * self.speed_ratio, speed)
-        away = BEFORE + WARM_SECONDS * speed + SPACING * (agent // 2) + PUSH * (agents > 2)
+        # whoever comes behind somebody faster starts no nearer to them than `SPACING`
+        pace = speed.new_zeros(len(speed), int(row.max()) + 1, 2)
+        pace[:, row, right] = speed
+        pace = pace.cummax(1).values[:, row, right]
+        away = self.away.of(draws, 2)[:, right] + WARM_SECONDS * pace + SPACING * row + PUSH * (row.max() > 0)
         offset = self._offset.to(device)[variant].unsqueeze(1)
-        lateral = side * offset + self.jitter * draws.normal("jitter", agents).clamp(-3, 3)
+        lateral = side * (offset + self._left_of_row.to(device))
+        lateral = lateral + self.jitter * draws.normal("jitter", agents)[:, leader].clamp(-3, 3)
+        if self.sync is not None:
+            away = away + self._later(draws, away, lateral, speed)[:, right]
         start = torch.stack((side * away, lateral), dim=-1)
-        # everybody keeps to their side of the axis: from the left, y = -offset to y = -offset
-        goal = self._goals.to(device)[variant][:, agent % 2, 1 - agent % 2]
-        mask = start.new_ones(scenes, agents).bool()
+        goal = self._goals.to(device)[variant][:, right]
+        mask = torch.ones_like(away, dtype=torch.bool)
         return Layout(self._map_id.to(device)[variant], start, mask, speed, goal)
+
+    def _later(self, draws: Draws, away: Tensor, lateral: Tensor, speed: Tensor) -> Tensor:
+        """Return how many metres farther back each side starts (B, 2), so that both come to the door in time.
+
+        Args:
+            draws: Of the scenes.
+            away: Distances of starts from the wall (B, A), metres.
+            lateral: Their distances from the door's axis (B, A), metres.
+            speed: Preferred speeds (B, A), m/s.
+        """
+        first = [int((self._right == side).nonzero()[0]) for side in (0, 1)]
+        away, lateral, speed = away[:, first], lateral[:, first], speed[:, first]
+        left, right = (torch.hypot(away, lateral) / speed).unbind(1)  # seconds until they are at the door
+        later = (self.sync or 0.0) * (2 * draws.uniform("sync") - 1)
+        left = left.maximum(right - later)
+        seconds = torch.stack((left, left + later), dim=1)
+        return ((seconds * speed).square() - lateral.square()).sqrt() - away
