@@ -16,7 +16,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, ids_of
 from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 
-Noise = Literal["episode", "step", "scene"]
+Noise = Literal["episode", "step", "scene", "mixed"]
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -55,14 +55,17 @@ class Walker(TensorDictModuleBase):
         model: Forecaster,
         noise: Noise = "episode",
         execute_steps: int = 1,
+        noise_seed: int = 0,
     ) -> None:
         """Take a forecaster.
 
         Args:
             model: The forecaster; map-conditioned ones need `bind`.
             noise: Drawn for each person once per ``episode``, at every ``step``, or once for all people of
-                a ``scene`` (as Social GAN was trained).
+                a ``scene`` (as Social GAN was trained); ``mixed``: the first half of its numbers as for
+                ``episode``, what a person is like, the rest as for ``step``.
             execute_steps: How many steps of a prediction are walked before the next one is asked for.
+            noise_seed: Other seeds give other noise for the same scenes.
 
         Raises:
             UserError: A setting is out of range.
@@ -73,6 +76,7 @@ class Walker(TensorDictModuleBase):
         if not 1 <= execute_steps <= PRED_LEN:
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
+        self.noise_seed = noise_seed
         self._plan: Plan | None = None
 
     def bind(self, bank: MapBank) -> None:
@@ -117,16 +121,27 @@ class Walker(TensorDictModuleBase):
         return kept.steps[torch.arange(len(key), device=key.device), :, now - kept.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
-        return self.model.next_steps(tensordict, self._drawn(tensordict), steps, PRED_LEN)
+        return self.model.next_steps(tensordict, self.noise_of(tensordict), steps, PRED_LEN)
 
-    def _drawn(self, tensordict: TensorDictBase) -> Tensor | None:
-        """Return the noise (B, A, noise_dim), None for none."""
+    def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Return everybody's noise (B, A, noise_dim) in scenes as they are now, None for none."""
         if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
             return None
         agent = ids_of(tensordict)
         who = torch.zeros_like(agent) if self.noise == "scene" else agent
         key = draws.join(tensordict["scene_key"], "noise", who)
-        if self.noise == "step":
-            key = draws.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
+        if self.noise_seed:
+            key = draws.join(key, self.noise_seed)
+        now = draws.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
         dims = torch.arange(self.model.noise_dim, device=agent.device)
-        return draws.normal(draws.join(key.unsqueeze(-1), dims))
+        key, now = key.unsqueeze(-1), now.unsqueeze(-1)
+        if self.noise == "step":
+            key = now
+        elif self.noise == "mixed":
+            key = torch.where(dims < lasting(self.model.noise_dim), key, now)
+        return draws.normal(draws.join(key, dims))
+
+
+def lasting(noise_dim: int) -> int:
+    """Return how many of the numbers of ``mixed`` noise last for an episode."""
+    return (noise_dim + 1) // 2

@@ -132,6 +132,17 @@ class PedestrianEnv(EnvBase):
             raise UserError("the environment has no scenes yet: call reset() first")
         return self._scenes.state
 
+    def cut(self) -> TensorDict:
+        """Return what everybody sees now, as given: gradients go back no farther than to here.
+
+        Raises:
+            UserError: `reset` was never called.
+        """
+        told = self._scenes.guidance if self._scenes else ()
+        state = State(*(value.detach() for value in self.state))
+        self._scenes = _Scenes(state, Guidance(*(value.detach() for value in told)))
+        return self._observation(*self._scenes)
+
     def _set_seed(self, seed: int | None) -> None:
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])

@@ -19,15 +19,18 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, agents_of, arguments, goals_of
 from pedzoo.models.blocks import frame as frames
 from pedzoo.models.blocks import lines
+from pedzoo.models.blocks.approach import ApproachPooling
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.folded import NOTHING, Folded, fold
 from pedzoo.models.blocks.kept import Kept
 from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.map_patch import PatchEncoder
+from pedzoo.models.blocks.map_rings import RingEncoder
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
 from pedzoo.models.blocks.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
 from pedzoo.models.blocks.scene_error import Kind, SceneError
+from pedzoo.models.blocks.trait import Trait
 from pedzoo.types import GoalProtocol
 
 
@@ -65,10 +68,12 @@ class SGAN(Forecaster):
         bottleneck_dim: int = 0,
         goal_dim: int = 0,
         goal_protocol: GoalProtocol = "none",
-        map: Literal["patch", "alexnet"] | None = None,
+        map: Literal["patch", "alexnet", "rings"] | None = None,
         map_dim: int = 32,
         map_dropout: float = 0.0,
-        frame: Literal["world", "heading"] = "world",
+        approach_dim: int = 0,
+        trait_dim: int = 0,
+        frame: Literal["world", "heading", "way"] = "world",
         residual: Literal["none", "constant_velocity", "bent_line"] = "none",
         best_k: int = 20,
         error: Kind = "squared_displacement",
@@ -92,8 +97,11 @@ class SGAN(Forecaster):
             map_dim: Width of its features.
             map_dropout: Share of them left out in training: recordings have few floor plans, which a
                 network soon knows by heart.
-            frame: Directions in the ``world``, or in everybody's own ``heading`` so that turning the
-                scene turns the answer (pooling stays in the world).
+            approach_dim: Width of what people see of each other's closest approach; 0 for none.
+            trait_dim: Width of the network by which noise changes what is made of a situation; 0 for none.
+            frame: Directions in the ``world``, in everybody's own ``heading``, so that turning the scene
+                turns the answer (pooling stays in the world), or likewise in that of their ``way`` to the
+                goal, which does not turn with every small step.
             residual: The trivial continuation that the output is added to.
             best_k: Samples of the variety loss.
             error: What losses are made of; see `pedzoo.models.blocks.scene_error`.
@@ -121,6 +129,8 @@ class SGAN(Forecaster):
             raise UserError(
                 "residual bent_line bends to the goal: set goal_dim, or residual constant_velocity"
             )
+        if frame == "way" and not goal_dim:
+            raise UserError("frame way is that of the way to the goal: set goal_dim, or frame heading")
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
         self.best_k = best_k
@@ -133,7 +143,7 @@ class SGAN(Forecaster):
         )
         self.goal = nn.Linear(4, goal_dim) if goal_dim else None
         self.to_decoder = mlp(
-            encoder_dim + bottleneck_dim + goal_dim + (map_dim if map else 0),
+            encoder_dim + bottleneck_dim + goal_dim + (map_dim if map else 0) + approach_dim,
             mlp_dim,
             decoder_dim - noise_dim,
         )
@@ -141,12 +151,16 @@ class SGAN(Forecaster):
         self._kept = Kept(_fold, NOTHING)
         init_like_sgan(self)
         # after the published initialisation: a map encoder brings its own
-        encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder}
+        encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder, "rings": RingEncoder}
         self.map = encoders[map](dim=map_dim) if map else None
         self.map_dropout = nn.Dropout(map_dropout)
-        if map:
-            # the untrained network does not look at the map: it is listened to as far as it helps
-            nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -map_dim:])
+        self.approach = ApproachPooling(encoder_dim, approach_dim) if approach_dim else None
+        if late := (map_dim if map else 0) + approach_dim:
+            # the untrained network looks at neither: they are listened to as far as they help
+            nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -late:])
+        self.trait = Trait(decoder_dim - noise_dim, noise_dim, trait_dim) if trait_dim else None
+        if self.trait is not None:
+            self.trait.reset()
         if residual != "none":
             # the untrained network is the trivial continuation itself
             nn.init.zeros_(self.decoder.output.weight)
@@ -169,8 +183,12 @@ class SGAN(Forecaster):
         if self.goal is not None:
             to_goal, desired = goals_of(batch, "this model")
             goal, wanted = crowd.pack(to_goal) - position, crowd.pack(desired)
-        heading = frames.heading(moved, goal) if self.frame == "heading" or self.map is not None else None
-        frame = heading if self.frame == "heading" else None
+        turned = self.frame != "world" or self.map is not None or self.approach is not None
+        heading = None
+        if turned:
+            to_way = goal is not None and self.frame == "way"
+            heading = frames.way(moved, goal) if to_way else frames.heading(moved, goal)
+        frame = None if self.frame == "world" else heading
         moved = frames.into(frame, moved)
         hidden = self.encoder(moved, folded.encoder)
         features = [hidden]
@@ -182,6 +200,8 @@ class SGAN(Forecaster):
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
             features.append(self.map_dropout(self.map(position, heading, map_id, pose)))
+        if self.approach is not None:
+            features.append(self.approach(position, last_step, heading, hidden, crowd))
         context = self.to_decoder(torch.cat(features, -1), folded.to_decoder)
         return Encoded(context, moved[:, -1], self._base(last_step, goal, steps), frame, crowd)
 
@@ -214,7 +234,10 @@ class SGAN(Forecaster):
             first = torch.zeros_like(first)
         if samples > 1:
             context, first = context.repeat(samples, 1), first.repeat(samples, 1)
-        hidden = torch.cat((context, z.flatten(0, 1)), 1)
+        z = z.flatten(0, 1)
+        if self.trait is not None:
+            context = self.trait(context, z)
+        hidden = torch.cat((context, z), 1)
         path = self.decoder(hidden, first, steps, folded.first, folded.decoder)
         path = frames.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base[:, :steps]

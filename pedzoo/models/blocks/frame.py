@@ -26,6 +26,20 @@ def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
     return functional.normalize(towards, dim=-1)
 
 
+def way(moved: Tensor, goal: Tensor) -> Tensor:
+    """Return everybody's direction (P, 2) as a unit vector that turns slowly, also of people who stop.
+
+    That of the goal, and a little of the last displacement. In `heading` the displacement decides, and that
+    of people who hardly move may turn by any angle in a step: what follows in a simulation is chaos.
+
+    Args:
+        moved: Observed displacements (P, T, 2), metres.
+        goal: Goal relative to the person (P, 2), metres.
+    """
+    nowhere = torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
+    return functional.normalize(functional.normalize(goal, dim=-1) + moved[:, -1] + nowhere, dim=-1)
+
+
 def into(frame: Tensor | None, vectors: Tensor) -> Tensor:
     """Turn world vectors (P, 2) or (P, T, 2) into the ``frame`` (P, 2) of each person; None is the world."""
     if frame is None:

@@ -84,7 +84,8 @@ class _Origin:
 
 
 def _values(parts: list[dict[str, Any]]) -> list[Any]:
-    return list(chain.from_iterable(map(dict.values, parts)))
+    # a layer without a bias has None for it
+    return [value for value in chain.from_iterable(map(dict.values, parts)) if value is not None]
 
 
 def _state(parameters: list[Tensor]) -> list[int]:

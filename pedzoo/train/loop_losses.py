@@ -1,0 +1,149 @@
+"""What walking costs: losses on a segment of an episode, differentiable all the way to the network.
+
+Each term is a mean over the people whom the policy moves, so that it means the same in every scenario; a
+hinge x counts x + x^2, so that neither a graze nor a crash has a small gradient.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.train.segments import Segment
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+
+_SOON = 6.0
+"""Seconds of delay that count 1."""
+
+
+class LoopLosses:
+    """The terms and their weights."""
+
+    def __init__(
+        self,
+        progress: float = 1.0,
+        people: float = 10.0,
+        people_margin: float = 0.2,
+        walls: float = 20.0,
+        wall_margin: float = 0.08,
+        overspeed: float = 2.0,
+        overspeed_from: float = 1.02,
+        effort: float = 0.05,
+        trait: float = 0.7,
+    ) -> None:
+        """Weigh the terms.
+
+        A metre too near must cost more than some seconds of waiting, or people squeeze past each other.
+
+        Args:
+            progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
+            people: Distance to others, metres short of ``2 * body_radius + people_margin``, least of a step.
+            people_margin: Metres.
+            walls: Distance to walls, metres short of ``body_radius + wall_margin``, at four places of a step.
+            wall_margin: Metres.
+            overspeed: m/s above ``overspeed_from`` times the preferred speed.
+            overspeed_from: Share of the preferred speed.
+            effort: Squared change of velocity from step to step, (m/s)^2.
+            trait: How assertive people are who drew a large first number z of noise: their own lost time
+                counts ``exp(trait * z)`` times as much. 0: the noise does not matter for it.
+
+        Raises:
+            UserError: A negative weight.
+        """
+        weights = {key: value for key, value in locals().items() if key != "self"}
+        if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
+            raise UserError(f"losses of walking: {wrong}: expected at least 0")
+        self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
+        self.people_margin, self.wall_margin = people_margin, wall_margin
+        self.overspeed, self.overspeed_from, self.trait = overspeed, overspeed_from, trait
+
+    def __call__(self, segment: Segment, bank: MapBank, assertive: Tensor | None = None) -> dict[str, Tensor]:
+        """Return the weighted terms, scalars.
+
+        Args:
+            segment: What was walked.
+            bank: The floor plans.
+            assertive: The first number of everybody's noise (B, A); None where there is none.
+        """
+        moved = segment.moved
+        # by people and not by their steps: whoever dawdles must not thin out what went wrong
+        count = (moved.any(0).sum() * len(moved)).clamp_min(1)
+
+        def mean(values: Tensor) -> Tensor:
+            """Mean over the segment and the people of what decisions (T, B, A) cost."""
+            return torch.where(moved, values, 0.0).sum() / count
+
+        speed = segment.action.square().sum(-1).clamp_min(1e-12).sqrt()
+        near = 2 * BODY_RADIUS + self.people_margin - least_distances(segment)
+        weight = None if assertive is None else torch.exp(self.trait * assertive.clamp(-2, 2))
+        terms = {
+            "progress": self.progress * lost_seconds(segment, weight) / _SOON,
+            "people": self.people * mean(_hinge(near)),
+            "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
+            "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
+        }
+        if bank.grids:
+            near = BODY_RADIUS + self.wall_margin - wall_distances(segment, bank)
+            terms["walls"] = self.walls * mean(_hinge(near).mean(-1))
+        return terms
+
+
+def _hinge(short: Tensor) -> Tensor:
+    short = short.clamp_min(0)
+    return short + short.square()
+
+
+def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
+    """Return how late people are on their ways, seconds, a scalar: mean over the segment and the people.
+
+    What they made of the way, at the speed that they like, is taken off the time. Whoever arrives early has
+    the rest of the segment to their credit.
+
+    Args:
+        segment: What was walked.
+        weight: Of everybody (B, A); None for 1.
+    """
+    took_part = segment.moved.any(0)
+    gained = (segment.progress / segment.pref_speed.clamp_min(0.1)).where(segment.moved, 0.0).cumsum(0)
+    steps = torch.arange(1, len(gained) + 1, device=gained.device, dtype=gained.dtype)
+    late = (STEP_SECONDS * steps.view(-1, 1, 1) - gained).mean(0)
+    if weight is not None:
+        late = late * weight
+    return torch.where(took_part, late, 0.0).sum() / took_part.sum().clamp_min(1)
+
+
+def least_distances(segment: Segment) -> Tensor:
+    """Return how close the nearest other comes in every step (T, B, A), metres; far where nobody else is.
+
+    Of people who walk straight from one trace point to the next: exact between them.
+    """
+    path, present = segment.trace, segment.present
+    people = path.shape[2]
+    if people < 2:
+        return path.new_full(path.shape[:3], 1e3)
+    away = path.unsqueeze(2) - path.unsqueeze(3)  # (T, B, A, A, 1 + S, 2)
+    begin, move = away[..., :-1, :], away.diff(dim=-2)
+    length = move.square().sum(-1)
+    at = (-(begin * move).sum(-1) / length.clamp_min(1e-9)).clamp(0, 1)
+    closest = begin + at.detach().unsqueeze(-1) * move
+    least = (closest.square().sum(-1) + 1e-8).sqrt().amin(-1)
+    nobody = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
+        people, dtype=torch.bool, device=path.device
+    )
+    return least.masked_fill(nobody, 1e3).amin(-1)
+
+
+def wall_distances(segment: Segment, bank: MapBank, points: int = 4) -> Tensor:
+    """Return the distances to walls (T, B, A, points) along the ways that people ask for, metres.
+
+    Not where walls let them: whoever slides along a wall is still told which way to turn.
+    """
+    steps, scenes, people = segment.moved.shape
+    part = torch.arange(1, points + 1, device=segment.action.device) * (STEP_SECONDS / points)
+    here = segment.trace[..., :1, :]
+    way = here + segment.action.unsqueeze(-2) * part.view(-1, 1)
+    rows = way.transpose(0, 1).reshape(scenes, -1, 2)
+    found = bank.signed_distance(rows, segment.map_id, segment.pose)
+    return found.view(scenes, steps, people, points).transpose(0, 1)

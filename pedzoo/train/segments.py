@@ -1,0 +1,96 @@
+"""A piece of an episode through which gradients flow: what a policy did in some environment, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.simulation import CONTACT_COST
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+"""Writes everybody's ``action`` (B, A, 2), m/s, into what they see."""
+
+
+class Segment(NamedTuple):
+    """T decisions in B scenes of A people, with S trace points each. Differentiable.
+
+    Attributes:
+        trace: Positions (T, B, A, 1 + S, 2), metres: where people were at a decision, and every 0.1 s after.
+        action: Velocities that the policy asked for (T, B, A, 2), m/s.
+        velocity: Theirs when they decided (T, B, A, 2), m/s.
+        progress: Way to the goal that was made (T, B, A), metres.
+        pref_speed: The speed that people like (T, B, A), m/s.
+        goal: Their short-term goals (T, B, A, 2), metres.
+        present: Who is there when a decision is made (T, B, A) bool.
+        moved: Whom the policy moves then (T, B, A) bool.
+        touched: Who touches a person in the step (T, B, A) bool.
+        grazed: Who touches a wall in it (T, B, A) bool.
+        done: Scenes that are over at the end (B,) bool.
+        map_id: Floor plans (B,) long.
+        pose: Scene poses (B, 4).
+    """
+
+    trace: Tensor
+    action: Tensor
+    velocity: Tensor
+    progress: Tensor
+    pref_speed: Tensor
+    goal: Tensor
+    present: Tensor
+    moved: Tensor
+    touched: Tensor
+    grazed: Tensor
+    done: Tensor
+    map_id: Tensor
+    pose: Tensor
+
+
+def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: int) -> Segment:
+    """Return what comes of a policy in an environment, observations and all, for backpropagation in time.
+
+    Scenes that are over, or were before, stay as they are; nobody moves in them.
+
+    Args:
+        env: The environment.
+        policy: Decides; gradients flow to its parameters.
+        seen: What everybody sees now, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it.
+        steps: T.
+    """
+    found: list[tuple[Tensor, ...]] = []
+    over = torch.zeros(env.batch_size[0], dtype=torch.bool)
+    map_id, pose = seen["map_id"][:, 0], seen["scene_pose"]
+    for _ in range(steps):
+        agents = seen["agents"]
+        there = agents["mask"] & ~over.unsqueeze(1)
+        before = agents["history"][:, :, -1:]
+        after = env.step(policy(seen))["next"]
+        info = after["agents", "info"]
+        touched, grazed = info["agent_contact"].any(-1), info["wall_contact"].any(-1)
+        moved = there & agents["controlled"]
+        reward = after["agents", "reward"][..., 0]
+        progress = torch.where(moved, reward + CONTACT_COST * (touched | grazed), 0.0)
+        found.append(
+            (
+                torch.cat((before, info["trace"]), 2),
+                seen["agents", "action"],
+                agents["velocity"],
+                progress,
+                agents["pref_speed"][..., 0],
+                agents["goal"],
+                there,
+                moved,
+                touched & moved,
+                grazed & moved,
+            )
+        )
+        over = over | after["done"][:, 0]
+        seen = after
+        if bool(over.all()):
+            break
+    stacked = [torch.stack(values) for values in zip(*found, strict=True)]
+    return Segment(*stacked, done=over, map_id=map_id, pose=pose)
