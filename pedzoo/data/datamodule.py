@@ -52,6 +52,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         rotate: bool = False,
         mirror: bool = False,
         seed: int = 0,
+        unroll: int = 0,
+        unroll_batch_size: int = 64,
     ) -> None:
         """Set what `setup` will read.
 
@@ -74,13 +76,22 @@ class TrajectoryDataModule(L.LightningDataModule):
             rotate: Turn training scenes at random.
             mirror: Mirror half of the training scenes.
             seed: Of the order of batches and all augmentation.
+            unroll: Steps of further training windows, for a controller that is to walk as these people did;
+                0 for none. Else training batches are ``{"forecast": as without, "unrolled": windows with so
+                many predicted steps}``. Those keep everybody who is there, lone people too, have the goal
+                ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
+                accelerate is imitated.
+            unroll_batch_size: Scenes in a batch of these, at most.
         """
         super().__init__()
         self.save_hyperparameters()
         if obs_len < 2 or pred_len < 1:
             raise UserError(f"--data.obs_len {obs_len} --data.pred_len {pred_len}: expected at least 2 and 1")
-        if min(batch_size, max_pairs, min_people) < 1:
-            raise UserError("--data.batch_size, --data.max_pairs and --data.min_people must be at least 1")
+        if min(batch_size, max_pairs, min_people, unroll_batch_size) < 1:
+            names = ("batch_size", "max_pairs", "min_people", "unroll_batch_size")
+            raise UserError(f"{', '.join(f'--data.{name}' for name in names)} must be at least 1")
+        if unroll < 0:
+            raise UserError(f"--data.unroll {unroll}: expected steps of 0.4 s, or 0 for no such windows")
         own = {"dt": dt, "map": map, "homography": homography}
         if not files and any(own.values()):
             given = " and ".join(f"--data.{name}" for name, value in own.items() if value)
@@ -89,9 +100,12 @@ class TrajectoryDataModule(L.LightningDataModule):
         self.obs_len, self.pred_len = obs_len, pred_len
         self.goal: GoalProtocol = goal
         self.source = OwnFiles(files, dt, split, map, homography) if files else open_fold(fold, root, clock)
+        real = files or clock == "true"  # the source's own clock is the true one
+        self._real = self.source if real or not unroll else open_fold(fold, root, "true")
         self._grids: dict[Path, OccupancyGrid] = {}
         self.bank = MapBank([])
         self.sets: dict[Split, SceneSet] = {}
+        self.unrolled: SceneSet | None = None
 
     @property
     def protocol(self) -> dict:
@@ -110,23 +124,36 @@ class TrajectoryDataModule(L.LightningDataModule):
         }  # fmt: skip
         missing: list[Split] = [split for split in wanted[stage] if split not in self.sets]
         recordings: dict[Split, list[Recording]] = {s: self.source.recordings(s) for s in missing}
-        plans = {recording.plan for split in missing for recording in recordings[split] if recording.plan}
-        if new := sorted(plans - self._grids.keys()):
+        steps = self.hparams["unroll"] if "train" in missing else 0
+        real: list[Recording] = []
+        if steps:
+            real = recordings["train"] if self._real is self.source else self._real.recordings("train")
+        plans = {recording.plan for part in (*recordings.values(), real) for recording in part}
+        if new := sorted(plan for plan in plans if plan and plan not in self._grids):
             self._grids |= {plan: load_plan(plan) for plan in new}
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank(list(self._grids.values()), unknown="free")
         for split in missing:
-            self.sets[split] = self._scenes(recordings[split])
+            people = cast("People", self.hparams["people"])
+            self.sets[split] = self._scenes(
+                recordings[split], self.pred_len, people, self.hparams["min_people"]
+            )
             _print_counts(f"{self.fold} {split}", self.sets[split])
+        if steps:
+            self.unrolled = self._scenes(real, steps, "present", 1)
+            _print_counts(f"{self.fold} train, unrolled for {steps} steps", self.unrolled)
 
-    def _scenes(self, recordings: list[Recording]) -> SceneSet:
+    def _scenes(self, recordings: list[Recording], steps: int, people: People, min_people: int) -> SceneSet:
         ids = [self._grids[r.plan].map_id if r.plan else -1 for r in recordings]
-        people, min_people = cast("People", self.hparams["people"]), self.hparams["min_people"]
-        return SceneSet(recordings, ids, self.obs_len, self.pred_len, people, min_people)
+        return SceneSet(recordings, ids, self.obs_len, steps, people, min_people)
 
-    def train_dataloader(self) -> DataLoader:
-        """Return shuffled, augmented batches."""
-        return self._loader("train", shuffle=True)
+    def train_dataloader(self) -> Any:
+        """Return shuffled, augmented batches; with ``unroll`` two loaders, of which Lightning makes one."""
+        forecast = self._loader("train", shuffle=True)
+        if self.unrolled is None:
+            return forecast
+        size = self.hparams["unroll_batch_size"]
+        return {"forecast": forecast, "unrolled": self._batches(self.unrolled, "destination", size, True)}
 
     def val_dataloader(self) -> DataLoader:
         """Return all validation windows in order."""
@@ -139,14 +166,15 @@ class TrajectoryDataModule(L.LightningDataModule):
     def _loader(self, split: Split, shuffle: bool = False) -> DataLoader:
         if split not in self.sets:
             self.setup(STAGES[split])
-        h, scenes, rank, replicas = self.hparams, self.sets[split], 0, 1
+        return self._batches(self.sets[split], self.goal, self.hparams["batch_size"], shuffle)
+
+    def _batches(self, scenes: SceneSet, goal: GoalProtocol, size: int, shuffle: bool) -> DataLoader:
+        h, rank, replicas = self.hparams, 0, 1
         # every process evaluates all windows: nothing is counted twice or left out
         if shuffle and self.trainer:
             rank, replicas = self.trainer.global_rank, self.trainer.world_size
-        sampler = BucketSampler(
-            scenes.sizes, h["batch_size"], h["max_pairs"], shuffle, h["seed"], rank, replicas
-        )
-        batches = _Batches(scenes, self.goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
+        sampler = BucketSampler(scenes.sizes, size, h["max_pairs"], shuffle, h["seed"], rank, replicas)
+        batches = _Batches(scenes, goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
         return DataLoader(batches, sampler=sampler, batch_size=None, collate_fn=_as_it_is)
 
 

@@ -1,0 +1,133 @@
+"""Imitating recorded people while walking by oneself: losses on windows that are unrolled step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from pedzoo.errors import UserError, unknown
+from pedzoo.models.base import Forecaster, agents_of
+from pedzoo.train.likeness import SPREADS, features, wasserstein
+from pedzoo.train.unroll import Unrolled, recorded, unroll
+from pedzoo.types import PRED_LEN
+
+Noise = Callable[[TensorDict], Tensor | None]
+"""Returns everybody's noise (B, A, noise_dim) for what they see; None for the most likely step."""
+
+
+class Imitation(nn.Module):
+    """What it costs to walk unlike recorded people, each term in a unit of its own.
+
+    People of recorded windows walk all together (see `pedzoo.train.unroll.unroll`), and are compared with
+    what they really did: one by one, where each is at what time; and as a crowd, how fast everybody walks,
+    accelerates, turns and how near people come to each other.
+    """
+
+    def __init__(
+        self,
+        displacement: float = 1.0,
+        distribution: float = 1.0,
+        features: Mapping[str, float] | None = None,
+        samples: int = 1,
+        spread: float = 0.5,
+    ) -> None:
+        """Weigh the terms.
+
+        Args:
+            displacement: Weight of the mean distance to where people really were, metres.
+            distribution: Weight of the distances of distributions, in standard deviations of recorded people:
+                the mean over features, which is how the suite ``replay`` makes ``realism``.
+            features: Weight of each feature within it, 1 for those that are not named;
+                see `pedzoo.train.likeness.SPREADS`.
+            samples: K walks of every window with noise of their own, at K times the cost.
+            spread: How much of the distance between two walks of a person is taken off the displacement, with
+                2 or more samples: at 0.5 it is the energy score, which is least for the true distribution
+                (Gneiting and Raftery, JASA 2007, eq. 21); without it noise that changes anything costs.
+
+        Raises:
+            UserError: There is no such feature, or there are no samples.
+        """
+        super().__init__()
+        for name in features or {}:
+            if name not in SPREADS:
+                raise unknown("feature", name, SPREADS)
+        if samples < 1:
+            raise UserError(f"samples {samples}: expected at least 1")
+        self.displacement, self.distribution = displacement, distribution
+        self.features = dict.fromkeys(SPREADS, 1.0) | dict(features or {})
+        self.samples, self.spread = samples, spread
+
+    def walk(
+        self, generator: Forecaster, noise: Noise, batch: TensorDict, random: torch.Generator
+    ) -> Unrolled:
+        """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
+
+        Args:
+            generator: The model, bound to the windows' floor plans.
+            noise: Draws its noise by ``scene_key`` and ``time``.
+            batch: Recorded windows with N future steps and the goal protocol ``destination``.
+            random: Draws the scenes' keys.
+        """
+        steps = agents_of(batch)["future"].shape[2]
+        many = repeated(batch, self.samples)
+        key = torch.randint(2**62, (len(many),), generator=random)
+
+        def displacement(seen: TensorDict) -> Tensor:
+            return generator.next_steps(seen, noise(seen), 1, PRED_LEN)[:, :, 0]
+
+        return unroll(displacement, many, steps, key)
+
+    def forward(
+        self, generator: Forecaster, noise: Noise, batch: TensorDict, random: torch.Generator
+    ) -> dict[str, Tensor]:
+        """Return the ``loss`` and its terms before their weights, scalars; arguments as of `walk`."""
+        return self.terms(self.walk(generator, noise, batch, random), batch)
+
+    def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
+        """Return ``loss``, ``displacement`` (metres), ``distribution`` and each feature's distance (no unit).
+
+        Args:
+            walk: What `walk` returned.
+            batch: For these windows.
+        """
+        real = recorded(batch, walk.xy.shape[2])
+        found = {"displacement": self._displacement(walk, real)}
+        loss = self.displacement * found["displacement"]
+        if self.distribution:
+            made = features(walk, repeated(batch, self.samples))
+            with torch.no_grad():
+                true = features(real, batch)
+            apart = {name: wasserstein(made[name], true[name]) / SPREADS[name] for name in SPREADS}
+            weighted = torch.stack([self.features[name] * apart[name] for name in SPREADS])
+            found["distribution"] = weighted.sum() / sum(self.features.values())
+            loss = loss + self.distribution * found["distribution"]
+            found |= apart
+        return {"loss": loss, **found}
+
+    def _displacement(self, walk: Unrolled, real: Unrolled) -> Tensor:
+        """Return the mean distance to real positions in steps in which both walk, less that of samples."""
+        xy = walk.xy.unflatten(0, (self.samples, -1))
+        both = walk.walked.unflatten(0, (self.samples, -1)) & real.walked
+        loss = _mean(_distance(xy, real.xy), both)
+        if self.samples == 1 or not self.spread:
+            return loss
+        # neighbours in a ring: as many pairs as samples
+        other, together = xy.roll(1, 0), both & both.roll(1, 0)
+        return loss - self.spread * _mean(_distance(xy, other), together)
+
+
+def repeated(batch: TensorDict, times: int) -> TensorDict:
+    """Return a batch so many times, one after the other."""
+    return batch if times == 1 else cast("TensorDict", TensorDict.cat([batch] * times))
+
+
+def _distance(first: Tensor, second: Tensor) -> Tensor:
+    return (first - second).square().sum(-1).clamp_min(1e-12).sqrt()
+
+
+def _mean(values: Tensor, where: Tensor) -> Tensor:
+    return values[where].sum() / where.sum().clamp_min(1)

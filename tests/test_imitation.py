@@ -1,0 +1,341 @@
+"""Imitation: recorded people walk on by a policy as they would in the environment, and are compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import wasserstein_distance
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.scenes import SceneSet
+from pedzoo.errors import UserError
+from pedzoo.metrics import realism_features
+from pedzoo.models.architectures.constant_velocity import ConstantVelocity
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.base import agents_of, true_displacements
+from pedzoo.models.walker import Walker
+from pedzoo.sim.make import make_env
+from pedzoo.sim.scenarios.replay import Replay
+from pedzoo.train.imitation import Imitation
+from pedzoo.train.likeness import SPREADS, features, wasserstein
+from pedzoo.train.unroll import Unrolled, recorded, unroll
+
+FAST, SLOW, STANDS, LEAVES, TURNS = 1, 2, 3, 4, 5
+
+
+def straight(agent: int, count: int, start: tuple, step: tuple, after: float = 1.0) -> list[tuple]:
+    """Return rows of somebody who walks ``step`` per frame, and ``after`` times that from the 8th row on."""
+    way = np.concatenate((np.arange(8), 7 + after * np.arange(1, count - 7)))[:count]
+    return [(i, agent, start[0] + w * step[0], start[1] + w * step[1]) for i, w in enumerate(way)]
+
+
+ROWS = [
+    *straight(FAST, 30, (0, 0), (0.5, 0), after=0.4),  # whoever keeps their speed arrives in half the time
+    *straight(SLOW, 30, (9, 1), (-0.3, -0.05)),
+    *straight(STANDS, 30, (3, 2), (0.01, 0), after=0.0),  # at the destination from the beginning
+    *straight(LEAVES, 14, (5, -3), (0.1, 0.3)),
+    *[(i, TURNS, 4 + 0.3 * np.cos(i / 4) * i / 4, 3 - 0.2 * i) for i in range(30)],
+]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "crossing.txt"
+    path.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in sorted(ROWS)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def windows(recording: Path) -> SceneSet:
+    parts = OwnFiles([str(recording)], 0.4, "0,0,1").recordings("test")
+    return SceneSet(parts, [-1], 8, 12, "present", 1)
+
+
+@pytest.fixture
+def batch(windows: SceneSet) -> TensorDict:
+    return windows.batch(torch.arange(len(windows)), "destination")
+
+
+def toward(seen: TensorDict, key: str = "desired_velocity") -> Tensor:
+    """Return the displacements of a velocity that is seen."""
+    return 0.4 * cast("Tensor", seen["agents", key])
+
+
+def constant(seen: TensorDict) -> Tensor:
+    return toward(seen, "velocity")
+
+
+def plain_sgan(**settings: Any) -> SGAN:
+    torch.manual_seed(0)
+    return SGAN(goal_dim=8, goal_protocol="destination", bottleneck_dim=8, frame="heading", **settings)
+
+
+# -- windows
+
+
+def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureFixture[str]) -> None:
+    plain = TrajectoryDataModule()
+    data = TrajectoryDataModule(unroll=12, unroll_batch_size=16, rotate=True, goal="window_end")
+    data.setup("fit")
+    assert "train, unrolled for 12 steps" in capsys.readouterr().out
+    loaders = data.train_dataloader()
+    forecast, unrolled = (next(iter(loaders[name])) for name in ("forecast", "unrolled"))
+    assert agents_of(forecast)["future"].shape[2] == 8
+    assert agents_of(unrolled)["future"].shape[2] == 12
+    assert len(unrolled) <= 16
+    assert not torch.equal(unrolled["scene_pose"][:, 0], torch.zeros(len(unrolled)))
+    assert data.unrolled is not None
+    assert int(data.unrolled.sizes.min()) == 1  # lone people, too
+    assert not data.unrolled.rows.ge(0).all()  # and those who come or leave meanwhile
+    # a part of a window is none: validation and test know nothing of it
+    assert agents_of(next(iter(data.val_dataloader())))["future"].shape[2] == 8
+    plain.setup("fit")
+    assert isinstance(plain.train_dataloader(), torch.utils.data.DataLoader)
+    assert torch.equal(data.sets["train"].rows, plain.sets["train"].rows)
+
+
+def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
+    """One person walks 1 m per step through the whole recording: where they are says when."""
+    path = tmp_path / "long.txt"
+    path.write_text("".join(f"{i} 1 {i} 0\n" for i in range(100)))
+    options: dict[str, Any] = {"files": [str(path)], "dt": 0.4, "min_people": 1, "split": "0.5,0.25,0.25"}
+    data = TrajectoryDataModule(**options, unroll=20)
+    data.setup("fit")
+    batches = list(data.train_dataloader()["unrolled"])
+    last = max(float(agents_of(b)[key][..., 0].max()) for b in batches for key in ("future", "goal"))
+    assert last == 49.0
+    assert sum(len(b) for b in batches) == 50 - 28 + 1
+
+
+def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
+    """biwi_eth's steps are really 0.667 s: by the benchmark's clock its people would run."""
+    speeds = {}
+    for clock in ("benchmark", "true"):
+        data = TrajectoryDataModule("zara1", str(shared / "data"), clock=cast("Any", clock), unroll=20)
+        data.setup("fit")
+        assert data.unrolled is not None
+        speeds[clock] = data.unrolled.speeds()
+    assert torch.equal(speeds["benchmark"], speeds["true"])
+
+
+def test_bad_options_of_unrolling_are_refused() -> None:
+    with pytest.raises(UserError, match=r"--data.unroll -1: expected steps"):
+        TrajectoryDataModule(unroll=-1)
+    with pytest.raises(UserError, match=r"unroll_batch_size must be at least 1"):
+        TrajectoryDataModule(unroll=8, unroll_batch_size=0)
+
+
+# -- walking
+
+
+@pytest.mark.parametrize("who", ["sgan", "go_to_goal"])
+def test_people_see_and_do_what_they_would_in_the_environment(recording: Path, who: str) -> None:
+    """The same people in the scenario replay, until the first of them really leaves."""
+    parts = OwnFiles([str(recording)], 0.4, "0,0,1").recordings("test")
+    batch = SceneSet(parts, [-1], 8, 12, "present", 1).batch(torch.tensor([0]), "destination")
+    model = plain_sgan(residual="bent_line")
+    for parameter in model.parameters():  # far from what it begins as
+        torch.nn.init.normal_(parameter, std=0.1)
+    walker = Walker(model, "episode")
+
+    def walk(seen: TensorDict) -> Tensor:
+        if who == "sgan":
+            return 0.4 * cast("Tensor", walker(seen.clone())["agents", "action"])
+        return toward(seen)
+
+    views: list[TensorDict] = []
+
+    def watched(seen: TensorDict) -> Tensor:
+        views.append(seen)
+        return walk(seen)
+
+    env = make_env(Replay(files=[str(recording)], dt=0.4), 1)
+    now = env.reset()
+    with torch.no_grad():
+        walked = unroll(watched, batch, 12, now["scene_key"][:, 0])
+    gone = 6  # steps after which somebody's recording ends
+    for step in range(gone):
+        mine, theirs = agents_of(views[step]), agents_of(cast("TensorDict", now))
+        assert torch.equal(mine["mask"], theirs["mask"]), step
+        assert torch.equal(mine["controlled"], theirs["controlled"]), step
+        there, moved = mine["mask"], mine["controlled"]
+        assert torch.equal(mine["valid"][there], theirs["valid"][there])
+        for key in ("history", "velocity", "pref_speed"):
+            torch.testing.assert_close(mine[key][there], theirs[key][there], atol=2e-5, rtol=0)
+        for key in ("goal", "desired_velocity"):
+            torch.testing.assert_close(mine[key][moved], theirs[key][moved], atol=1e-4, rtol=0)
+        assert torch.equal(mine["id"][there], theirs["id"][there])
+        torch.testing.assert_close(views[step]["time"], now["time"])
+        now["agents", "action"] = walk(cast("TensorDict", now)) / 0.4
+        now = step_mdp(env.step(now))
+    assert walked.walked[0].sum(1).tolist()[STANDS - 1] == 0
+
+
+def test_who_arrives_or_really_leaves_is_gone(windows: SceneSet) -> None:
+    batch = windows.batch(torch.tensor([0]), "destination")
+    masks: list[Tensor] = []
+
+    def walk(seen: TensorDict) -> Tensor:
+        masks.append(agents_of(seen)["mask"])
+        return toward(seen)
+
+    walked = unroll(walk, batch, 12)
+    # 8.9 m at 0.5 m per step would be 18 steps; the recording slows to 0.2 m per step: 22 x 0.2 - 0.3 m
+    assert walked.present[0, FAST - 1].tolist() == [True] * 9 + [False] * 3
+    assert walked.walked[0, FAST - 1].sum() == 9
+    # rows until frame 13: 6 steps after the 8th row
+    assert walked.present[0, LEAVES - 1].sum() <= 6
+    assert walked.present[0, STANDS - 1].all()
+    assert not walked.walked[0, STANDS - 1].any()
+    torch.testing.assert_close(walked.xy[0, STANDS - 1], agents_of(batch)["future"][0, STANDS - 1])
+    assert torch.equal(masks[0], agents_of(batch)["mask"])
+
+
+def test_nobody_walks_faster_than_they_can(windows: SceneSet) -> None:
+    batch = windows.batch(torch.tensor([0]), "destination")
+    walked = unroll(lambda seen: 5 * toward(seen), batch, 1)
+    moved = (walked.xy[0, :, 0] - agents_of(batch)["history"][0, :, -1]).norm(dim=-1)
+    assert float(moved[FAST - 1]) == pytest.approx(1.3 * 0.5, abs=1e-4)
+
+
+def test_gradients_reach_back_through_what_others_see(windows: SceneSet) -> None:
+    """Where one is in the end depends on what another did in the first step, and on nothing later."""
+    batch = windows.batch(torch.tensor([0]), "destination")
+    batch["agents", "pref_speed"] = torch.full_like(
+        batch["agents", "pref_speed"], 2.0
+    )  # nobody is at the limit
+    pushes = torch.zeros(4, 1, 5, 2, requires_grad=True)
+    steps = iter(pushes)
+
+    def walk(seen: TensorDict) -> Tensor:
+        agents = agents_of(seen)
+        here = agents["history"][:, :, -1]
+        others = (here * agents["mask"].unsqueeze(2)).sum(1, keepdim=True) - here
+        return 0.05 * others.tanh() + 0.4 * agents["velocity"] + next(steps)
+
+    end = unroll(walk, batch, 4).xy[0, SLOW - 1, -1].sum()
+    (gradient,) = torch.autograd.grad(end, pushes)
+    of_other = gradient[:, 0, TURNS - 1].abs().sum(-1)
+    assert (of_other[:3] > 0).all()
+    assert of_other[3] == 0
+
+
+# -- likeness
+
+
+def test_the_true_walk_costs_nothing(batch: TensorDict) -> None:
+    true = iter(true_displacements(batch).unbind(2))
+    batch["agents", "pref_speed"] = torch.full_like(batch["agents", "pref_speed"], 3.0)
+    walked = unroll(lambda _: next(true), batch, 12)
+    terms = Imitation().terms(walked, batch)
+    assert terms.keys() == {"loss", "displacement", "distribution", *SPREADS}
+    for name, value in terms.items():
+        # real people stand about where they have arrived, and are met there
+        assert value.item() == pytest.approx(0, abs=1e-2 if "distance" in name else 1e-3), name
+
+
+def test_features_are_those_of_the_replay(batch: TensorDict) -> None:
+    """Against the metrics' own functions, on the same steps."""
+    agents = agents_of(batch)
+    walk = recorded(batch, 12)
+    scenes, people = agents["mask"].shape
+    begin = agents["history"][:, :, -2:]
+    begin[:, :, 0] = begin[:, :, 1] - 0.4 * agents["velocity"]
+    xy = torch.cat((begin, walk.xy), 2)
+    number = torch.arange(scenes * people).view(scenes, people, 1)
+    there = torch.cat((agents["mask"].unsqueeze(2).expand(-1, -1, 2), walk.present), 2)
+    scored = torch.cat((torch.zeros(scenes, people, 2, dtype=torch.bool), walk.walked), 2)
+    velocity = torch.zeros_like(xy)
+    velocity[:, :, 1:] = xy.diff(dim=2) / 0.4
+    person = torch.where(there, number, -1)
+    known = there & torch.cat((torch.zeros_like(there[..., :1]), there[..., :-1]), 2)
+    steps = realism_features.Steps(xy, person, velocity, known, scored)
+    around = realism_features.surroundings(steps)
+    expected = realism_features.features(
+        steps, around, begin[:, :, 1].flatten(0, 1), agents["goal"].flatten(0, 1)
+    )
+    assert SPREADS.keys() == realism_features.FEATURES.keys()
+    for name, value in features(walk, batch).items():
+        theirs = expected[name].value
+        assert len(theirs) > 100
+        torch.testing.assert_close(value.sort().values, theirs.sort().values, atol=2e-3, rtol=1e-3, msg=name)
+
+
+@pytest.mark.parametrize(("m", "n"), [(7, 7), (5, 8), (9, 6), (1, 4)])
+def test_wasserstein_is_scipys_with_a_gradient(m: int, n: int) -> None:
+    torch.manual_seed(m)
+    first, second = torch.randn(m).double().requires_grad_(), torch.randn(n).double().requires_grad_()
+    found = wasserstein(first, second)
+    assert found.item() == pytest.approx(wasserstein_distance(first.detach(), second.detach()))
+    assert torch.autograd.gradcheck(wasserstein, (first, second))
+
+
+def test_nothing_to_compare_is_no_distance() -> None:
+    some = torch.ones(3, requires_grad=True)
+    wasserstein(some, torch.zeros(0)).backward()
+    assert some.grad is not None and not some.grad.any()
+
+
+def test_displacement_by_hand() -> None:
+    """One of two people keeps 1 m beside the true way, the other is exact until they leave after two."""
+    xy = torch.zeros(1, 2, 4, 2)
+    real = Unrolled(xy, torch.tensor([[[1, 1, 1, 1], [1, 1, 0, 0]]]).bool(), torch.ones(1, 2, 4).bool())
+    made = xy.clone()
+    made[0, 0] += torch.tensor([0.6, 0.8])
+    made[0, 1, 2:] += 100.0
+    walked = Unrolled(made, torch.ones(1, 2, 4).bool(), real.present)
+    assert float(Imitation()._displacement(walked, real)) == pytest.approx(4 / 6)
+
+
+def test_the_energy_score_does_not_punish_walks_that_differ() -> None:
+    """Two walks 1 m to either side of the truth: 1 m off, 2 m apart."""
+    xy = torch.zeros(1, 1, 3, 2)
+    yes = torch.ones(1, 1, 3).bool()
+    aside = torch.tensor([0.0, 1.0])
+    both = Unrolled(torch.cat((xy + aside, xy - aside)), yes.repeat(2, 1, 1), yes.repeat(2, 1, 1))
+    for spread, expected in ((0.0, 1.0), (0.5, 0.0)):
+        imitation = Imitation(samples=2, spread=spread)
+        assert float(imitation._displacement(both, Unrolled(xy, yes, yes))) == pytest.approx(
+            expected, abs=1e-4
+        )
+
+
+def test_training_on_it_makes_people_alike(batch: TensorDict) -> None:
+    """A few steps of Adam lower every term that is asked for, with the noise of a walker."""
+    model = plain_sgan(residual="bent_line")
+    imitation = Imitation(samples=2)
+    noise = Walker(model, "episode").noise_of
+    optimizer = torch.optim.Adam(model.parameters(), 3e-3)
+    found = []
+    for _ in range(12):
+        terms = imitation(model, noise, batch, torch.Generator().manual_seed(0))
+        optimizer.zero_grad()
+        terms["loss"].backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0, error_if_nonfinite=True)
+        optimizer.step()
+        found.append({name: float(value) for name, value in terms.items()})
+    assert found[-1]["displacement"] < 0.8 * found[0]["displacement"]
+    assert found[-1]["distribution"] < found[0]["distribution"]
+
+
+def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
+    model = ConstantVelocity()
+    terms = Imitation(distribution=0.0)(model, lambda _: None, batch, torch.Generator())
+    walked = unroll(constant, batch, 12)
+    assert terms.keys() == {"loss", "displacement"}
+    assert float(terms["loss"]) == float(Imitation()._displacement(walked, recorded(batch, 12)))
+
+
+def test_weights_by_name() -> None:
+    with pytest.raises(UserError, match="acceleration"):
+        Imitation(features={"accelerations": 2.0})
+    with pytest.raises(UserError, match="samples 0"):
+        Imitation(samples=0)
