@@ -22,13 +22,13 @@ from pedzoo.train.stage import Stage, apart, share, walking_copy
 from pedzoo.types import OBS_LEN
 
 METRICS = (
-    *("success", "episode_success", "deadlock", "failed"),
+    *("success", "episode_success", "clean", "deadlock", "failed"),
     *("agent_contacts_per_min", "wall_contacts_per_min", "least_distance_m"),
     *("time_ratio", "path_ratio"),
 )
 """What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
 
-BEST = {"success": "max", "episode_success": "max"} | dict.fromkeys(
+BEST = dict.fromkeys(("success", "episode_success", "clean"), "max") | dict.fromkeys(
     ("deadlock", "failed", "agent_contacts_per_min", "wall_contacts_per_min"), "min"
 )
 """Which value of a metric is best, where there is no doubt."""
