@@ -33,6 +33,9 @@ BEST = dict.fromkeys(("success", "episode_success", "clean"), "max") | dict.from
 )
 """Which value of a metric is best, where there is no doubt."""
 
+MEANS = ("success", "clean")
+"""Of these ``rollout/METRIC``, the mean over the scenarios, is logged too: a checkpoint can be chosen by it."""
+
 
 class ClosedLoopValidation(Callback):
     """Lets the current weights walk after every n-th validation and logs ``rollout/SCENARIO/METRIC``.
@@ -100,7 +103,8 @@ class ClosedLoopValidation(Callback):
     @property
     def names(self) -> list[str]:
         """Everything that is logged."""
-        return [f"rollout/{scenario}/{metric}" for scenario in self.scenarios for metric in METRICS]
+        each = [f"rollout/{scenario}/{metric}" for scenario in self.scenarios for metric in METRICS]
+        return [*each, *(f"rollout/{metric}" for metric in MEANS if self.scenarios)]
 
     def case(self, scenario: str) -> dict[str, Any]:
         """Return what a row about a scenario says of where and how often people walked."""
@@ -185,12 +189,17 @@ class ClosedLoopValidation(Callback):
         assert isinstance(pl_module, ForecastModule)
         with apart(self.seed):
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
+            means = dict.fromkeys(MEANS, torch.tensor(0.0))
             for stage in self._stages:
                 found = self._measure(stage, self._walker, trainer, pl_module.device)
                 for key in METRICS:
                     value = found.get(key, torch.tensor(math.nan))
                     shown = key == "success"
                     pl_module.log(f"rollout/{stage.name}/{key}", value, prog_bar=shown, sync_dist=True)
+                for key in MEANS:
+                    means[key] = means[key] + found[key].cpu() / len(self._stages)
+            for key, value in means.items():
+                pl_module.log(f"rollout/{key}", value.float(), sync_dist=True)
 
     def _measure(
         self, stage: Stage, walker: Walker, trainer: L.Trainer, device: torch.device
