@@ -34,7 +34,7 @@ BEST = dict.fromkeys(("success", "episode_success", "clean"), "max") | dict.from
 """Which value of a metric is best, where there is no doubt."""
 
 MEANS = ("success", "clean")
-"""Of these ``rollout/METRIC``, the mean over the scenarios, is logged too: a checkpoint can be chosen by it."""
+"""Of these the mean over the scenarios is logged too, as ``rollout/METRIC``, to choose checkpoints by."""
 
 
 class ClosedLoopValidation(Callback):
