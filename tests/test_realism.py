@@ -383,6 +383,9 @@ def test_the_real_crowd_is_at_no_distance_from_itself(rows: Rows) -> None:
     for key in [*away, "realism", "closed_loop_ade_m", "dtw_m"]:
         assert real["metrics"][key] == 0.0 and key not in real["ci95"]
     assert real["metrics"]["success"] == 1.0 and real["metrics"]["time_ratio_median"] == 1.0
+    for key in ("acceleration_p95_ratio", "acceleration_p99_ratio"):
+        assert real["metrics"][key] == 1.0 and key not in real["ci95"]
+        assert halves["metrics"][key] == pytest.approx(1.0, abs=0.2)
     # what is no comparison is that of the crowd
     for key in ("speed_std_m_per_s", "agent_contact_share"):
         assert halves["metrics"][key] == pytest.approx(real["metrics"][key], rel=0.3)
@@ -407,6 +410,7 @@ def test_bad_policies_are_caught(few: tuple[Replay, Rollout, dict[str, float]]) 
     assert "time_ratio_median" not in frozen and "w1_heading_rate" not in frozen
     for key in ("w1_heading_rate", "w1_acceleration", "realism"):
         assert drunk[key] > 3 * sober[key]
+    assert drunk["acceleration_p95_ratio"] > 3 and drunk["acceleration_p99_m_per_s2"] > 1
 
 
 def test_teleporting_is_caught(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
@@ -429,7 +433,7 @@ def test_a_row_says_who_did_what_and_how_sure_it_is(rows: Rows) -> None:
     assert ade == pytest.approx(metrics["closed_loop_ade_m"], abs=1e-3)
     for key, (low, high) in intervals.items():
         assert low < high
-        if key in ("realism", "closed_loop_ade_m", "dtw_m", "success", "w1_acceleration"):
+        if key in ("realism", "closed_loop_ade_m", "dtw_m", "success", "w1_acceleration") or "_p9" in key:
             assert low <= metrics[key] <= high + 1e-9
     assert sum(bin["real_share"] for bin in row["density_speed"]) == pytest.approx(1.0, abs=1e-3)
     json.dumps(row, allow_nan=False)

@@ -39,6 +39,8 @@ LEGEND = {
     "agent_contacts_per_min": "touches of others per minute that a person walks; one that lasts counts once",
     "wall_contacts_per_min": "touches of walls, likewise",
     "time_ratio": "time that people need, divided by that of the planner's way at the speed they like",
+    "time_ratio_median": "the median of that over people; in a replay of the time until the exit to the real "
+    "one",
     "path_ratio": "way that people walk, divided by the planner's",
     "least_distance_m": "distance between centres of an episode's nearest two",
     "outcome_blocked": "share of episodes in which not both arrive and one of them is deadlocked",
@@ -49,16 +51,20 @@ LEGEND = {
     "bearing_sweep_deg": "how far the bearing of the other turns while they are closer than 0.6 m",
     "symmetry_index": "0: the two at the door walk as mirror images of each other; about 1: one waits until "
     "the other is through",
+    "symmetry_m": "distance of the middle between the two from the door's centre, times two, mean until the "
+    "first arrives: 0 for mirror images",
     "yield_delay_s": "how much later than the first the second passes the door",
     "yielder_speed_m_per_s": "least speed of the second before the door",
     "specific_flow_per_m_s": "people through the door per metre of its width and second",
     "realism": "mean distance of six distributions (speed, acceleration, heading rate, nearest distance, "
     "time to collision, lateral deviation) to the real ones, in real standard deviations: lower is better",
     "w1_speed": "and `w1_acceleration` to `w1_lateral_deviation`: each of these six alone",
-    "time_ratio_median": "of the time until the exit to the real time",
     "closed_loop_ade_m": "mean distance to where the person really was at that time",
     "dtw_m": "distance between the walked and the real way, whatever the time (dynamic time warping)",
     "density_speed_rmse_m_per_s": "between the mean speeds of both crowds at equal densities",
+    "acceleration_p95_ratio": "quantile of 0.95 of acceleration, divided by that of the real crowd",
+    "acceleration_p99_ratio": "likewise that of 0.99",
+    "agent_contact_excess": "share of their time in which people touch others, beyond that of the real crowd",
     "agent_contact_excess_per_min": "touches of others beyond those of the real crowd",
     "wall_contact_excess_per_min": "touches of walls, likewise",
 }

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.metrics.quantiles import quantiles
 from pedzoo.metrics.realism import Samples, counted, grid, resampled, wasserstein
 from pedzoo.metrics.realism_features import CLOSE, FEATURES, Steps, features, surroundings
 from pedzoo.metrics.rollout import Rollout
@@ -20,6 +21,9 @@ from pedzoo.types import TRACE_SECONDS
 
 MOST_CLOSE = 20
 """Places with more others close by count as if they had this many."""
+
+TAIL = {"p95": 0.95, "p99": 0.99}
+"""Quantiles of acceleration: means hide who brakes hard now and then."""
 
 MINUTES = TRACE_SECONDS / 60
 """Of one trace point."""
@@ -150,6 +154,8 @@ def compared(
     * ``speed_std_m_per_s``: between people, of their mean speeds: pooled distributions hide whether everybody
       walks at the same mixed speed.
     * ``density_speed_rmse_m_per_s``: see `density_speed`.
+    * ``acceleration_p95_m_per_s2``, ``acceleration_p99_m_per_s2``: quantiles of all samples; with ``_ratio``
+      instead of the unit divided by those of the real crowd.
 
     Args:
         crowd: Somebody's.
@@ -175,6 +181,13 @@ def compared(
     both = (steps > 0) & (weight > 0)
     square = ((speed - true).square() * weight).where(both, 0.0).sum(1)
     found["density_speed_rmse_m_per_s"] = (square / weight.where(both, 0.0).sum(1)).sqrt()
+    ours, recorded = (
+        quantiles(*side.samples["acceleration"], weights, tuple(TAIL.values()))
+        for side, weights in ((crowd, mine), (real, theirs))
+    )
+    for name, own, true in zip(TAIL, ours.T, recorded.T, strict=True):
+        found[f"acceleration_{name}_m_per_s2"] = own
+        found[f"acceleration_{name}_ratio"] = own / true
     return found
 
 

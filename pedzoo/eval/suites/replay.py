@@ -15,6 +15,7 @@ from pedzoo.eval.rollout import prepare, walk
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.library import load_plan
+from pedzoo.metrics.realism_crowds import TAIL
 from pedzoo.metrics.realism_features import FEATURES
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.models.walker import Walker
@@ -58,6 +59,8 @@ class Replay(Suite):
         "dtw_m",
         *(f"w1_{name}" for name in FEATURES),
         "density_speed_rmse_m_per_s",
+        *(f"acceleration_{name}_ratio" for name in TAIL),
+        "agent_contact_excess",
         "agent_contact_excess_per_min",
         "wall_contact_excess_per_min",
     )
