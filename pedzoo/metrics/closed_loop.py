@@ -114,19 +114,19 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
         "time_ratio": mean(slower, compared),
         "path_ratio": mean(walked / planned, compared),
         "spl": ratio(navigation.weighted(arrived, planned, walked), mask),
-        "stl": ratio(navigation.weighted(arrived, needed, seconds), mask),
+        "stl": ratio(navigation.weighted(arrived, needed, seconds - rollout.stood), mask),
     }
 
 
 def time_ratios(rollout: Rollout) -> tuple[Tensor, Tensor]:
     """Return each person's time by that of free walking (E, A), and whose is known: of who arrives in time.
 
-    Free walking is the planned way at one's preferred speed.
+    Free walking is the planned way at one's preferred speed. Who stands before they set out has no time then.
     """
     reached, goals = rollout.reached, rollout.goals
     arrived = navigation.success(reached, goals, rollout.late, rollout.failed, rollout.mask)
     planned = navigation.planned_metres(rollout.planned, reached, goals)
-    seconds = navigation.finish_seconds(reached, goals)
+    seconds = navigation.finish_seconds(reached, goals) - rollout.stood
     return seconds * rollout.pref_speed / planned, arrived & (planned > 0)
 
 

@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pedzoo.types import TRACE_SECONDS
+
 OVER_TIME = (
     *("trace", "goal", "present", "controlled", "person", "planned"),
     *("agent_contact", "wall_contact", "reached"),
@@ -100,6 +102,11 @@ class Rollout:
         return self.controlled & ~arrived
 
     @property
+    def stood(self) -> Tensor:
+        """How long people were there before a policy moved them (E, A), seconds."""
+        return TRACE_SECONDS * (self.present & ~self.controlled).sum(2)
+
+    @property
     def met(self) -> Tensor:
         """Who is there and was in the slot already at the point before (E, A, T) bool."""
         return self.present & self._stayed
@@ -112,8 +119,12 @@ class Rollout:
 
     @property
     def replayed(self) -> bool:
-        """Whether somebody is played back, comes later or takes another's slot, as in recorded scenes."""
-        theirs = self.mask.unsqueeze(2) & self.controlled & (self.person == self.person[..., :1])
+        """Whether somebody is played back, comes later or takes another's slot, as in recorded scenes.
+
+        Whoever stands where they were when the episode began is not played back.
+        """
+        stands = (self.trace == self.past[:, :, -1:]).all(-1).cummin(2).values
+        theirs = self.mask.unsqueeze(2) & (self.controlled | stands) & (self.person == self.person[..., :1])
         return not bool((theirs | ~self.present).all())
 
     def stays(self, episode: int) -> list[tuple[int, int, int]]:

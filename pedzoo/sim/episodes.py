@@ -63,7 +63,8 @@ class Episodes:
         position = past[:, :, -1]
         look = self._look(position, goal, layout, pose)
         way = look.distance.view_as(layout.pref_speed)
-        cut_off = (opening.controlled & way.isinf()).nonzero()
+        stands = torch.zeros_like(way) if layout.stand is None else layout.stand
+        cut_off = ((opening.controlled | (stands > 0)) & way.isinf()).nonzero()
         if len(cut_off):
             scene, slot = cut_off[0].tolist()
             here, there = (
@@ -101,6 +102,7 @@ class Episodes:
             late=torch.zeros_like(layout.mask),
             way=way,
             planned=torch.where(opening.controlled, planned(way), 0.0),
+            stands=stands,
         )
 
     def _rolled(self, key: Tensor, layout: Layout, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -131,11 +133,12 @@ class Episodes:
 
 
 def _everybody(layout: Layout) -> Opening:
-    """Return the opening of scenes without a script: all are there, seen before, and moved by the policy."""
+    """Return the opening of scenes without a script: all are there, seen before, and walk or stand."""
     slot = torch.arange(layout.mask.shape[1], device=layout.mask.device)
+    walks = layout.mask if layout.stand is None else layout.mask & (layout.stand <= 0)
     return Opening(
         scene=torch.zeros_like(layout.map_id),
         person=torch.where(layout.mask, slot, -1),
-        controlled=layout.mask,
+        controlled=walks,
         known=torch.full_like(layout.goal, PAST_LEN),
     )

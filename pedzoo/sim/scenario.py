@@ -38,6 +38,8 @@ class Layout(NamedTuple):
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
         opening: Who is there in scenes with a script, which always begin as they were recorded.
+        stand: How long people stand where they start, after the warm start, before they set out (B, A),
+            seconds; 0 for who does not. No policy moves them so long. None: nobody.
     """
 
     map_id: Tensor
@@ -48,6 +50,7 @@ class Layout(NamedTuple):
     pose: Tensor | None = None
     history: Tensor | None = None
     opening: Opening | None = None
+    stand: Tensor | None = None
 
 
 def door_at_origin(width: Tensor) -> Tensor:

@@ -103,6 +103,8 @@ class Simulation:
         finished = reached[..., -1] >= self.scenario.goals
         clock = state.clock + self.trace_points * TRACE_SECONDS
         late = state.late | (self._overdue(state, clock, hits) & state.controlled)
+        stood = state.mask & ~state.controlled & (state.stands > 0)
+        sets_out = stood & (clock.unsqueeze(1) + _ROUNDING >= state.stands)
         leaving = finished if self.scenario.finished == "leave" else torch.zeros_like(finished)
         there = state.mask & ~leaving
         moved = torch.cat((state.past[:, :, self.trace_points :], trace), dim=2)
@@ -110,7 +112,7 @@ class Simulation:
             clock=clock,
             failed=state.failed | broken,
             mask=there,
-            controlled=state.controlled & ~leaving,
+            controlled=(state.controlled | sets_out) & ~leaving,
             person=torch.where(there, state.person, -1),
             past=moved,
             velocity=(moved[:, :, -1] - moved[:, :, -2]) / TRACE_SECONDS,
@@ -119,14 +121,14 @@ class Simulation:
             reached=reached[..., -1],
             late=late,
         )
-        set_out = hit & (goal_id >= 0)
+        set_out = (hit & (goal_id >= 0)) | sets_out
         if script is not None:
             after, set_out = script.cue(state, after, self.trace_points)
         guidance = self.guide(after)
         # whoever has squeezed into a corner that no planned way leads out of is as far as before
         way = torch.where(guidance.distance.isfinite(), guidance.distance, after.way)
         progress = state.way - torch.where(hit, 0.0, way)
-        until = torch.where(hit, deadline(clock, way.detach(), state.pref_speed), after.deadline)
+        until = deadline(clock, way.detach(), state.pref_speed).where(hit | sets_out, after.deadline)
         terminated = (finished | ~state.mask).all(1) & ~broken
         settled = (finished | late | ~state.mask).all(1) | after.failed
         if script is not None:

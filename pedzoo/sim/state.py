@@ -42,6 +42,7 @@ class State(NamedTuple):
         way: Length of the way to the goal (B, A), metres.
         planned: Ways of all goals up to this one, as long as they were when the goal was set and without what
             a goal's radius saves (B, A), metres.
+        stands: Until when somebody stands where they began (B, A), seconds on the clock; 0 for who does not.
     """
 
     key: Tensor
@@ -65,6 +66,7 @@ class State(NamedTuple):
     late: Tensor
     way: Tensor
     planned: Tensor
+    stands: Tensor
 
     @property
     def position(self) -> Tensor:

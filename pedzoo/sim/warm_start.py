@@ -51,18 +51,19 @@ def rolled(
     position, goal = layout.start, layout.goal
     velocity: Tensor | None = None
     top_speed = layout.pref_speed * TOP_SPEED_RATIO
+    walks = torch.ones_like(layout.mask) if layout.stand is None else layout.stand <= 0
     scenes, agents = goal.shape
     map_id, poses = layout.map_id.repeat_interleave(agents), pose.repeat_interleave(agents, 0)
     surroundings = planner.bank.walls_of_people(layout.map_id, pose, agents)
     trace = [position.unsqueeze(2)]
     for _ in range(OBS_LEN - 1):
         direction = planner.direction(position.flatten(0, 1), goal.flatten(), map_id, poses)
-        wanted = direction.view(scenes, agents, 2) * layout.pref_speed.unsqueeze(2)
+        wanted = direction.view(scenes, agents, 2) * (layout.pref_speed * walks).unsqueeze(2)
         if velocity is None:  # people are on their way already
             velocity = wanted
         near = walls.near(position.flatten(0, 1), map_id, poses, ORCA.wall_reach(top_speed).flatten())
         action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near)
-        action = limit_speed(action, top_speed)
+        action = limit_speed(action, top_speed) * walks.unsqueeze(2)
         steps = TRACE_PER_STEP * substeps
         path = walk(position, action, STEP_SECONDS, steps, surroundings, body_radius)
         path = path[:, :, substeps - 1 :: substeps]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -46,7 +47,12 @@ class Door(Scenario):
     The wall stands at x = 0 and the door in it is centred at y = 0. Without jitter two people of equal
     speed are mirror images of each other in the door's centre. Agents are numbered from the door: the first
     from the left, the first from the right, the second from the left, ...
+
+    Attributes:
+        name: What messages and floor plans call the scenario.
     """
+
+    name: ClassVar[str] = "door"
 
     def __init__(
         self,
@@ -91,19 +97,23 @@ class Door(Scenario):
         """
         super().__init__(people, speed, speed_std)
         if speed_ratio <= 0 or jitter < 0:
-            raise UserError(f"door: speed_ratio {speed_ratio}, jitter {jitter}: expected above 0, at least 0")
+            raise UserError(
+                f"{self.name}: speed_ratio {speed_ratio}, jitter {jitter}: expected above 0, at least 0"
+            )
         fine = "resolution=0.01 takes whole centimetres"
-        self.variants = Variants("door", width=width, thickness=thickness, offset=offset)
+        self.variants = Variants(self.name, width=width, thickness=thickness, offset=offset)
         self.variants.check_lengths(resolution, "width", "thickness", instead=fine)
         self.jitter, self.speed_ratio, self.resolution = jitter, speed_ratio, resolution
-        self.away, self.sync = Drawn("door", "away", away, least=NEAREST), sync
+        self.away, self.sync = Drawn(self.name, "away", away, least=NEAREST), sync
         self._seat(people, people // 2 if from_right is None else from_right, abreast)
         queue = (int(self._row.max()) + 1) * SPACING
         aside = max(map(abs, self.variants.values["offset"])) + 3 * jitter
         self.half_length = self.away.most + queue + WARM_SECONDS * self.fastest + 1.5
         if sync is not None:
             if not sync >= 0 or not 0 < int(self._right.sum()) < people:
-                raise UserError(f"door: sync {sync}: expected at least 0 s, and people from both sides")
+                raise UserError(
+                    f"{self.name}: sync {sync}: expected at least 0 s, and people from both sides"
+                )
             # who is faster waits for who is slower
             alone = math.hypot(self.away.most + PUSH, aside) / self.slowest + sync
             self.half_length = self.fastest * (WARM_SECONDS + alone) + queue + 1.5
@@ -112,9 +122,11 @@ class Door(Scenario):
     def _seat(self, people: int, from_right: int, abreast: int) -> None:
         """Say who comes from where, in which row, and whom they walk beside."""
         if not 0 <= from_right <= people:
-            raise UserError(f"door: from_right {from_right} of {people} people: expected 0 to {people}")
+            raise UserError(
+                f"{self.name}: from_right {from_right} of {people} people: expected 0 to {people}"
+            )
         if not 1 <= abreast <= MOST_ABREAST:
-            raise UserError(f"door: abreast {abreast}: expected 1 to {MOST_ABREAST}")
+            raise UserError(f"{self.name}: abreast {abreast}: expected 1 to {MOST_ABREAST}")
         sides = (people - from_right, from_right)
         seats = sorted((number, side) for side, count in enumerate(sides) for number in range(count))
         number, self._right = torch.tensor(seats).unbind(1)
