@@ -8,10 +8,13 @@ from typing import cast
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.models.base import Forecaster, agents_of
-from pedzoo.train.likeness import SPREADS, features, wasserstein
+from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.discriminator import Discriminator
+from pedzoo.train.likeness import SPREADS, features, tail, wasserstein
 from pedzoo.train.unroll import Unrolled, recorded, unroll
 from pedzoo.types import PRED_LEN
 
@@ -32,8 +35,12 @@ class Imitation(nn.Module):
         displacement: float = 1.0,
         distribution: float = 1.0,
         features: Mapping[str, float] | None = None,
+        tail: float = 0.0,
         samples: int = 1,
         spread: float = 0.5,
+        adversarial: float = 0.0,
+        discriminator: Discriminator | None = None,
+        judged_steps: int = 12,
     ) -> None:
         """Weigh the terms.
 
@@ -43,23 +50,32 @@ class Imitation(nn.Module):
                 the mean over features, which is how the suite ``replay`` makes ``realism``.
             features: Weight of each feature within it, 1 for those that are not named;
                 see `pedzoo.train.likeness.SPREADS`.
+            tail: Weight of the difference of the upper tails of acceleration, a share (see
+                `pedzoo.train.likeness.tail`): few but large ones, to which a mean distance is nearly blind.
             samples: K walks of every window with noise of their own, at K times the cost.
             spread: How much of the distance between two walks of a person is taken off the displacement, with
                 2 or more samples: at 0.5 it is the energy score, which is least for the true distribution
                 (Gneiting and Raftery, JASA 2007, eq. 21); without it noise that changes anything costs.
+            adversarial: Weight of what a discriminator says; 0 leaves it out.
+            discriminator: Judges walks, ``signed``; a `Discriminator` of its own defaults if not given.
+            judged_steps: Steps that it sees after the observed ones, at most. It judges whoever walks in all.
 
         Raises:
-            UserError: There is no such feature, or there are no samples.
+            UserError: There is no such feature, or a setting is out of range.
         """
         super().__init__()
         for name in features or {}:
             if name not in SPREADS:
                 raise unknown("feature", name, SPREADS)
-        if samples < 1:
-            raise UserError(f"samples {samples}: expected at least 1")
-        self.displacement, self.distribution = displacement, distribution
         self.features = dict.fromkeys(SPREADS, 1.0) | dict(features or {})
-        self.samples, self.spread = samples, spread
+        if min(self.features.values()) < 0 or not any(self.features.values()):
+            raise UserError(f"features {features}: expected weights of at least 0, and one above it")
+        if min(samples, judged_steps) < 1:
+            raise UserError(f"samples {samples}, judged_steps {judged_steps}: expected at least 1")
+        self.displacement, self.distribution = displacement, distribution
+        self.tail, self.samples, self.spread = tail, samples, spread
+        self.adversarial, self.judged_steps = adversarial, judged_steps
+        self.discriminator = (discriminator or Discriminator(signed=True)) if adversarial else None
 
     def walk(
         self, generator: Forecaster, noise: Noise, batch: TensorDict, random: torch.Generator
@@ -88,7 +104,10 @@ class Imitation(nn.Module):
         return self.terms(self.walk(generator, noise, batch, random), batch)
 
     def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
-        """Return ``loss``, ``displacement`` (metres), ``distribution`` and each feature's distance (no unit).
+        """Return ``loss`` and its terms before their weights, scalars; those of weight 0 are left out.
+
+        ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
+        ``adversarial`` (nats).
 
         Args:
             walk: What `walk` returned.
@@ -97,7 +116,7 @@ class Imitation(nn.Module):
         real = recorded(batch, walk.xy.shape[2])
         found = {"displacement": self._displacement(walk, real)}
         loss = self.displacement * found["displacement"]
-        if self.distribution:
+        if self.distribution or self.tail:
             made = features(walk, repeated(batch, self.samples))
             with torch.no_grad():
                 true = features(real, batch)
@@ -106,7 +125,44 @@ class Imitation(nn.Module):
             found["distribution"] = weighted.sum() / sum(self.features.values())
             loss = loss + self.distribution * found["distribution"]
             found |= apart
+            if self.tail:
+                found["tail"] = tail(made["acceleration"], true["acceleration"])
+                loss = loss + self.tail * found["tail"]
+        if self.discriminator is not None:
+            score = self._scores(self.discriminator, walk, real, batch)[0]
+            found["adversarial"] = functional.softplus(-score).sum() / max(1, len(score))
+            loss = loss + self.adversarial * found["adversarial"]
         return {"loss": loss, **found}
+
+    def discriminator_loss(self, walk: Unrolled, batch: TensorDict) -> Tensor:
+        """Return the discriminator's loss, a scalar without gradients for whoever walked.
+
+        Its own optimizer's turn: ``zero_grad`` first, for `terms` leaves gradients in the discriminator.
+        """
+        if self.discriminator is None:
+            raise ValueError("there is no discriminator: adversarial is 0")
+        real = recorded(batch, walk.xy.shape[2])
+        apart = walk._replace(xy=walk.xy.detach())
+        made, true = self._scores(self.discriminator, apart, real, batch)
+        return (functional.softplus(made).sum() + functional.softplus(-true).sum()) / max(1, len(made))
+
+    def _scores(
+        self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
+    ) -> tuple[Tensor, Tensor]:
+        """Return scores of walks and of the real ones (M,), of people who walk in all steps of both."""
+        steps = min(self.judged_steps, walk.xy.shape[2])
+        agents = agents_of(repeated(batch, self.samples))
+        both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
+        crowd, history = Crowd.of(agents["mask"]), agents["history"]
+        true = real.xy.repeat(self.samples, 1, 1, 1)
+        ways = [torch.cat((history[:, :, -1:], xy[:, :, :steps]), 2).diff(dim=2) for xy in (walk.xy, true)]
+        futures = torch.stack([crowd.pack(way) for way in ways])
+        observed = crowd.pack(history)
+        scores = judge.of_futures(observed.diff(dim=1), futures, observed[:, 0], both)
+        walks = walk.walked[..., :steps] & real.walked[..., :steps].repeat(self.samples, 1, 1)
+        judged = crowd.pack(agents["valid"].all(2) & walks.all(2))
+        made, true = scores.chunk(2)
+        return made[judged], true[judged]
 
     def _displacement(self, walk: Unrolled, real: Unrolled) -> Tensor:
         """Return the mean distance to real positions in steps in which both walk, less that of samples."""

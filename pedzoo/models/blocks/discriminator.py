@@ -24,6 +24,7 @@ class Discriminator(nn.Module):
         embedding_dim: int = 16,
         hidden_dim: int = 48,
         mlp_dim: int = 64,
+        signed: bool = False,
     ) -> None:
         """Create the parameters.
 
@@ -32,15 +33,17 @@ class Discriminator(nn.Module):
             embedding_dim: Width of the embedded displacement.
             hidden_dim: Width of the LSTM.
             mlp_dim: Width of the classifier's hidden layer.
+            signed: Scores may be negative; where the published ones are zero, nothing is learnt.
         """
         super().__init__()
         self.encoder = DisplacementEncoder(embedding_dim, hidden_dim)
         self.pooling = SocialPooling(hidden_dim, embedding_dim, 512, hidden_dim) if kind == "global" else None
-        self.classifier = mlp(hidden_dim, mlp_dim, 1)
+        classifier = mlp(hidden_dim, mlp_dim, 1)
+        self.classifier = nn.Sequential(*list(classifier)[:-1]) if signed else classifier
         init_like_sgan(self)
 
     def forward(self, displacements: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
-        """Return scores (P,), never negative as in the published code; real people should score high.
+        """Return scores (P,), never negative unless ``signed``; real people should score high.
 
         Args:
             displacements: Observed and then predicted ones (P, T, 2), metres; before them goes a zero.
