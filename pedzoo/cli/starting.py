@@ -7,7 +7,7 @@ from typing import Literal
 
 from pedzoo.cli.parsing import given
 from pedzoo.errors import UserError
-from pedzoo.train.fine_tuning import options_of
+from pedzoo.train.fine_tuning import architecture_options, options_of
 from pedzoo.train.run import RunFolder
 
 Command = Literal["fit", "validate", "test"]
@@ -32,7 +32,9 @@ def expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | No
         return ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last), *argv], run
     configured = given(argv, "--config") or given(argv, "-c")
     if weights := named.get("--weights"):
-        return (argv if configured else [*options_of(weights), *argv]), None
+        if configured:
+            return _behind_configs(argv, architecture_options(weights, configured)), None
+        return [*options_of(weights), *argv], None
     checkpoint = named.get("--ckpt_path")
     if checkpoint and not Path(checkpoint).is_file():
         raise UserError(f"no checkpoint {checkpoint!r}")
@@ -41,3 +43,16 @@ def expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | No
         if config.is_file():
             return ["--config", str(config), *argv], None
     return argv, None
+
+
+def _behind_configs(argv: list[str], options: list[str]) -> list[str]:
+    """Return a command line with ``options`` that win over its configs, and not over what else was typed."""
+    configs, rest, words = [], [], iter(argv)
+    for word in words:
+        if word in ("--config", "-c"):
+            configs += [word, next(words)]
+        elif word.startswith(("--config=", "-c=")):
+            configs.append(word)
+        else:
+            rest.append(word)
+    return [*configs, *options, *rest]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.errors import UserError
 from pedzoo.models.saved import saved_config
-from pedzoo.models.zoo import config_of, load
-from pedzoo.paths import config_names
+from pedzoo.models.zoo import build, config_of, load
+from pedzoo.paths import config_names, find_config
 from pedzoo.registry import MODELS
 from pedzoo.train.module import LOSSES, ForecastModule, differences
 
@@ -57,8 +60,28 @@ def options_of(weights: str) -> list[str]:
             f"--weights {weights} do not say with which shipped config they were trained "
             f"(they say {name}): add --config NAME ({', '.join(config_names())}) or a file"
         )
+    return ["--config", name, *_architecture(config)]
+
+
+def architecture_options(weights: str, config: str) -> list[str]:
+    """Return what a training that begins with weights does otherwise than its ``config`` says, as options.
+
+    A config with ``weights``, such as those in ``closed_loop``, is for any generator: it takes architecture
+    and data of whatever weights it is given. To other configs weights have to fit.
+
+    Args:
+        weights: What `pedzoo.load` accepts.
+        config: Name or file.
+    """
+    settings = yaml.safe_load(find_config(config).read_text())
+    return _architecture(saved_config(weights)) if settings.get("weights") else []
+
+
+def _architecture(config: dict[str, Any]) -> list[str]:
     cls = MODELS.get(config["architecture"])
-    model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": config["init"]}
+    # all options, also those that weights of an earlier version do not know: a config may set them
+    options = build(config).config
+    model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]
-    return ["--config", name, "--model.generator", json.dumps(model), *data]
+    return ["--model.generator", json.dumps(model), *data]

@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from pedzoo.errors import UserError
@@ -63,6 +63,9 @@ class LoopModule(ForecastModule):
             raise UserError(f"steps {steps}, keep {keep}: expected at least 1")
         self.walking, self.imitation = walking, imitation
         self.steps, self.keep, self.forecast_weight = steps, keep, forecast_weight
+        for part in generator.modules():
+            if isinstance(part, nn.Dropout):
+                part.p = 0.0  # who learns to walk without seeing walls now and then stays away from all doors
         self.walker = Walker(generator)
         self.mixture = Mixture(courses, self.seed)
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
