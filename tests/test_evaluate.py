@@ -193,7 +193,7 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
         (["orca", "--suite", "cards", "--episodes", "0"], "episodes 0: expected at least 1"),
         (["orca", "--suite", "cards", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
         (["orca", "--suite", ","], "no suites"),
-        (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, table2 would have"),
+        (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, loop_buildings, table2 would have"),
         (
             ["orca", "--suite", "replay", "--episodes", "9"],
             "in replay; cards, door, figure4, goals, table2 would have",
@@ -261,6 +261,8 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
         "a.zara1_destination": "zara1",
         "a.eth_ucy": "eth_ucy",
         "b.eth_ucy": "eth_ucy",
+        "b.indoor": "eth_ucy",
+        "b.indoor_hotel": "hotel",
     }
     monkeypatch.setattr(unseen, "weight_files", lambda: {name: Path(name) for name in held_out})
     monkeypatch.setattr(unseen, "read_config", lambda path: {"training": {"fold": held_out[str(path)]}})
@@ -270,6 +272,8 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
     assert unseen.for_fold("a.zara1_destination", "hotel") == "a.zara1_destination"
     assert unseen.for_fold("a.eth_ucy:noise=none", "hotel") == "a.hotel:noise=none"
     assert unseen.for_fold("b.eth_ucy", "hotel") == "b.eth_ucy"
+    assert unseen.for_fold("b.indoor:noise=step", "hotel") == "b.indoor_hotel:noise=step"
+    assert unseen.for_fold("b.indoor", "zara1") == "b.indoor"
     assert unseen.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
     assert not unseen.has_seen("a.hotel", "hotel") and not unseen.has_seen("orca", "hotel")
     assert unseen.has_seen("b.eth_ucy", "zara2") and not unseen.has_seen("a.zara1", "embedded")

@@ -302,7 +302,7 @@ def test_what_was_interrupted_goes_on(
         (["table1", "--folds", "etth"], "unknown fold 'etth': did you mean 'eth'?"),
         (["table1", "--seeds", "0,1"], "table1 has one seed"),
         (["table1", "--maps", "flat"], "--map"),
-        (["table1", "--map", "flat"], "--map: no use for it in table1; table2 would have"),
+        (["table1", "--map", "flat"], "--map: no use for it in table1; table2, loop would have"),
         (["table2", "--folds", "eth"], "--folds: no use for it in table2; table1 would have"),
         (["table2", "--models", "orka"], "unknown policy 'orka': did you mean 'orca'?"),
         (["table2", "--map", "apartmint.1"], "did you mean 'apartment.1'?"),

@@ -17,11 +17,14 @@ def for_fold(policy: str, fold: str) -> str:
     """Return the policy to walk on a fold: where there are any, weights that did not see it.
 
     Weights are named after the fold that they did not see: for ``sgan_goal.zara1:noise=step`` on hotel that
-    is ``sgan_goal.hotel:noise=step``. Anything else stays as it is.
+    is ``sgan_goal.hotel:noise=step``, and for ``sgan_goal.indoor`` of all recordings it is
+    ``sgan_goal.indoor_hotel``. Anything else stays as it is.
     """
     name = parse(policy).name
     if name not in weight_files() or (held_out := _held_out(name)) in (None, fold):
         return policy
+    if held_out == EVERYTHING and f"{name}_{fold}" in weight_files():
+        return f"{name}_{fold}{policy.removeprefix(name)}"
     architecture, _, tag = name.partition(".")
     other = f"{architecture}.{tag.replace(held_out, fold, 1)}"
     return other + policy.removeprefix(name) if other in weight_files() else policy

@@ -1,4 +1,4 @@
-"""``pedzoo reproduce``: the paper's tables and its Figure 4 beside ours."""
+"""``pedzoo reproduce``: the paper's tables and its Figure 4 beside ours; controllers and their targets."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pedzoo.eval.reproduce.base import Reproduction
 
-HELP = "the paper's tables and figure, its numbers beside ours and the trivial baselines"
+HELP = "the paper's tables and figure beside ours and the trivial baselines; what controllers have to show"
 EXAMPLE = "pedzoo reproduce table2 --quick --out results"
 
 ONLY = {
     "folds": ("table1",),
-    "data_root": ("table1",),
-    "maps": ("table2",),
-    "models": ("table2", "figure4"),
-    "episodes": ("table2", "figure4"),
-    "world": ("table2", "figure4"),
+    "data_root": ("table1", "loop"),
+    "maps": ("table2", "loop"),
+    "models": ("table2", "figure4", "loop"),
+    "episodes": ("table2", "figure4", "loop"),
+    "world": ("table2", "figure4", "loop"),
 }
 """Options that only some have a use for."""
 
@@ -32,21 +32,24 @@ def run(argv: list[str]) -> int:
 table1   forecasts on ETH/UCY: five folds, 8 and 12 steps, every protocol, released Social GANs
 table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
 figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
+loop     what controllers trained in the loop have to show: doors, buildings, crowds, noise, recorded people
 
-Writes TABLE1.md and .json, TABLE2, FIGURE4. What was interrupted goes on where it was."""
+Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP. What was interrupted goes on where it was."""
     parser = Arguments("reproduce", about, EXAMPLE)
-    parser.add_argument("what", choices=("table1", "table2", "figure4"), help="of the paper")
+    parser.add_argument("what", choices=("table1", "table2", "figure4", "loop"), help="what is made")
     parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
     parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
     parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (table1: one)")
     parser.add_argument("--workers", type=int, default=1, help="processes; the numbers stay the same")
     parser.add_argument("--folds", metavar="FOLD,...", help="table1: test scenes (default: all five)")
-    parser.add_argument("--data.root", dest="data_root", metavar="FOLDER", help="table1: the recordings")
-    parser.add_argument("--models", nargs="+", metavar="NAME", help="table2, figure4: instead of eth_ucy's")
-    parser.add_argument("--episodes", type=int, help="table2, figure4: of every case and seed")
-    parser.add_argument("--world", choices=("bullet", "grid"), help="table2, figure4 (default: bullet)")
     parser.add_argument(
-        "--map", dest="maps", nargs="+", metavar="PLAN", help="table2: floor plans, files or names"
+        "--data.root", dest="data_root", metavar="FOLDER", help="table1, loop: the recordings"
+    )
+    parser.add_argument("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
+    parser.add_argument("--episodes", type=int, help="not table1: of every case and seed")
+    parser.add_argument("--world", choices=("bullet", "grid"), help="not table1 (default: as each case says)")
+    parser.add_argument(
+        "--map", dest="maps", nargs="+", metavar="PLAN", help="table2, loop: floor plans, files or names"
     )
     options = parser.parse_args(argv)
 
@@ -60,7 +63,7 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4. What was interrupted goes on where 
     for key, having in ONLY.items():
         if getattr(options, key) is not None and options.what not in having:
             flag = {"data_root": "data.root", "maps": "map"}.get(key, key)
-            raise UserError(f"--{flag}: no use for it in {options.what}; {' and '.join(having)} would have")
+            raise UserError(f"--{flag}: no use for it in {options.what}; {', '.join(having)} would have")
     folder, stem = Path(options.out), options.what.upper()
     page, file, journal = (folder / f"{stem}{end}" for end in (".md", ".json", ".json.partial"))
     check_outputs(out=str(page), json=str(file))
@@ -118,7 +121,11 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
         return Table1(folds, seeds[0], options.data_root, journal)
     if options.what == "table2":
         from pedzoo.eval.reproduce.table2 import Table2 as Walked
+    elif options.what == "loop":
+        from pedzoo.eval.reproduce.loop import Loop as Walked
     else:
         from pedzoo.eval.reproduce.figure4 import Figure4 as Walked
-    request = Request(options.episodes, options.quick, options.world, tuple(options.maps or ()))
+    request = Request(
+        options.episodes, options.quick, options.world, tuple(options.maps or ()), options.data_root
+    )
     return Walked(options.models or (), request, seeds, journal)

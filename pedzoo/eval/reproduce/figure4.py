@@ -38,7 +38,7 @@ class Figure4(Walked):
 
     title = "Figure 4: two people at a narrow door"
     stem = "FIGURE4"
-    suite = "figure4"
+    suites = ("figure4",)
     models = ("sgan.eth_ucy", "sgan_goal_map.eth_ucy")
     baselines = ("orca:radius=0.5", UNSEEN, "orca:radius=0.1", "go_to_goal")
 

@@ -1,4 +1,4 @@
-"""Reproductions that are a closed-loop evaluation of some policies on one suite."""
+"""Reproductions that are a closed-loop evaluation of some policies on suites of cases."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from pedzoo.models.zoo import list_models
 
 
 class Walked(Reproduction):
-    """What is walked by the policies of the paper and their baselines.
+    """What is walked by some policies and their baselines.
 
     Attributes:
-        suite: Name of the suite.
+        suites: Names of the suites.
         models: Weights that walk unless others are asked for; those that are absent are noted.
         baselines: Policies beside them.
     """
 
-    suite: ClassVar[str]
+    suites: ClassVar[tuple[str, ...]]
     models: ClassVar[tuple[str, ...]]
     baselines: ClassVar[tuple[str, ...]]
 
@@ -49,7 +49,7 @@ class Walked(Reproduction):
         self.missing = [] if models else [name for name in self.models if name not in present]
         self.policies = list(models) or [name for name in self.models if name in present]
         names = [*self.policies, *self.baselines]
-        self.evaluation = Evaluation(names, [self.suite], request, seeds, resume=journal)
+        self.evaluation = Evaluation(names, self.suites, request, seeds, resume=journal)
 
     @property
     def parts(self) -> tuple[int, int]:
@@ -66,7 +66,7 @@ class Walked(Reproduction):
         self.evaluation.run(workers, progress=progress)
 
     def report(self) -> dict[str, Any]:
-        """Return the report of the evaluation with notes, and what the paper has printed."""
+        """Return the report of the evaluation with notes, and what others have printed."""
         found = self.evaluation.report()
         shown = said(found, self.evaluation.shown) if found["rows"] else "nothing is done yet"
         # megabytes of what each person did are left out: `pedzoo evaluate --suite` has them
@@ -77,8 +77,8 @@ class Walked(Reproduction):
         return {**found, "rows": rows, "notes": notes, "missing": self.missing, "paper": self.printed()}
 
     def legend(self) -> dict[str, str]:
-        """Return what the metrics of the suite's table are."""
-        columns = self.evaluation.shown[self.suite].columns
+        """Return what the metrics of the suites' tables are."""
+        columns = [key for shown in self.evaluation.shown.values() for key in shown.columns]
         return {key: LEGEND[key] for key in columns if key in LEGEND}
 
     def notes(self) -> list[str]:
@@ -86,7 +86,7 @@ class Walked(Reproduction):
         return []
 
     def printed(self) -> dict[str, Any]:
-        """Return what the paper has printed, as plain values."""
+        """Return what the paper has printed, as plain values; nothing where it is not about that."""
         return {}
 
     def case_rows(self, report: Mapping[str, Any], **case: str) -> dict[str, dict[str, Any]]:
