@@ -28,7 +28,7 @@ from pedzoo.models.zoo import read_checkpoint
 from pedzoo.train.closed_loop import ClosedLoopValidation
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.module import ForecastModule
-from pedzoo.train.run import RunFolder, Wandb, finish_wandb
+from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
 from pedzoo.versions import versions
 
 _EXPECTED = (
@@ -220,7 +220,7 @@ class TrainingCLI(LightningCLI):
         files = config.get("config") or []
         file = Path(str(files[-1])) if files else Path(config["model"]["class_path"].rpartition(".")[2])
         # a run's own configuration is called like all others: the run has the name
-        name = file.parent.parent.name if (file.parent / "versions.json").is_file() else file.stem
+        name = file.parent.parent.name if (file.parent / "versions.json").is_file() else run_name(file)
         data = (config["data"].get("files") or [config["data"]["fold"]])[0]
         return Path(config["runs"]) / name / f"{Path(str(data)).stem}-seed{int(config['seed_everything'])}"
 

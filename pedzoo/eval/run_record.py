@@ -68,7 +68,7 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
     protocol, monitor = content["pedzoo"]["protocol"], config["monitor"]
     seed, values = int(config["seed_everything"]), monitored(run, monitor)
     training = {
-        "config": run.parent.name,
+        "config": run.parent.name.replace(".", "/"),  # `pedzoo.train.run.run_name`
         "fold": protocol["fold"],
         "clock": protocol["clock"],
         "goal": content["pedzoo"]["goal"] or protocol["goal"],

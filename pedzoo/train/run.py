@@ -15,9 +15,18 @@ from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.errors import UserError
+from pedzoo.paths import shipped
 from pedzoo.versions import versions
 
 Wandb = Literal["off", "offline", "online"]
+
+
+def run_name(config: Path) -> str:
+    """Return what runs of a config file are called: shipped ones in folders are ``FOLDER.NAME``."""
+    home = shipped("configs").resolve()
+    inside = config.resolve().is_relative_to(home)
+    name = config.resolve().relative_to(home) if inside else Path(config.name)
+    return ".".join(name.with_suffix("").parts)
 
 
 class RunFolder:
