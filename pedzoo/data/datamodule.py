@@ -81,7 +81,7 @@ class TrajectoryDataModule(L.LightningDataModule):
                 many predicted steps}``. Those keep everybody who is there, lone people too, have the goal
                 ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
                 accelerate is imitated.
-            unroll_batch_size: Scenes in a batch of these, at most.
+            unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
         """
         super().__init__()
         self.save_hyperparameters()
@@ -173,7 +173,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         # every process evaluates all windows: nothing is counted twice or left out
         if shuffle and self.trainer:
             rank, replicas = self.trainer.global_rank, self.trainer.world_size
-        sampler = BucketSampler(scenes.sizes, size, h["max_pairs"], shuffle, h["seed"], rank, replicas)
+        pairs = max(1, h["max_pairs"] * size // h["batch_size"])
+        sampler = BucketSampler(scenes.sizes, size, pairs, shuffle, h["seed"], rank, replicas)
         batches = _Batches(scenes, goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
         return DataLoader(batches, sampler=sampler, batch_size=None, collate_fn=_as_it_is)
 

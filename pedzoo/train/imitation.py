@@ -104,7 +104,7 @@ class Imitation(nn.Module):
         return self.terms(self.walk(generator, noise, batch, random), batch)
 
     def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
-        """Return ``loss`` and its terms before their weights, scalars; those of weight 0 are left out.
+        """Return ``loss`` and its terms before their weights, scalars; what has weight 0 may be left out.
 
         ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
         ``adversarial`` (nats).
