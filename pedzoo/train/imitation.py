@@ -56,7 +56,8 @@ class Imitation(nn.Module):
             spread: How much of the distance between two walks of a person is taken off the displacement, with
                 2 or more samples: at 0.5 it is the energy score, which is least for the true distribution
                 (Gneiting and Raftery, JASA 2007, eq. 21); without it noise that changes anything costs.
-            adversarial: Weight of what a discriminator says; 0 leaves it out.
+            adversarial: Weight of what a discriminator says; 0 leaves it out. The discriminator learns from
+                the same ``loss``: its parameters, all that this module has, belong into an optimizer, too.
             discriminator: Judges walks, ``signed``; a `Discriminator` of its own defaults if not given.
             judged_steps: Steps that it sees after the observed ones, at most. It judges whoever walks in all.
 
@@ -107,7 +108,7 @@ class Imitation(nn.Module):
         """Return ``loss`` and its terms before their weights, scalars; what has weight 0 may be left out.
 
         ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
-        ``adversarial`` (nats).
+        ``adversarial`` and ``discriminator`` (nats).
 
         Args:
             walk: What `walk` returned.
@@ -129,22 +130,25 @@ class Imitation(nn.Module):
                 found["tail"] = tail(made["acceleration"], true["acceleration"])
                 loss = loss + self.tail * found["tail"]
         if self.discriminator is not None:
-            score = self._scores(self.discriminator, walk, real, batch)[0]
-            found["adversarial"] = functional.softplus(-score).sum() / max(1, len(score))
-            loss = loss + self.adversarial * found["adversarial"]
+            adversarial = self._adversarial(self.discriminator, walk, real, batch)
+            found["adversarial"], found["discriminator"] = adversarial
+            loss = loss + self.adversarial * adversarial[0] + adversarial[1]
         return {"loss": loss, **found}
 
-    def discriminator_loss(self, walk: Unrolled, batch: TensorDict) -> Tensor:
-        """Return the discriminator's loss, a scalar without gradients for whoever walked.
+    def _adversarial(
+        self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
+    ) -> tuple[Tensor, Tensor]:
+        """Return the cross entropies of whoever walked, to pass as real, and of the discriminator.
 
-        Its own optimizer's turn: ``zero_grad`` first, for `terms` leaves gradients in the discriminator.
+        Each has gradients for its own side alone, so one step of one optimizer trains both.
         """
-        if self.discriminator is None:
-            raise ValueError("there is no discriminator: adversarial is 0")
-        real = recorded(batch, walk.xy.shape[2])
-        apart = walk._replace(xy=walk.xy.detach())
-        made, true = self._scores(self.discriminator, apart, real, batch)
-        return (functional.softplus(made).sum() + functional.softplus(-true).sum()) / max(1, len(made))
+        judge.requires_grad_(False)
+        made, _ = self._scores(judge, walk, real, batch)
+        judge.requires_grad_(True)
+        passing = functional.softplus(-made).sum() / max(1, len(made))
+        made, true = self._scores(judge, walk._replace(xy=walk.xy.detach()), real, batch)
+        telling = (functional.softplus(made).sum() + functional.softplus(-true).sum()) / max(1, len(made))
+        return passing, telling
 
     def _scores(
         self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
