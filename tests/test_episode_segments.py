@@ -15,7 +15,7 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.make import make_env
-from pedzoo.train.loop_losses import LoopLosses, least_distances, lost_seconds, wall_distances
+from pedzoo.train.loop_losses import LoopLosses, least_distances, lost_seconds, wall_distances, wrong_side
 from pedzoo.train.mixture import Course, Mixture
 from pedzoo.train.segments import Segment, unrolled
 
@@ -134,12 +134,26 @@ def test_the_trait_weighs_ones_own_time() -> None:
     velocity = torch.zeros(4, 1, 2, 2)
     segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
     cost = LoopLosses(trait=0.5, progress=6.0)
-    calm, eager = (cost(segment, MapBank([]), torch.tensor([[z, 0.0]]))["progress"] for z in (-1.0, 1.0))
+    calm, eager = (cost(segment, MapBank([]), torch.tensor([[[z], [0.0]]]))["progress"] for z in (-1.0, 1.0))
     ratio = (float(eager) - 0.5) / (float(calm) - 0.5)  # the other one's share is 1 / 2
     assert ratio == pytest.approx(torch.tensor(1.0).exp().item(), rel=1e-3)
     assert (
-        float(LoopLosses(trait=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2))["progress"]) == 1.0
+        float(LoopLosses(trait=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2, 1))["progress"])
+        == 1.0
     )
+
+
+def test_who_comes_from_the_front_should_be_on_the_side_that_one_likes() -> None:
+    """Two meet head-on, each 0.2 m to the other's left: who likes to pass on the left lacks 0.7 m."""
+    velocity = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
+    start = torch.tensor([[[0.0, 0.0], [2.0, 0.2]]])
+    segment = made(velocity, start)
+    segment = segment._replace(goal=start + 4 * velocity)
+    for like, lacks in ((9.0, 0.7), (-9.0, 0.3), (0.0, 0.0)):
+        found = wrong_side(segment, torch.tensor([[like, like]]))
+        assert found[0, 0].tolist() == pytest.approx([lacks, lacks], abs=1e-4)
+    behind = segment._replace(goal=start - 4 * velocity)
+    assert not bool(wrong_side(behind, torch.ones(1, 2)).any())
 
 
 def test_a_negative_weight_is_refused() -> None:

@@ -98,8 +98,7 @@ class LoopModule(ForecastModule):
         running.end(segment.done)
         for name in ("touched", "grazed"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
-        assertive = None if noise is None else noise[..., 0]
-        return self.walking(segment, running.env.bank, assertive)
+        return self.walking(segment, running.env.bank, noise)
 
     def _log(self, values: dict[str, Tensor]) -> None:
         for name, value in values.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
@@ -16,6 +17,9 @@ from pedzoo.types import BODY_RADIUS, STEP_SECONDS
 
 _SOON = 6.0
 """Seconds of delay that count 1."""
+
+_MEET, _BESIDE, _APART = 4.0, 1.2, 0.5
+"""Metres ahead and beside within which people meet others from the front, and to the side that is enough."""
 
 
 class LoopLosses:
@@ -31,7 +35,8 @@ class LoopLosses:
         overspeed: float = 2.0,
         overspeed_from: float = 1.02,
         effort: float = 0.05,
-        trait: float = 0.7,
+        trait: float = 0.5,
+        side: float = 0.0,
     ) -> None:
         """Weigh the terms.
 
@@ -48,6 +53,8 @@ class LoopLosses:
             effort: Squared change of velocity from step to step, (m/s)^2.
             trait: How assertive people are who drew a large first number z of noise: their own lost time
                 counts ``exp(trait * z)`` times as much. 0: the noise does not matter for it.
+            side: Metres that somebody who comes from the front is not on the side that the second number z of
+                one's noise likes to have them on, times abs(tanh(z)), see `wrong_side`.
 
         Raises:
             UserError: A negative weight.
@@ -57,15 +64,16 @@ class LoopLosses:
             raise UserError(f"losses of walking: {wrong}: expected at least 0")
         self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
         self.people_margin, self.wall_margin = people_margin, wall_margin
-        self.overspeed, self.overspeed_from, self.trait = overspeed, overspeed_from, trait
+        self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
 
-    def __call__(self, segment: Segment, bank: MapBank, assertive: Tensor | None = None) -> dict[str, Tensor]:
+    def __call__(self, segment: Segment, bank: MapBank, noise: Tensor | None = None) -> dict[str, Tensor]:
         """Return the weighted terms, scalars.
 
         Args:
             segment: What was walked.
             bank: The floor plans.
-            assertive: The first number of everybody's noise (B, A); None where there is none.
+            noise: Of everybody when the segment begins (B, A, Z), of which the first number is how assertive
+                they are, and the second on which side they like to pass; None where there is none.
         """
         moved = segment.moved
         # by people and not by their steps: whoever dawdles must not thin out what went wrong
@@ -77,7 +85,7 @@ class LoopLosses:
 
         speed = segment.action.square().sum(-1).clamp_min(1e-12).sqrt()
         near = 2 * BODY_RADIUS + self.people_margin - least_distances(segment)
-        weight = None if assertive is None else torch.exp(self.trait * assertive.clamp(-2, 2))
+        weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
             "people": self.people * mean(_hinge(near)),
@@ -87,6 +95,8 @@ class LoopLosses:
         if bank.grids:
             near = BODY_RADIUS + self.wall_margin - wall_distances(segment, bank)
             terms["walls"] = self.walls * mean(_hinge(near).mean(-1))
+        if self.side and noise is not None and noise.shape[-1] > 1:
+            terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
         return terms
 
 
@@ -112,6 +122,30 @@ def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
     if weight is not None:
         late = late * weight
     return torch.where(took_part, late, 0.0).sum() / took_part.sum().clamp_min(1)
+
+
+def wrong_side(segment: Segment, side: Tensor) -> Tensor:
+    """Return what it costs to have those who come from the front on the side one does not like (T, B, A).
+
+    People with a positive number like to pass others on the left, so that these are on their right. Without
+    such likes everybody would learn to pass on the same side, or on that which the start suggests.
+
+    Args:
+        segment: What was walked.
+        side: What people like (B, A).
+    """
+    here, present = segment.trace[..., 0, :], segment.present
+    ahead = functional.normalize(segment.goal - here, dim=-1)
+    away = here.unsqueeze(-3) - here.unsqueeze(-2)  # (T, B, A, A, 2): from each to each other
+    mine = ahead.unsqueeze(-2)
+    before = (away * mine).sum(-1)
+    left = mine[..., 0] * away[..., 1] - mine[..., 1] * away[..., 0]
+    opposed = (mine * ahead.unsqueeze(-3)).sum(-1) < -0.5
+    meet = opposed & (before > 0) & (before < _MEET) & (left.abs() < _BESIDE)
+    meet &= present.unsqueeze(-1) & present.unsqueeze(-2)
+    like = side.tanh().unsqueeze(-1)
+    cost = like.abs() * (_APART + like.sign() * left).clamp_min(0)
+    return torch.where(meet, cost, 0.0).amax(-1)
 
 
 def least_distances(segment: Segment) -> Tensor:
