@@ -18,7 +18,7 @@ from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.registry import SCENARIOS
 from pedzoo.sim.encounter import MEET, Encounter
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.lanes import SPACING
+from pedzoo.sim.lanes import ABREAST, SPACING
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.types import BODY_RADIUS
 
@@ -325,3 +325,23 @@ def test_passages_that_nobody_fits_through() -> None:
         with pytest.raises(UserError, match=r"no way|in or too near a wall|clearance"):
             begun(spec)
     begun("hallway:width=0.6")
+
+
+def test_people_who_walk_together() -> None:
+    scenario = made("hallway:people=5,against=1,together=true,width=[1.8,2.4],jitter=0")
+    scenario.ready(0.25)
+    layout = scenario.layout(Draws.of(0, torch.arange(60)))
+    # from the left two and two, from the right one
+    sides = layout.start[..., 0].sign()
+    assert (sides.sum(1) == -3).all()
+    scene = torch.arange(60)[layout.map_id == layout.map_id[0]]
+    mine, speed = layout.start[scene], layout.pref_speed[scene]
+    left = [number for number in range(5) if sides[scene[0], number] < 0]
+    (first, second), (third, fourth) = left[:2], left[2:]
+    for one, other in ((first, second), (third, fourth)):
+        assert torch.equal(speed[:, one], speed[:, other])
+        assert torch.equal(mine[:, one, 0], mine[:, other, 0])
+        assert torch.allclose((mine[:, one] - mine[:, other]).norm(dim=-1), torch.tensor(ABREAST))
+    assert not torch.equal(speed[:, first], speed[:, third])
+    alone = made("hallway:people=5,against=1,width=2").speeds(Draws.of(0, torch.arange(60)))
+    assert not torch.equal(alone[:, first], alone[:, second])

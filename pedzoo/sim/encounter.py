@@ -61,11 +61,13 @@ class Encounter(Scenario):
         most: People, at most.
         variants: Settings of which every scene draws a value.
         stray: Share of people who go to another goal of their lane than the first.
+        together: People who come side by side walk together: equally fast, and equally late.
     """
 
     fewest: ClassVar[int] = 2
     most: ClassVar[int] = 50
     stray: float = 0.0
+    together: bool = False
 
     def __init__(
         self,
@@ -191,11 +193,14 @@ class Encounter(Scenario):
         variant = self.variants.drawn(draws)
         mine = self.places.of_scenes(variant)
         speed = self.speeds(draws)
+        if self.together:
+            speed = speed.gather(1, mine.leader)
         scene = torch.arange(scenes, device=device).unsqueeze(1)
         in_lanes = speed.new_zeros(scenes, int(self.places.row.max()) + 1, int(self.places.lane.max()) + 1)
         in_lanes[scene, mine.row, mine.lane] = speed
         pace = in_lanes.cummax(1).values[scene, mine.row, mine.lane]
-        late = mine.delay * draws.uniform("delay", in_lanes.shape[2]).gather(1, mine.lane)
+        company = mine.side if self.together else mine.lane
+        late = mine.delay * draws.uniform("delay", in_lanes.shape[2]).gather(1, company)
         away = mine.before + (WARM_SECONDS + self.meet + late) * pace
         sides = draws.uniform("aside", int(self.places.side.max()) + 1)
         right = mine.aside * (2 * sides.gather(1, mine.side) - 1)

@@ -66,6 +66,7 @@ class Places(NamedTuple):
         before: Metres that they start farther back (V, A).
         aside: As of the lane (V, A).
         delay: As of the lane (V, A).
+        leader: Whom they are beside (V, A) long: the first of those of their side and row.
     """
 
     row: Tensor
@@ -76,6 +77,7 @@ class Places(NamedTuple):
     before: Tensor
     aside: Tensor
     delay: Tensor
+    leader: Tensor
 
     @classmethod
     def of(cls, variants: Sequence[Sequence[Lane]]) -> Places:
@@ -84,8 +86,10 @@ class Places(NamedTuple):
         for lanes in variants:
             slots = sorted((row, number) for number, lane in enumerate(lanes) for row in range(lane.people))
             row, lane = torch.tensor(slots).unbind(1)
-            said = [torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[2:]]
-            places = cls(row, lane, *said)
+            said = [torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[2:-1]]
+            side = said[0]
+            beside = (row == row.unsqueeze(1)) & (side == side.unsqueeze(1))
+            places = cls(row, lane, *said, leader=beside.int().argmax(1))
             tables.append(places._replace(before=places.before + SPACING * row))
         return cls(*(torch.stack(table) for table in zip(*tables, strict=True)))
 

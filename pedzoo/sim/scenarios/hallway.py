@@ -29,6 +29,7 @@ class Hallway(Encounter):
         jitter: float = 0.1,
         aside: float = 0.8,
         delay: float = 1.0,
+        together: bool = False,
     ) -> None:
         """Set the scene.
 
@@ -44,6 +45,7 @@ class Hallway(Encounter):
             aside: Metres that all from one side start to the left or right of their lanes at most, less where
                 walls are near; their goals stay.
             delay: Seconds that the first of each lane comes late at most.
+            together: Those who come side by side walk together: equally fast, and equally late.
 
         Raises:
             UserError: A setting that gives no scene.
@@ -53,7 +55,7 @@ class Hallway(Encounter):
         against = people // 2 if against is None else against
         if not 1 <= against < people:
             raise UserError(f"hallway: against {against} of {people} people: expected 1 to {people - 1}")
-        self.against = against
+        self.against, self.together = against, together
         for variant in self.variants:
             most = variant["width"] / 2 - FREE
             if abs(variant["offset"]) > max(0.0, most):
