@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple, cast
 
 import torch
@@ -62,7 +63,7 @@ class PPOModule(ForecastModule):
         envs: int = 32,
         steps: int = 32,
         world: Literal["grid", "bullet"] = "grid",
-        noise: Noise = "episode",
+        noise: Noise | None = None,
         std: float = 0.15,
         lr_critic: float = 1e-3,
         passes: int = 4,
@@ -159,10 +160,18 @@ class PPOModule(ForecastModule):
 
     def training_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Gather decisions and learn from them."""
+        with _still(self.generator):
+            log = self._learn(batch)
+        self.iteration += 1
+        log |= {"std": self.spread().detach(), "skipped": self.skipped.float()}
+        values = {f"train/{key}": value for key, value in log.items()}
+        self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
+
+    def _learn(self, batch: TensorDict) -> dict[str, Tensor]:
+        """Make an iteration beside a batch of recorded scenes, and return what is logged of it."""
         assert self._parts is not None
         loss, estimate, gatherers = self._parts
         optimizer, random = cast("Any", self.optimizers()), self.random()
-        _still(self.generator)
         gatherer = gatherers[int(self.iteration) % len(gatherers)]
         self._bind(gatherer)
         seen = gatherer.gather(self._seed_of_iteration())
@@ -179,17 +188,8 @@ class PPOModule(ForecastModule):
             terms = [found[key] for key in found.keys() if str(key).startswith("loss_")]
             self._update(optimizer, torch.stack(terms).sum())
             told.append(found.select(*_TOLD, strict=False).detach())
-        self.iteration += 1
         means = cast("TensorDict", torch.stack(told)).mean(0)
-        log = {_TOLD[key]: value for key, value in means.items()} | _told(lived)
-        log |= {"std": self.spread().detach(), "skipped": self.skipped.float()}
-        self.log_dict(
-            {f"train/{key}": value for key, value in log.items()},
-            on_step=False,
-            on_epoch=True,
-            batch_size=len(batch),
-            sync_dist=True,
-        )
+        return {_TOLD[key]: value for key, value in means.items()} | _told(lived)
 
     def _minibatches(self, count: int, random: torch.Generator) -> Iterator[Tensor]:
         """Yield which decisions (M,) long are in every update."""
@@ -234,11 +234,15 @@ class PPOModule(ForecastModule):
         self._parts = None
 
 
-def _still(model: nn.Module) -> None:
+@contextmanager
+def _still(model: nn.Module) -> Iterator[None]:
     """Switch dropout off: the network that decides in an update has to be the one that walked."""
-    for part in model.modules():
-        if isinstance(part, nn.Dropout):
-            part.eval()
+    parts = [part for part in model.modules() if isinstance(part, nn.Dropout) and part.training]
+    for part in parts:
+        part.eval()
+    yield
+    for part in parts:
+        part.train()
 
 
 def _parts_of(batch: TensorDict, count: int) -> list[TensorDict]:
