@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.errors import UserError
 from pedzoo.models.base import Forecaster
-from pedzoo.models.walker import Walker
+from pedzoo.models.walker import Walker, lasting
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
 from pedzoo.types import PRED_LEN
@@ -63,6 +63,47 @@ def test_noise_of_a_step_changes() -> None:
     walker = Walker(Echo(), noise="step")
     assert not torch.equal(drawn(walker, time=0.4), drawn(walker, time=0.8))
     assert torch.equal(drawn(walker, time=0.4), drawn(walker, time=0.4))
+
+
+@pytest.mark.parametrize(("numbers", "stay"), [(2, 1), (5, 3), (8, 4), (1, 1)])
+def test_mixed_noise_is_what_people_are_like_and_what_they_happen_to_do(numbers: int, stay: int) -> None:
+    """The first half of the numbers stays for an episode as `episode` has it, the rest is that of `step`."""
+    model = Echo()
+    model.noise_dim = numbers
+    with set_exploration_type(ExplorationType.RANDOM):
+        early, late, always, now = (
+            drawing.noise_of(scene(time=time))
+            for drawing, time in (
+                (Walker(model, noise="mixed"), 0.4),
+                (Walker(model, noise="mixed"), 4.0),
+                (Walker(model, noise="episode"), 4.0),
+                (Walker(model, noise="step"), 4.0),
+            )
+        )
+    assert early is not None and late is not None and always is not None and now is not None
+    assert late.shape == (3, 4, numbers)
+    assert torch.equal(late[..., :stay], early[..., :stay]) and torch.equal(
+        late[..., :stay], always[..., :stay]
+    )
+    assert torch.equal(late[..., stay:], now[..., stay:])
+    assert not (late[..., stay:] == early[..., stay:]).any()
+    assert lasting(numbers) == stay
+
+
+@pytest.mark.parametrize("noise", ["episode", "step", "scene", "mixed"])
+def test_another_noise_seed_is_another_noise_for_the_same_scenes(noise: Any) -> None:
+    first, same, other, third = (drawn(Walker(Echo(), noise, noise_seed=seed)) for seed in (0, 0, 1, 2))
+    assert torch.equal(first, same) and torch.equal(first, drawn(Walker(Echo(), noise)))
+    assert not (first == other).any() and not (other == third).any()
+
+
+EARLIER = [2.02319288, 0.02603248, -1.06847107, 0.15305239]
+
+
+def test_noise_is_what_it_was_in_earlier_versions() -> None:
+    """Tables and cards rest on it: numbers of 2026-11 for seed 0."""
+    found = drawn(Walker(Echo()), scenes=1, people=2)
+    assert found.flatten().tolist() == pytest.approx(EARLIER, abs=1e-5)
 
 
 def test_noise_of_a_scene_is_the_same_for_all_in_it() -> None:

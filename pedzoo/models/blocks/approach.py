@@ -83,7 +83,7 @@ def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
     near = REACH / (REACH + distance)
     # standing still side by side is no approach: the small number keeps its time from mattering
     time = -(away * velocity).sum(-1, keepdim=True) / (velocity.square().sum(-1, keepdim=True) + 0.01)
-    soon = time.clamp(0, HORIZON)
+    soon = time.clamp(0.0, HORIZON)
     closest = away + soon * velocity
     least = (closest.square().sum(-1, keepdim=True) + 1e-6).sqrt()
     urgent = near * REACH / (REACH + least) * torch.exp(-soon / 2)
