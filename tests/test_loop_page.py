@@ -106,7 +106,9 @@ def test_every_case_has_targets_and_its_scenario_can_be_made() -> None:
     tables = list(dict.fromkeys(case.table for case in buildings))
     assert tables == [f"loop_buildings {name}" for name in ("drawn", "flat", "crowd of 20", "crowd of 50")]
     assert [t.key for t in targets(tables[0])] == [t.key for t in targets(tables[1])] != targets(tables[2])
-    folds = LoopReplay("loop_replay").cases(Request(quick=True))
+    recorded = LoopReplay("loop_replay")
+    assert "walk 3 x where all are simulated; others once" in recorded.notes(Request(), [])[1]
+    folds = recorded.cases(Request(quick=True))
     assert all(case.case["simulated"] == "all" and targets(case.table)[0].key == "realism" for case in folds)
     assert {ORCA, FORCE} <= set(BASELINES)
 
@@ -173,8 +175,9 @@ def test_page_says_what_is_met_and_what_is_missing() -> None:
 
 
 def test_loop_writes_page_and_report_and_names_what_is_missing(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Loop, "suites", ("loop_doors",))
     monkeypatch.setattr(Loop, "models", ("sgan_goal.nowhere",))
     monkeypatch.setattr(Loop, "baselines", ("go_to_goal",))

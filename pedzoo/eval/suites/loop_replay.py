@@ -11,6 +11,7 @@ from pedzoo.eval.suites.replay import Replay
 class LoopReplay(Replay):
     """The cases of `Replay` in which all people are simulated."""
 
+    simulated: ClassVar[tuple[str, ...]] = ("all",)
     columns: ClassVar[tuple[str, ...]] = (
         "realism",
         "success",
@@ -30,5 +31,5 @@ class LoopReplay(Replay):
         Raises:
             UserError: A folder was asked for that has none.
         """
-        everybody = [case for case in super().cases(request) if case.case["simulated"] == "all"]
-        return [case._replace(table=f"{self.name} {case.case['fold']}") for case in everybody]
+        found = super().cases(request)
+        return [case._replace(table=f"{self.name} {case.case['fold']}") for case in found]

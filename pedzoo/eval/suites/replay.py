@@ -44,8 +44,12 @@ class Replay(Suite):
 
     Weights of the zoo walk on a fold that they have not seen: for a name ``ARCH.FOLD`` those of the fold that
     is walked, where there are any.
+
+    Attributes:
+        simulated: Some of `SIMULATED`.
     """
 
+    simulated: ClassVar[tuple[str, ...]] = SIMULATED
     uses: ClassVar[tuple[str, ...]] = ("rollouts",)
     warm_start: ClassVar[str] = "recorded"
     counted: ClassVar[str] = "people"
@@ -75,7 +79,7 @@ class Replay(Suite):
         usual = 1 if request.quick else ROLLOUTS
         for fold in _folds(request.root):
             inputs = digest_of(fold, request.root)
-            for simulated in SIMULATED:
+            for simulated in self.simulated:
                 settings = [f"fold={fold}", f"simulated={simulated}"]
                 share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
                 share = round(share * QUICK_SHARE, 3) if request.quick else share
@@ -104,17 +108,16 @@ class Replay(Suite):
             f"and 95 % of {SPLITS} random splits: the noise floor"
         ]
         rounds, alone = request.rollouts or (1 if request.quick else ROLLOUTS), request.rollouts or 1
-        found.append(
-            f"{self.name}: models with noise walk {rounds} x where all are simulated, {alone} x where one "
-            "is; others once"
-        )
+        each = {"all": f"{rounds} x where all are simulated", "one": f"{alone} x where one is"}
+        often = ", ".join(each[simulated] for simulated in self.simulated)
+        found.append(f"{self.name}: models with noise walk {often}; others once")
         if folds == [EMBEDDED]:
             missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
             return [*found, f"{self.name}: {missing}"]
         found += [
             f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
             for fold, share in ONE_SHARE.items()
-            if fold in folds and not request.quick
+            if fold in folds and "one" in self.simulated and not request.quick
         ]
         for policy in policies:
             walks = {fold: for_fold(policy, fold) for fold in folds}
