@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
     from pedzoo.maps.grid import OccupancyGrid
     from pedzoo.models.controller import Controller
-    from pedzoo.models.walker import Noise, Walker
+    from pedzoo.models.walker import Walker
+
+Noise = Literal["episode", "step", "scene", "mixed"]
+"""How often noise is drawn for people who walk; see `pedzoo.models.walker.Walker`."""
 
 
 class Forecaster(nn.Module):
@@ -28,6 +31,7 @@ class Forecaster(nn.Module):
         needs: What it reads besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         mode_at_zero: The most likely future is that of noise zero.
+        walking_noise: How often its noise is drawn when it walks, if nobody says anything else.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
@@ -36,6 +40,7 @@ class Forecaster(nn.Module):
     stochastic: ClassVar[bool] = True
     noise_dim: int = 0
     mode_at_zero: ClassVar[bool] = False
+    walking_noise: Noise = "episode"
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 
@@ -65,14 +70,14 @@ class Forecaster(nn.Module):
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans that ``map_id`` speaks of; only map-conditioned models use them."""
 
-    def policy(self, noise: Noise = "episode", execute_steps: int = 1) -> Walker:
+    def policy(self, noise: Noise | None = None, execute_steps: int = 1) -> Walker:
         """Return the model as a TorchRL policy; arguments as `pedzoo.models.walker.Walker`."""
         from pedzoo.models.walker import Walker
 
         return Walker(self, noise, execute_steps)
 
     def controller(
-        self, map: OccupancyGrid | str | Path | None = None, noise: Noise = "episode", **settings: Any
+        self, map: OccupancyGrid | str | Path | None = None, noise: Noise | None = None, **settings: Any
     ) -> Controller:
         """Return the model as a controller for the people of any simulator.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, NamedTuple, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -13,10 +13,8 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from pedzoo import draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, ids_of
+from pedzoo.models.base import Forecaster, Noise, ids_of
 from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
-
-Noise = Literal["episode", "step", "scene", "mixed"]
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -53,7 +51,7 @@ class Walker(TensorDictModuleBase):
     def __init__(
         self,
         model: Forecaster,
-        noise: Noise = "episode",
+        noise: Noise | None = None,
         execute_steps: int = 1,
         noise_seed: int = 0,
     ) -> None:
@@ -71,6 +69,7 @@ class Walker(TensorDictModuleBase):
             UserError: A setting is out of range.
         """
         super().__init__()
+        noise = noise or model.walking_noise
         if noise not in get_args(Noise):
             raise unknown("noise", noise, get_args(Noise))
         if not 1 <= execute_steps <= PRED_LEN:

@@ -21,7 +21,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
     """Fill the generator of ``module`` with ``weights``.
 
     Everything else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo
-    weights do not have. The goal protocol may be another one than theirs, and so may the losses.
+    weights do not have. The goal protocol and whose the noise is may be others than theirs, and the losses.
 
     Args:
         module: About to be trained.
@@ -31,7 +31,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
         UserError: No such weights, or they are of another architecture.
     """
     model = load(weights)
-    free = LOSSES | {"goal_protocol"}
+    free = LOSSES | {"goal_protocol", "noise"}
     if changed := differences(config_of(model), config_of(module.generator), free):
         raise UserError(
             f"--weights {weights} are of another architecture ({'; '.join(changed)}): "

@@ -64,7 +64,7 @@ class SGAN(Forecaster):
         decoder_dim: int = 32,
         mlp_dim: int = 64,
         noise_dim: int = 8,
-        noise: Literal["scene", "agent"] = "scene",
+        noise: Literal["scene", "agent", "mixed"] = "scene",
         bottleneck_dim: int = 0,
         goal_dim: int = 0,
         goal_protocol: GoalProtocol = "none",
@@ -89,7 +89,8 @@ class SGAN(Forecaster):
             decoder_dim: Width of the decoder LSTM.
             mlp_dim: Width of the hidden layer between encoder and decoder.
             noise_dim: Width of the noise z.
-            noise: One z per ``scene`` (published models) or per ``agent``.
+            noise: One z per ``scene`` (published models) or per ``agent``; ``mixed`` likewise, and half of it
+                is drawn anew at every step of those who walk.
             bottleneck_dim: Width of social pooling; 0 for none.
             goal_dim: Width of the goal's linear layer; 0 for no goal.
             goal_protocol: The goal protocol of the training data.
@@ -133,6 +134,7 @@ class SGAN(Forecaster):
             raise UserError("frame way is that of the way to the goal: set goal_dim, or frame heading")
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
+        self.walking_noise = "mixed" if noise == "mixed" else "episode"
         self.best_k = best_k
         self.error: Kind = error
         self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
@@ -186,8 +188,8 @@ class SGAN(Forecaster):
         turned = self.frame != "world" or self.map is not None or self.approach is not None
         heading = None
         if turned:
-            to_way = goal is not None and self.frame == "way"
-            heading = frames.way(moved, goal) if to_way else frames.heading(moved, goal)
+            by_way = self.frame == "way" and goal is not None
+            heading = frames.way(moved, goal) if by_way else frames.heading(moved, goal)
         frame = None if self.frame == "world" else heading
         moved = frames.into(frame, moved)
         hidden = self.encoder(moved, folded.encoder)
