@@ -63,12 +63,13 @@ class Written(NamedTuple):
 
 @pytest.fixture(scope="session")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    """A model with everything: pooling, goal, map, frames of its own, twelve steps."""
+    """A model with everything: pooling, approaches, goal, map, trait, frames of its own, twelve steps."""
     for package in onnx_export.PACKAGES:
         pytest.importorskip(package, reason="needs pedzoo[onnx]")
     folder = tmp_path_factory.mktemp("onnx")
     options: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "destination", "bottleneck_dim": 4}
-    model = SGAN(map="patch", map_dim=4, frame="heading", residual="bent_line", **options)
+    options |= {"map": "rings", "map_dim": 4, "approach_dim": 4, "trait_dim": 4}
+    model = SGAN(frame="way", residual="bent_line", **options)
     weights = folder / "mine.safetensors"
     save_weights(random_weights(model), weights, protocol={"pred_len": STEPS})
     furnished().save(folder / "room.yaml")
@@ -234,7 +235,7 @@ def test_missing_packages_are_named(
     assert "ONNX needs onnxruntime: pip install 'pedzoo[onnx]'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("kind", ["patch", "alexnet"])
+@pytest.mark.parametrize("kind", ["patch", "rings", "alexnet"])
 def test_a_plan_as_input_is_seen_as_one_of_a_bank(kind: Any, alexnet: Path) -> None:
     """Before any tracing: the floor plan's image and affine against the bank's atlas."""
     grid, model = furnished(), random_weights(SGAN(map=kind, map_dim=4))
