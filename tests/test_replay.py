@@ -590,7 +590,7 @@ def test_noise_is_drawn_by_the_person(plaza: Replay) -> None:
     ids[[first, second]] = ids[[second, first]]
     walker = load_policy("sgan_goal.zara1")
     assert isinstance(walker, Walker)
-    noise, other = walker._drawn(now), walker._drawn(swapped)
+    noise, other = walker.noise_of(now), walker.noise_of(swapped)
     assert noise is not None and other is not None
     assert torch.equal(noise[0, [second, first]], other[0, [first, second]])
     assert not torch.equal(noise[0, first], other[0, first])

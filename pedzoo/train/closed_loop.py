@@ -28,9 +28,10 @@ METRICS = (
 )
 """What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
 
-BEST = dict.fromkeys(("success", "episode_success", "clean"), "max") | dict.fromkeys(
-    ("deadlock", "failed", "agent_contacts_per_min", "wall_contacts_per_min"), "min"
-)
+BEST: dict[str, str] = {
+    **dict.fromkeys(("success", "episode_success", "clean"), "max"),
+    **dict.fromkeys(("deadlock", "failed", "agent_contacts_per_min", "wall_contacts_per_min"), "min"),
+}
 """Which value of a metric is best, where there is no doubt."""
 
 MEANS = ("success", "clean")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from pedzoo.sim.env import PedestrianEnv
@@ -65,7 +65,7 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
     over = torch.zeros(env.batch_size[0], dtype=torch.bool)
     map_id, pose = seen["map_id"][:, 0], seen["scene_pose"]
     for _ in range(steps):
-        agents = seen["agents"]
+        agents = cast("TensorDict", seen["agents"])
         there = agents["mask"] & ~over.unsqueeze(1)
         before = agents["history"][:, :, -1:]
         after = env.step(policy(seen))["next"]

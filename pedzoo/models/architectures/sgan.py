@@ -188,8 +188,10 @@ class SGAN(Forecaster):
         turned = self.frame != "world" or self.map is not None or self.approach is not None
         heading = None
         if turned:
-            by_way = self.frame == "way" and goal is not None
-            heading = frames.way(moved, goal) if by_way else frames.heading(moved, goal)
+            if self.frame == "way" and goal is not None:
+                heading = frames.way(moved, goal)
+            else:
+                heading = frames.heading(moved, goal)
         frame = None if self.frame == "world" else heading
         moved = frames.into(frame, moved)
         hidden = self.encoder(moved, folded.encoder)
