@@ -42,7 +42,7 @@ _EXPECTED = (
 
 _USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
 
-_TRAINING_ONLY = ("batch_size", "max_pairs", "rotate", "mirror", "seed")
+_TRAINING_ONLY = ("batch_size", "max_pairs", "rotate", "mirror", "seed", "unroll", "unroll_batch_size")
 
 
 def train(command: Command, argv: list[str], about: str, example: str) -> int:
@@ -120,6 +120,22 @@ class TrainingCLI(LightningCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
         self.config = parse(parser, args, [("model", ForecastModule)])
+
+    def instantiate_classes(self) -> None:
+        """Build everything; what a class refuses is told in its own words.
+
+        Raises:
+            UserError: A class refused its options.
+        """
+        try:
+            super().instantiate_classes()
+        except ValueError as error:
+            cause: BaseException | None = error
+            while cause is not None and not isinstance(cause, UserError):
+                cause = cause.__cause__  # jsonargparse says of what type nothing was, and shows all options
+            if cause is not None:
+                raise cause from None
+            raise
 
     def _parse_ckpt_path(self) -> None:
         """Leave the command line alone: it wins over what a checkpoint remembers."""

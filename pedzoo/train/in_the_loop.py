@@ -41,6 +41,7 @@ class LoopModule(ForecastModule):
         steps: int = 25,
         keep: int = 3,
         forecast_weight: float = 1.0,
+        lenient: float = 0.0,
         **options: Any,
     ) -> None:
         """Take a generator and where it walks.
@@ -53,16 +54,20 @@ class LoopModule(ForecastModule):
             steps: Of 0.4 s in a segment.
             keep: Segments after which an episode is given up.
             forecast_weight: Weight of the generator's own loss on recordings, per person.
+            lenient: Share of the training in which people and walls come to count what they will: a quarter of
+                it at the beginning. Whom they frighten from the first step on learns to creep.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:
             UserError: A number is out of range.
         """
         super().__init__(generator, **options)
-        if min(steps, keep) < 1:
-            raise UserError(f"steps {steps}, keep {keep}: expected at least 1")
+        if min(steps, keep) < 1 or not 0 <= lenient <= 1:
+            raise UserError(
+                f"steps {steps}, keep {keep}, lenient {lenient}: expected at least 1, 1, and 0 to 1"
+            )
         self.walking, self.imitation = walking, imitation
-        self.steps, self.keep, self.forecast_weight = steps, keep, forecast_weight
+        self.steps, self.keep, self.forecast_weight, self.lenient = steps, keep, forecast_weight, lenient
         for part in generator.modules():
             if isinstance(part, nn.Dropout):
                 part.p = 0.0  # who learns to walk without seeing walls now and then stays away from all doors
@@ -71,8 +76,19 @@ class LoopModule(ForecastModule):
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Return Adam; `set_lr` sets its learning rate at every iteration."""
-        return torch.optim.Adam(self.generator.parameters(), self.lr)
+        """Return Adam, of a discriminator too; `set_lr` sets its learning rate at every iteration."""
+        return torch.optim.Adam([*self.generator.parameters(), *self.imitation.parameters()], self.lr)
+
+    def setup(self, stage: str) -> None:
+        """Check the data; see `ForecastModule.setup`.
+
+        Raises:
+            UserError: There are no windows to imitate.
+        """
+        super().setup(stage)
+        data: Any = getattr(self.trainer, "datamodule", None)
+        if stage == "fit" and data is not None and not data.hparams.unroll:
+            raise UserError("training in the loop imitates recorded walks: set --data.unroll, such as 12")
 
     def training_step(self, batch: dict[str, TensorDict], batch_idx: int) -> Tensor:
         """Return the loss of a segment and of two batches of recordings."""
@@ -98,7 +114,12 @@ class LoopModule(ForecastModule):
         running.end(segment.done)
         for name in ("touched", "grazed"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
-        return self.walking(segment, running.env.bank, noise)
+        return self.walking(segment, running.env.bank, noise, self.firmness())
+
+    def firmness(self) -> float:
+        """Return what people and walls count now, as a share of what they will: see ``lenient``."""
+        done = int(self.iteration) / self.iterations()
+        return 1.0 if done >= self.lenient else 0.25 + 0.75 * done / self.lenient
 
     def _log(self, values: dict[str, Tensor]) -> None:
         for name, value in values.items():
@@ -107,17 +128,20 @@ class LoopModule(ForecastModule):
     def on_after_backward(self) -> None:
         """Count the iteration, and leave out what is not finite."""
         self.iteration += 1
-        gradients = [p.grad for p in self.generator.parameters() if p.grad is not None]
-        if not all(bool(gradient.isfinite().all()) for gradient in gradients):
+        trained = [
+            p for p in (*self.generator.parameters(), *self.imitation.parameters()) if p.grad is not None
+        ]
+        if not all(bool(cast("Tensor", p.grad).isfinite().all()) for p in trained):
             self.skipped += 1
-            for parameter in self.generator.parameters():
+            for parameter in trained:
                 parameter.grad = None  # which Adam passes over
         self._log({"skipped": self.skipped.float()})
 
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
-        """Clip the gradient and set the learning rate."""
+        """Clip the gradients, each network's on its own, and set the learning rate."""
         if self.clip:
-            torch.nn.utils.clip_grad_norm_(self.generator.parameters(), self.clip)
+            for network in (self.generator, self.imitation):
+                torch.nn.utils.clip_grad_norm_(list(network.parameters()), self.clip)
         self.set_lr(optimizer, self.lr, int(self.iteration) - 1)
 
     def teardown(self, stage: str) -> None:

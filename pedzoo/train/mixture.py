@@ -11,7 +11,7 @@ from torch import Tensor
 from pedzoo.draws import join, uniform
 from pedzoo.errors import UserError
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env
+from pedzoo.sim.make import make_env, make_scenario
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,12 @@ class Mixture:
         """Take the courses; ``seed`` is of their scenes.
 
         Raises:
-            UserError: There is none.
+            UserError: There is none, or an unknown scenario or setting.
         """
         if not courses:
             raise UserError("no courses: expected at least one scenario to train in")
+        for course in courses:
+            make_scenario(course.scenario)  # a mistake is told before the training, and not in its midst
         self.courses, self.seed = courses, seed
         self._running: dict[int, Running] = {}
         self._shares = torch.tensor([course.share for course in courses]).cumsum(0)

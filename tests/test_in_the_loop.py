@@ -1,0 +1,283 @@
+"""Training in the loop: what it learns, what an update does, how runs go on, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import lightning as L
+import pytest
+import torch
+import yaml
+from lightning.pytorch.callbacks import Callback
+from torch import Tensor, nn
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.errors import UserError
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.walker import Walker
+from pedzoo.sim.make import make_env
+from pedzoo.train.imitation import Imitation
+from pedzoo.train.in_the_loop import LoopModule
+from pedzoo.train.loop_losses import LoopLosses
+from pedzoo.train.mixture import Course
+from pedzoo.train.segments import Segment, unrolled
+
+CONFIG = "closed_loop/sgan_goal_map"
+COURSES = '[{"scenario": "door:width=0.9", "scenes": 3}, {"scenario": "circle:people=2", "scenes": 2}]'
+QUICK = ["--model.courses", COURSES, "--model.steps", "3", "--model.samples", "2", "--data.fold", "embedded"]
+QUICK += ["--data.batch_size", "4", "--data.unroll_batch_size", "4", "--data.unroll", "5"]
+QUICK += ["--trainer.limit_train_batches", "3", "--trainer.limit_val_batches", "1"]
+QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
+STILL = ["--rollout.scenarios", "null", "--monitor", "val/ade", "--monitor_mode", "min"]
+MEETING = "hallway:people=2,jitter=0"
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
+    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
+    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Every test writes its runs into a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def fit(weights: str, *options: str, epochs: int = 1) -> Path:
+    """Train in the loop from weights, and return the new run folder."""
+    before = set(Path().glob("runs/*/*"))
+    words = ["fit", "--config", CONFIG, "--weights", weights, *QUICK, "--trainer.max_epochs", str(epochs)]
+    assert main([*words, *options]) == 0
+    (run,) = set(Path().glob("runs/*/*")) - before
+    return run
+
+
+def small() -> SGAN:
+    """Return an untrained controller, which walks straight to its goal."""
+    torch.manual_seed(0)
+    return SGAN(
+        embedding_dim=8, encoder_dim=16, decoder_dim=16, mlp_dim=16, noise_dim=4, noise="agent", goal_dim=8,
+        goal_protocol="window_end", frame="way", residual="bent_line", approach_dim=8, trait_dim=8, best_k=2,
+    )  # fmt: skip
+
+
+def module(model: SGAN | None = None, walking: LoopLosses | None = None, **options: Any) -> LoopModule:
+    """Return a training of two people who walk towards each other."""
+    defaults: dict[str, Any] = {"imitation": Imitation(displacement=0.1, distribution=0.0), "steps": 10}
+    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "keep": 1}
+    torch.manual_seed(0)  # the run's seed
+    courses = [Course(MEETING, scenes=6)]
+    return LoopModule(model or small(), courses, walking or LoopLosses(), **defaults | options)
+
+
+def train(trained: LoopModule, updates: int, *callbacks: Callback, **data: Any) -> L.Trainer:
+    """Train for some updates of one epoch, without validation."""
+    quiet: dict[str, Any] = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
+    quiet |= {"limit_val_batches": 0, "num_sanity_val_steps": 0, "enable_checkpointing": False}
+    trainer = L.Trainer(
+        accelerator="cpu",
+        max_epochs=1,
+        limit_train_batches=updates,
+        callbacks=list(callbacks),
+        log_every_n_steps=1,
+        **quiet,
+    )
+    settings = {"goal": "window_end", "batch_size": 4, "unroll": 4, "unroll_batch_size": 4} | data
+    trainer.fit(trained, TrajectoryDataModule(**settings))
+    return trainer
+
+
+def walked(model: SGAN) -> tuple[Segment, Tensor]:
+    """Return what a model does in scenes of a seed of its own, and its cost but for forecasts."""
+    env = make_env(MEETING, 16, seed=77)
+    with torch.no_grad():
+        segment = unrolled(env, Walker(model), env.reset(), 14)
+        return segment, torch.stack(list(LoopLosses()(segment, env.bank).values())).sum()
+
+
+def test_people_learn_to_keep_clear_of_each_other() -> None:
+    """Those who met head-on touched each other in all scenes; a few updates later, in hardly any."""
+    model = small()
+    before, cost = walked(model)
+    train(module(model, lr=5e-3), 15, batch_size=2, unroll=2, unroll_batch_size=2)
+    after, less = walked(model)
+    touched = [segment.touched.any(0).any(1).float().mean() for segment in (before, after)]
+    assert touched[0] > 0.9 and touched[1] < 0.3
+    assert less < 0.7 * cost
+    assert after.progress.sum() > 0.8 * before.progress.sum()  # and they still walk
+
+
+class Broken(LoopLosses):
+    """Costs nan in the second update, with gradients that are nan, too."""
+
+    calls = 0
+
+    def __call__(self, *arguments: Any) -> dict[str, Tensor]:
+        """Return the terms."""
+        self.calls += 1
+        terms = super().__call__(*arguments)
+        return {key: value * math.nan if self.calls == 2 else value for key, value in terms.items()}
+
+
+class Watch(Callback):
+    """Keeps the weights after every update."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self.weights: list[Tensor] = []
+
+    def on_train_batch_start(  # noqa: D102
+        self, trainer: L.Trainer, pl_module: L.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        self.on_train_batch_end(trainer, pl_module, None, batch, batch_idx)
+
+    def on_train_batch_end(  # noqa: D102
+        self, trainer: L.Trainer, pl_module: L.LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        self.weights.append(nn.utils.parameters_to_vector(pl_module.parameters()).detach().clone())
+
+
+def test_an_update_without_a_finite_gradient_is_left_out_and_counted() -> None:
+    watch, trained = Watch(), module(walking=Broken(), imitation=Imitation(adversarial=0.1), steps=3)
+    trainer = train(trained, 3, watch)
+    first, second, third = (watch.weights[i : i + 2] for i in (0, 2, 4))
+    assert torch.equal(*second) and not torch.equal(*first) and not torch.equal(*third)
+    assert bool(torch.stack(watch.weights).isfinite().all())
+    assert int(trained.skipped) == 1 and trainer.callback_metrics["train/skipped"] > 0
+    assert int(trained.iteration) == 3
+
+
+def test_a_discriminator_of_walks_is_trained_beside_the_model() -> None:
+    imitation = Imitation(displacement=0.0, distribution=0.0, adversarial=1.0)
+    judge = imitation.discriminator
+    assert judge is not None
+    before = [parameter.clone() for parameter in judge.parameters()]
+    trainer = train(module(imitation=imitation, steps=2), 2)
+    assert not any(torch.equal(a, b) for a, b in zip(before, judge.parameters(), strict=True))
+    assert {"train/imitation/adversarial", "train/imitation/discriminator"} <= set(trainer.callback_metrics)
+
+
+def test_dropout_of_walls_is_off() -> None:
+    model = SGAN(goal_dim=4, goal_protocol="window_end", map="rings", map_dropout=0.5)
+    trained = module(model)
+    assert all(part.p == 0 for part in trained.modules() if isinstance(part, nn.Dropout))
+
+
+def leaves(tree: Any) -> Iterator[Any]:
+    """Yield everything in nested dicts and lists."""
+    for value in tree.values() if isinstance(tree, dict) else tree:
+        yield from leaves(value) if isinstance(value, dict | list | tuple) else [value]
+
+
+def test_fit_twice_one_epoch_is_fit_two() -> None:
+    """Environments, noise, optimizer and discriminator too: bit-equal weights and optimizer states."""
+    options = ["--model.final_lr", "1", "--model.imitation.adversarial", "0.1", *STILL]
+    whole = fit("sgan_goal.zara1", *options, epochs=2)
+    halves = fit("sgan_goal.zara1", *options, epochs=1)
+    assert main(["fit", "--resume", str(halves), "--trainer.max_epochs", "2"]) == 0
+    one, two = (torch.load(run / "checkpoints" / "last.ckpt", weights_only=True) for run in (whole, halves))
+    assert one["epoch"] == two["epoch"] == 1
+    for key in ("state_dict", "optimizer_states"):
+        pairs = list(zip(leaves(one[key]), leaves(two[key]), strict=True))
+        assert len(pairs) > 20
+        assert all(torch.equal(a, b) if isinstance(a, Tensor) else a == b for a, b in pairs)
+
+
+@pytest.mark.parametrize("weights", ["sgan_goal.zara1", "social_vrnn.zara1"])
+def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its architecture and data win over the config's; checkpoints are chosen by all scenarios together."""
+    walks = ["--rollout.scenarios", '["circle:people=2", "hallway"]', "--rollout.episodes", "2"]
+    run = fit(weights, *walks, "--monitor", "rollout/clean", "--monitor_mode", "max")
+    assert run == Path("runs/closed_loop.sgan_goal_map/embedded-seed0")
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
+    generator = config["model"]["init_args"]["generator"]
+    assert generator["init_args"] == before.config == after.config
+    assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
+    pairs = zip(before.parameters(), after.parameters(), strict=True)
+    assert any(not torch.equal(a, b) for a, b in pairs)
+    with (run / "metrics.csv").open() as file:
+        (row,) = (row for row in csv.DictReader(file) if row["rollout/clean"])
+    each = [float(row[f"rollout/{name}/clean"]) for name in ("circle:people=2", "hallway")]
+    assert float(row["rollout/clean"]) == pytest.approx(sum(each) / 2)
+    next_step = capsys.readouterr().out.partition("next: pedzoo forecast")[2]
+    assert "embedded" in next_step and "unroll" not in next_step
+
+
+def printed(capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    """Return the whole configuration of a training."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit, match="0"):
+        main(["fit", "--config", CONFIG, *options, "--print_config"])
+    return yaml.safe_load(capsys.readouterr().out)["model"]["init_args"]
+
+
+def arguments_of(cls: type) -> list[str]:
+    return [name for name in inspect.signature(cls).parameters if name not in ("self", "discriminator")]
+
+
+def test_every_weight_is_an_option(capsys: pytest.CaptureFixture[str]) -> None:
+    walking = {name: 1.5 + i for i, name in enumerate(arguments_of(LoopLosses))}
+    imitation = {name: 2 + i for i, name in enumerate(arguments_of(Imitation)) if name != "features"}
+    own = {"steps": 7, "keep": 9, "forecast_weight": 0.7, "lr": 0.1, "warmup": 3, "final_lr": 0.5, "clip": 4}
+    course = {"scenario": "door:people=3", "scenes": 5, "share": 0.25}
+    words = [f"--model.walking.{name}={value}" for name, value in walking.items()]
+    words += [f"--model.imitation.{name}={value}" for name, value in imitation.items()]
+    words += [f"--model.{name}={value}" for name, value in own.items()]
+    words += ["--model.imitation.features", '{"speed": 2}', "--model.courses", json.dumps([course])]
+    found = printed(capsys, *words)
+    said = found["walking"].get("init_args", found["walking"])
+    assert {name: said[name] for name in walking} == walking
+    said = found["imitation"].get("init_args", found["imitation"])
+    assert {name: said[name] for name in imitation} == imitation and said["features"] == {"speed": 2.0}
+    assert {name: found[name] for name in own} == own and found["courses"] == [course]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--model.walking.peopel", "3"], "people"),
+        (["--model.walking.people", "-1"], "people -1.0: expected at least 0"),
+        (["--model.walking.people", "much"], "walking"),
+        (["--model.imitation.samples", "0"], "samples 0"),
+        (["--model.imitation.features", '{"sped": 1}'], "did you mean 'speed'?"),
+        (["--model.steps", "0"], "steps 0"),
+        (["--model.courses", "[]"], "no courses: expected at least one scenario"),
+        (["--model.courses", '[{"scenario": "dor"}]'], "did you mean 'door'?"),
+        (["--model.courses", '[{"scenario": "door:widht=1"}]'], "did you mean 'width'?"),
+        (
+            ["--model.courses", '[{"scenario": "door", "scenes": 0}]'],
+            "scenes 0, share 1.0: expected",
+        ),
+        (["--model.courses", '[{"scenario": "door", "shares": 2}]'], "courses"),
+        (["--data.unroll", "0"], "set --data.unroll, such as 12"),
+        (["--monitor", "rollout/clean", "--monitor_mode", "min"], "add --monitor_mode max"),
+        (["--monitor", "rollout/clean", "--rollout.scenarios", "null"], "set --rollout.scenarios"),
+    ],
+)
+def test_what_cannot_be_is_told_before_the_training(
+    options: list[str], told: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
+) -> None:
+    walks = ["--rollout.scenarios", "[hallway]"]
+    words = ["fit", "--config", CONFIG, "--weights", "sgan_goal.zara1", *QUICK, *walks, *options]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+    assert not list(elsewhere.iterdir())
+
+
+def test_a_course_says_what_is_wrong_with_it() -> None:
+    with pytest.raises(UserError, match="'door': scenes 4, share -1: expected at least 1 and above 0"):
+        Course("door", 4, -1)
+    with pytest.raises(UserError, match="keep 0"):
+        module(cast("SGAN", small()), keep=0)
