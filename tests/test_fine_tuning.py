@@ -108,7 +108,7 @@ def test_losses_and_the_goal_protocol_may_be_others() -> None:
     goal = ["--data.goal", "destination", "--model.generator.goal_protocol", "destination"]
     run = fit("--weights", NAME, "--data.fold", "embedded", "--model.generator.best_k", "2", *goal, *STILL)
     tuned = pedzoo.load(last(run))
-    assert isinstance(tuned, SGAN) and tuned.goal_protocol == "destination" and tuned.best_k == 2
+    assert isinstance(tuned, SGAN) and tuned.goal_protocol == "destination" and tuned.losses.best_k == 2
     assert_same_weights(last(run), NAME)
 
 

@@ -89,7 +89,7 @@ def plain_distance(model: SGAN, batch: TensorDict, scene: int, path: Tensor, oth
         for step in range(after.shape[1]):
             if not known[person, step]:
                 continue
-            if model.error == "distance":
+            if model.losses.error == "distance":
                 reached = before[person, -1] + path[person, : step + 1].sum(0)
                 wanted = after[person, step]
                 if other is not None:
@@ -108,7 +108,9 @@ def plain_noise(model: SGAN, batch: TensorDict, seed: int) -> Tensor:
     """Return the noise (at least 2, P, noise_dim) of the loss: one row per scene, or per person."""
     mask = agents_of(batch)["mask"]
     rows = len(mask) if model.noise == "scene" else int(mask.sum())
-    z = torch.randn(max(model.best_k, 2), rows, model.noise_dim, generator=seeded(seed), dtype=torch.float64)
+    z = torch.randn(
+        max(model.losses.best_k, 2), rows, model.noise_dim, generator=seeded(seed), dtype=torch.float64
+    )
     return z[:, mask.nonzero()[:, 0]] if model.noise == "scene" else z
 
 
@@ -123,14 +125,14 @@ def plain_loss(model: SGAN, batch: TensorDict, seed: int) -> Tensor:
     for scene in range(len(mask)):
         paths = [plain_path(model, batch, scene, sample[scene_of == scene]) for sample in z]
         errors = [plain_error(model, batch, scene, path) for path in paths]
-        loss = loss + model.variety_weight * torch.stack(errors[-model.best_k :]).min()
-        if model.energy_weight:
+        loss = loss + model.losses.variety_weight * torch.stack(errors[-model.losses.best_k :]).min()
+        if model.losses.energy_weight:
             spread = plain_distance(model, batch, scene, paths[-1], paths[-2])
-            loss = loss + model.energy_weight * (errors[-1] + errors[-2] - spread) / 2
-        if model.mode_weight:
+            loss = loss + model.losses.energy_weight * (errors[-1] + errors[-2] - spread) / 2
+        if model.losses.mode_weight:
             zero = torch.zeros_like(z[0, scene_of == scene])
             error = plain_error(model, batch, scene, plain_path(model, batch, scene, zero))
-            loss = loss + model.mode_weight * error
+            loss = loss + model.losses.mode_weight * error
     return loss
 
 
@@ -184,12 +186,12 @@ def test_samples_are_the_plain_ones(residual: str, steps: int) -> None:
     model = small(bottleneck_dim=3, residual=residual, **GOAL)
     batch = make_batch((2, 4, 1), dtype=torch.float64, steps=steps)
     z = plain_noise(model, batch, 3)
-    sampled = model.sample(batch, model.best_k, steps, seeded(3))
+    sampled = model.sample(batch, model.losses.best_k, steps, seeded(3))
     mask = agents_of(batch)["mask"]
-    assert sampled.shape == (3, model.best_k, 4, steps, 2)
+    assert sampled.shape == (3, model.losses.best_k, 4, steps, 2)
     assert (sampled.transpose(1, 2)[~mask] == 0).all()
     for scene in range(3):
-        for k in range(model.best_k):
+        for k in range(model.losses.best_k):
             wanted = plain_path(model, batch, scene, z[k, mask.nonzero()[:, 0] == scene])
             torch.testing.assert_close(sampled[scene, k, mask[scene]], wanted)
     torch.testing.assert_close(

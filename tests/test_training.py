@@ -169,7 +169,7 @@ def test_fit_twice_two_epochs_is_fit_four(config: str, tmp_path: Path) -> None:
         assert len(values) == 4 and all(math.isfinite(value) and value > 0 for value in values), name
     assert len({row["val/ade"] for row in rows if row["val/ade"]}) == 4
     found = pedzoo.load(str(whole))
-    assert isinstance(found, SGAN) and found.best_k == 3
+    assert isinstance(found, SGAN) and found.losses.best_k == 3
 
 
 def _plain_config(folder: Path) -> Path:
@@ -226,7 +226,7 @@ def test_losses_may_change_when_a_run_goes_on(tmp_path: Path) -> None:
     make_trainer(saver, max_epochs=1).fit(make_module("gan"), make_data())
     module = make_module("gan", adversarial_weight=0.0)
     cast("SGAN", module.generator).config["best_k"] = 2
-    cast("SGAN", module.generator).best_k = 2
+    cast("SGAN", module.generator).losses.best_k = 2
     make_trainer(max_epochs=2).fit(module, make_data(), ckpt_path=tmp_path / "last.ckpt")
     assert int(module.iteration) == 6
 

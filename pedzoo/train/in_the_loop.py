@@ -54,8 +54,8 @@ class LoopModule(ForecastModule):
             steps: Of 0.4 s in a segment.
             keep: Segments after which an episode is given up.
             forecast_weight: Weight of the generator's own loss on recordings, per person.
-            lenient: Share of the training in which people and walls come to count what they will: a quarter of
-                it at the beginning. Whom they frighten from the first step on learns to creep.
+            lenient: Share of the training in which people and walls come to count what they will: a quarter
+                of it at the beginning. Whom they frighten from the first step on learns to creep.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:

@@ -66,7 +66,9 @@ class LoopLosses:
         self.people_margin, self.wall_margin = people_margin, wall_margin
         self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
 
-    def __call__(self, segment: Segment, bank: MapBank, noise: Tensor | None = None) -> dict[str, Tensor]:
+    def __call__(
+        self, segment: Segment, bank: MapBank, noise: Tensor | None = None, firmness: float = 1.0
+    ) -> dict[str, Tensor]:
         """Return the weighted terms, scalars.
 
         Args:
@@ -74,6 +76,7 @@ class LoopLosses:
             bank: The floor plans.
             noise: Of everybody when the segment begins (B, A, Z), of which the first number is how assertive
                 they are, and the second on which side they like to pass; None where there is none.
+            firmness: Share of their weights that people and walls have.
         """
         moved = segment.moved
         # by people and not by their steps: whoever dawdles must not thin out what went wrong
@@ -88,13 +91,13 @@ class LoopLosses:
         weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
-            "people": self.people * mean(_hinge(near)),
+            "people": firmness * self.people * mean(_hinge(near)),
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }
         if bank.grids:
             near = BODY_RADIUS + self.wall_margin - wall_distances(segment, bank)
-            terms["walls"] = self.walls * mean(_hinge(near).mean(-1))
+            terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
         if self.side and noise is not None and noise.shape[-1] > 1:
             terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
         return terms

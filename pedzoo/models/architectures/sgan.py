@@ -29,8 +29,9 @@ from pedzoo.models.blocks.map_rings import RingEncoder
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
 from pedzoo.models.blocks.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
-from pedzoo.models.blocks.scene_error import Kind, SceneError
+from pedzoo.models.blocks.scene_error import Kind
 from pedzoo.models.blocks.trait import Trait
+from pedzoo.models.blocks.variety import VarietyLoss
 from pedzoo.types import GoalProtocol
 
 
@@ -120,12 +121,6 @@ class SGAN(Forecaster):
             raise UserError(
                 f"noise_dim {noise_dim}: expected 1 to {decoder_dim - 1}, a part of decoder_dim {decoder_dim}"
             )
-        if best_k < 1:
-            raise UserError(f"best_k {best_k}: expected at least 1 sample")
-        if energy_weight and error != "distance":
-            raise UserError(
-                "energy_weight needs error: distance; a squared error's energy score rewards the mean alone"
-            )
         if residual == "bent_line" and not goal_dim:
             raise UserError(
                 "residual bent_line bends to the goal: set goal_dim, or residual constant_velocity"
@@ -135,9 +130,7 @@ class SGAN(Forecaster):
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
         self.walking_noise = "mixed" if noise == "mixed" else "episode"
-        self.best_k = best_k
-        self.error: Kind = error
-        self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
+        self.losses = VarietyLoss(best_k, error, variety_weight, mode_weight, energy_weight)
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
         self.pooling = (
@@ -285,11 +278,7 @@ class SGAN(Forecaster):
         encoded: Encoded | None = None,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the variety loss and one random sample (P, T, 2) for a discriminator.
-
-        For each scene the mean squared displacement error of the best of ``best_k`` samples, best for
-        all its people together, summed over scenes (Gupta et al., eq. 8). Only the winners have a
-        gradient, so the candidates are drawn without one and just the winners run again.
+        """Return the loss (see `VarietyLoss`) and one random sample (P, T, 2) for a discriminator.
 
         Args:
             batch: Recorded scenes.
@@ -298,32 +287,7 @@ class SGAN(Forecaster):
             sample: Whether the random sample is wanted.
         """
         steps = agents_of(batch)["future"].shape[2]
-        encoded = encoded or self.encode(batch, steps)
-        crowd = encoded.crowd
-        error = SceneError(self.error, batch, crowd)
-        z = self.draw(encoded, max(self.best_k, 2), generator)
-        chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
-        chosen["winner"] = z[-1]
-        if self.best_k > 1 and self.variety_weight:
-            with torch.no_grad():
-                best = error(self.decode(encoded, z[-self.best_k :], steps)).argmin(1)
-            chosen["winner"] = z[-self.best_k :][best[crowd.scene], torch.arange(z.shape[1], device=z.device)]
-        if self.energy_weight:
-            chosen["other"] = z[-2]
-        if self.mode_weight:
-            chosen["mode"] = torch.zeros_like(z[-1])
-        path = dict(zip(chosen, self.decode(encoded, torch.stack(list(chosen.values())), steps), strict=True))
-
-        def cost(name: str, other: Tensor | None = None) -> Tensor:
-            return error(path[name].unsqueeze(0), other).sum()
-
-        loss = self.variety_weight * cost("winner")
-        if self.energy_weight:
-            miss = cost("sample") + cost("other") - cost("sample", path["other"])
-            loss = loss + self.energy_weight * miss / 2
-        if self.mode_weight:
-            loss = loss + self.mode_weight * cost("mode")
-        return loss, path.get("sample")
+        return self.losses(self, batch, encoded or self.encode(batch, steps), steps, generator, sample)
 
 
 def _fold(model: SGAN) -> Folded:

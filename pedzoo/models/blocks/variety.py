@@ -1,0 +1,87 @@
+"""What forecasts with noise are trained by: the best of several, two at random, and the one without noise."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.errors import UserError
+from pedzoo.models.blocks.scene_error import Kind, SceneError
+
+if TYPE_CHECKING:
+    from pedzoo.models.architectures.sgan import SGAN, Encoded
+
+
+class VarietyLoss:
+    """The variety loss, the energy score and the error of the most likely forecast, weighed.
+
+    For each scene the error of the best of ``best_k`` samples, best for all its people together (Gupta et
+    al., CVPR 2018, eq. 8). Only the winners have a gradient, so the candidates are drawn without one and just
+    the winners run again.
+    """
+
+    def __init__(
+        self, best_k: int, error: Kind, variety_weight: float, mode_weight: float, energy_weight: float
+    ) -> None:
+        """Weigh the terms; arguments as of `pedzoo.models.architectures.sgan.SGAN`.
+
+        Raises:
+            UserError: No sample, or an energy score of squared errors.
+        """
+        if best_k < 1:
+            raise UserError(f"best_k {best_k}: expected at least 1 sample")
+        if energy_weight and error != "distance":
+            raise UserError(
+                "energy_weight needs error: distance; a squared error's energy score rewards the mean alone"
+            )
+        self.best_k, self.error = best_k, error
+        self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
+
+    def __call__(
+        self,
+        model: SGAN,
+        batch: TensorDict,
+        encoded: Encoded,
+        steps: int,
+        generator: torch.Generator | None = None,
+        sample: bool = True,
+    ) -> tuple[Tensor, Tensor | None]:
+        """Return the loss, summed over scenes, and one random sample (P, T, 2) for a discriminator.
+
+        Args:
+            model: Decodes.
+            batch: Recorded scenes.
+            encoded: What it encoded of them.
+            steps: T.
+            generator: Draws the noise.
+            sample: Whether the random sample is wanted.
+        """
+        crowd = encoded.crowd
+        error = SceneError(self.error, batch, crowd)
+        z = model.draw(encoded, max(self.best_k, 2), generator)
+        chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
+        chosen["winner"] = z[-1]
+        if self.best_k > 1 and self.variety_weight:
+            with torch.no_grad():
+                best = error(model.decode(encoded, z[-self.best_k :], steps)).argmin(1)
+            chosen["winner"] = z[-self.best_k :][best[crowd.scene], torch.arange(z.shape[1], device=z.device)]
+        if self.energy_weight:
+            chosen["other"] = z[-2]
+        if self.mode_weight:
+            chosen["mode"] = torch.zeros_like(z[-1])
+        paths = model.decode(encoded, torch.stack(list(chosen.values())), steps)
+        path = dict(zip(chosen, paths, strict=True))
+
+        def cost(name: str, other: Tensor | None = None) -> Tensor:
+            return error(path[name].unsqueeze(0), other).sum()
+
+        loss = self.variety_weight * cost("winner")
+        if self.energy_weight:
+            miss = cost("sample") + cost("other") - cost("sample", path["other"])
+            loss = loss + self.energy_weight * miss / 2
+        if self.mode_weight:
+            loss = loss + self.mode_weight * cost("mode")
+        return loss, path.get("sample")
