@@ -208,6 +208,21 @@ def test_names_say_what_was_not_seen_and_what_is_unusual(changed: dict[str, Any]
     assert zoo_name("sgan_goal_destination", PROTOCOL | {"goal": "destination"}).endswith("_destination")
 
 
+@pytest.mark.parametrize(
+    ("config", "fold", "name"),
+    [
+        ("open_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.eth_ucy_way"),
+        ("open_loop/sgan_goal_map", "zara1", "sgan_goal_map.zara1_way"),
+        ("closed_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.indoor"),
+        ("closed_loop/sgan_goal", "hotel", "sgan_goal.indoor_hotel"),
+        ("ppo/sgan_goal", "eth_ucy", "sgan_goal.eth_ucy_ppo"),
+    ],
+)
+def test_controllers_are_named_after_what_they_are_for(config: str, fold: str, name: str) -> None:
+    assert zoo_name(config, PROTOCOL | {"fold": fold, "clock": "true"}) == name
+    assert zoo_name(config, PROTOCOL | {"fold": fold}) == f"{name}_benchmark"
+
+
 def test_options_are_read_as_they_were_typed() -> None:
     command = ["pedzoo", "fit", "-c", "sgan", "--a=1", "--b", "-2", "--flag", "--d", "x", "y"]
     assert [(option.key, option.value) for option in options_of(command)] == [

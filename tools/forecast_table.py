@@ -10,7 +10,6 @@ from pathlib import Path
 from zoo_recipes import RECIPES
 
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.data.datasets.eth_ucy import EVERYTHING
 from pedzoo.eval.forecast import BASELINES, forecast
 from pedzoo.paths import shipped, write_whole
 from pedzoo.versions import versions
@@ -55,7 +54,8 @@ def table(root: Path) -> None:
 def rows(root: Path) -> Iterator[dict]:
     """Yield one row per recipe and baseline: test errors of every seed."""
     for recipe in RECIPES:
-        if recipe.fold == EVERYTHING or not (seeds := recipe.finished(root)):
+        # on the true clock other windows are scored, and the cards say with which errors
+        if recipe.clock == "true" or not (seeds := recipe.finished(root)):
             continue
         data = TrajectoryDataModule(fold=recipe.fold, goal=recipe.goal, pred_len=recipe.pred_len)
         case = {"fold": recipe.fold, "goal": recipe.goal, "pred_len": recipe.pred_len}

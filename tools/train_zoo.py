@@ -3,9 +3,10 @@
     python tools/train_zoo.py train | export | measure | table [--only sgan_goal]
 
 ``train`` runs ``pedzoo fit`` for every recipe and seed, as a user would, skips what is finished and resumes
-what was interrupted. ``export`` publishes the seed that is best in validation, as ``pedzoo export --zoo``
-does. ``measure`` puts the numbers on the cards that have none. ``table`` evaluates every seed on the test
-scenes and writes checkpoints/FORECAST.md. The recordings are found by PEDZOO_DATA.
+what was interrupted; closed-loop recipes go on from the exported weights of the open-loop ones. ``export``
+publishes the seed that is best in validation, as ``pedzoo export --zoo`` does. ``measure`` puts the numbers
+on the cards that have none. ``table`` evaluates every seed on the test scenes and writes
+checkpoints/FORECAST.md. The recordings are found by PEDZOO_DATA.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from zoo_recipes import RECIPES, Recipe
 from pedzoo.eval.card_numbers import measure
 from pedzoo.eval.publish import publish
 from pedzoo.models.card import read_card, write_card
-from pedzoo.paths import shipped
+from pedzoo.paths import shipped, weight_files
 
 
 def train(recipes: list[Recipe], root: Path, jobs: int) -> None:
@@ -46,9 +47,9 @@ def train_one(recipe: Recipe, seed: int, root: Path) -> None:
         command += ["--resume", str(run.path)]
     else:
         options = {**recipe.options, "seed_everything": str(seed), "runs": str(recipe.runs(root))}
-        # these weights are chosen open loop, and evaluated in closed loop afterwards
-        options |= {"rollout.scenarios": "null"}
         command += [word for key, value in options.items() for word in (f"--{key}", value)]
+    if (weights := recipe.begins_with) and weights not in weight_files():
+        raise SystemExit(f"{recipe.name} begins with {weights}: train and export these first")
     log = root / f"{recipe.name}-{seed}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
     quiet = [*command, "--trainer.enable_progress_bar", "false"]
@@ -66,7 +67,7 @@ def export(recipes: list[Recipe], root: Path) -> None:
     """Publish the seed of every recipe that is best in validation."""
     for recipe in recipes:
         if values := recipe.finished(root):
-            best = min(values, key=values.__getitem__)
+            best = recipe.best(values, key=values.__getitem__)
             card = publish(recipe.run(best, root).best, shipped("checkpoints"), recipe.name)
             print(f"{card}: seed {best} of {len(values)}, {recipe.monitor} {values[best]:.4f}", flush=True)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +29,11 @@ class Recipe:
     seeds: int = 3
 
     @property
+    def folder(self) -> str:
+        """``open_loop`` or ``closed_loop`` for controllers, whose configs are in folders; else empty."""
+        return self.config.rpartition("/")[0]
+
+    @property
     def goal(self) -> GoalProtocol:
         """Its goal protocol."""
         return GOALS.get(self.config, "window_end")
@@ -34,12 +41,26 @@ class Recipe:
     @property
     def clock(self) -> Clock:
         """The benchmark's for tables; the true one for controllers, which meet people at their real speed."""
-        return "true" if self.fold == EVERYTHING else "benchmark"
+        return "true" if self.folder or self.fold == EVERYTHING else "benchmark"
 
     @property
     def monitor(self) -> str:
         """The validation metric that chooses checkpoint and seed: what the model is made for."""
+        if self.folder == "closed_loop":
+            return "rollout/clean"
         return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_pool") else "val/ade"
+
+    @property
+    def best(self) -> Callable[..., float]:
+        """``min`` or ``max``: which of its values is best."""
+        return max if self.monitor.startswith("rollout/") else min
+
+    @property
+    def begins_with(self) -> str | None:
+        """The zoo name of the weights that a closed-loop training goes on with."""
+        if self.folder != "closed_loop":
+            return None
+        return dataclasses.replace(self, config=self.config.replace("closed", "open")).name
 
     @property
     def name(self) -> str:
@@ -51,6 +72,11 @@ class Recipe:
     def options(self) -> dict[str, str]:
         """What ``pedzoo fit`` is told beside the seed."""
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}
+        if self.begins_with:
+            options |= {"weights": self.begins_with, "monitor_mode": self.best.__name__}
+        else:
+            # these weights are chosen open loop, and evaluated in closed loop afterwards
+            options["rollout.scenarios"] = "null"
         if self.pred_len != PRED_LEN:
             options["data.pred_len"] = str(self.pred_len)
         if self.clock != "benchmark":
@@ -59,23 +85,28 @@ class Recipe:
 
     def runs(self, root: Path) -> Path:
         """Return the folder that ``pedzoo fit`` is told to write its runs below."""
-        return root / f"p{self.pred_len}"
+        return root if self.folder else root / f"p{self.pred_len}"
 
     def run(self, seed: int, root: Path) -> RunFolder:
         """Return the run folder that ``pedzoo fit`` chooses."""
-        return RunFolder(self.runs(root) / self.config / f"{self.fold}-seed{seed}")
+        return RunFolder(self.runs(root) / self.config.replace("/", ".") / f"{self.fold}-seed{seed}")
 
     def finished(self, root: Path) -> dict[int, float]:
         """Return the seeds whose training is done, each with its best validation value."""
         done = (seed for seed in range(self.seeds) if (self.run(seed, root).path / "finished").is_file())
-        return {seed: min(monitored(self.run(seed, root).path, self.monitor).values()) for seed in done}
+        return {seed: self.best(monitored(self.run(seed, root).path, self.monitor).values()) for seed in done}
 
 
 CONFIGS = ("sgan_goal_map", "sgan_goal", "sgan", "social_vrnn", "sgan_goal_map_alexnet", "sgan_pool")
+
+CONTROLLER = ("open_loop", "closed_loop")
+"""The halves of a controller's training, each with its weights."""
 
 RECIPES = [
     *(Recipe(config, EVERYTHING) for config in CONFIGS),
     *(Recipe(config, fold) for config in CONFIGS for fold in SCENES),
     Recipe("sgan_goal_destination"),
     *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan_pool") for fold in SCENES),
+    *(Recipe(f"{half}/sgan_goal", EVERYTHING) for half in CONTROLLER),
+    *(Recipe(f"{half}/sgan_goal_map", fold) for half in CONTROLLER for fold in (EVERYTHING, *SCENES)),
 ]

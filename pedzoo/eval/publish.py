@@ -91,14 +91,22 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     """Return what weights of a config are called: after the scene that they did not see.
 
     What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
-    clock is the benchmark's, and the true one for weights that saw every scene.
+    clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those
+    have configs in folders: of ``open_loop/sgan_goal_map`` come ``sgan_goal_map.zara1_way`` and
+    ``sgan_goal_map.eth_ucy_way``, of ``closed_loop/sgan_goal_map`` ``sgan_goal_map.indoor_zara1`` and, of all
+    scenes, ``sgan_goal_map.indoor``; of ``ppo/sgan_goal`` ``sgan_goal.eth_ucy_ppo``.
     """
+    folder, _, config = config.rpartition("/")
     tag = protocol["fold"]
+    if folder == "closed_loop":
+        tag = "indoor" if tag == EVERYTHING else f"indoor_{tag}"
+    elif folder:
+        tag += "_way" if folder == "open_loop" else f"_{folder}"
     if protocol["goal"] == "destination":
         tag += "_destination"
     if protocol["pred_len"] != PRED_LEN:
         tag += f"_pred{protocol['pred_len']}"
-    if protocol["clock"] != ("true" if protocol["fold"] == EVERYTHING else "benchmark"):
+    if protocol["clock"] != ("true" if folder or protocol["fold"] == EVERYTHING else "benchmark"):
         tag += f"_{protocol['clock']}"
     return f"{config.removesuffix('_destination')}.{tag}"
 
