@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from pedzoo.data.datasets.eth_ucy import EVERYTHING
 from pedzoo.data.provenance import provenance, together
 from pedzoo.errors import UserError
@@ -14,7 +16,8 @@ from pedzoo.fetch import sha256_of
 from pedzoo.models.card import TRAINING, ModelCard, check_name, read_card, write_card
 from pedzoo.models.header import read_config
 from pedzoo.models.store import find
-from pedzoo.models.zoo import load, read_checkpoint, save_weights
+from pedzoo.models.zoo import config_of, load, read_checkpoint, save_weights
+from pedzoo.paths import weight_files
 from pedzoo.types import PRED_LEN
 
 LICENCE = "MIT"
@@ -56,7 +59,7 @@ def publish(
             f"{str(checkpoint)!r} is of {architecture!r}, and weights never make a file of code run where "
             "they are loaded: install the class as a plugin and train it by its name"
         )
-    record = read_run(checkpoint, content)
+    record = _with_zoo_names(read_run(checkpoint, content))
     protocol = content["pedzoo"]["protocol"]
     name = check_name(name or zoo_name(record.training["config"], protocol))
     weights, model = Path(folder) / f"{name}.safetensors", load(checkpoint)
@@ -139,6 +142,26 @@ def _write(
     )
     write_card(card, path)
     return path
+
+
+def _with_zoo_names(record: RunRecord) -> RunRecord:
+    """Return what a run recorded, with the zoo's name of a checkpoint that it began with, if it has one."""
+    began = record.began_with
+    if not began or not began.endswith(".ckpt") or not Path(began).is_file():
+        return record
+    model = load(began)
+    ours, state = config_of(model), model.state_dict()
+    for name, file in weight_files().items():
+        theirs = read_config(file)
+        if any(theirs.get(key) != ours[key] for key in ("architecture", "init")):
+            continue
+        published = load(name).state_dict()
+        if all(torch.equal(value, published[key]) for key, value in state.items()):
+            training = dict(record.training)
+            words = [word.replace(began, name) for word in training["command"]]
+            overrides = {key: value.replace(began, name) for key, value in training["overrides"].items()}
+            return record._replace(training=training | {"command": words, "overrides": overrides})
+    return record
 
 
 def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:

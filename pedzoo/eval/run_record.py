@@ -64,11 +64,18 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
     # a resumed run keeps the records of how it began
     begun = run / "before-resume-1" / "versions.json"
     command = json.loads((begun if begun.is_file() else run / "versions.json").read_text())["command"]
-    options = [option for option in options_of(command) if option.key not in _OF_THIS_MACHINE]
+    config_name = run.parent.name.replace(".", "/")  # `pedzoo.train.run.run_name`
+    options = [
+        Option("config", config_name, ["--config", config_name])
+        if option.value.endswith(f"configs/{config_name}.yaml")
+        else option
+        for option in options_of(command)
+        if option.key not in _OF_THIS_MACHINE
+    ]
     protocol, monitor = content["pedzoo"]["protocol"], config["monitor"]
     seed, values = int(config["seed_everything"]), monitored(run, monitor)
     training = {
-        "config": run.parent.name.replace(".", "/"),  # `pedzoo.train.run.run_name`
+        "config": config_name,
         "fold": protocol["fold"],
         "clock": protocol["clock"],
         "goal": content["pedzoo"]["goal"] or protocol["goal"],
