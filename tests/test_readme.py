@@ -36,6 +36,11 @@ ELSEWHERE += [
         "export sgan_goal.eth_ucy --onnx model.onnx",  # tests/test_onnx.py
         "reproduce table1 --out pages",  # tests/test_reproduce.py
         "reproduce figure4 --out pages --quick",
+        "fit --config closed_loop/sgan_goal_map",  # tests/test_configs.py
+        "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # tests/test_in_the_loop.py
+        "fit --config closed_loop/sgan_goal_map --data.fold zara1 --weights sgan_goal_map.zara1_way"
+        " --model.walking.walls 30",
+        "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/test_ppo.py
     )
 ]
 
@@ -118,5 +123,6 @@ def test_the_two_scripts_and_every_linked_file_exist() -> None:
 
 def test_every_config_is_in_the_table_and_every_name_in_the_table_is_a_config() -> None:
     table = README.partition("| config | model |")[2].partition("\n\n")[0]
-    named = set(re.findall(r"`(\w+)`", table))
+    names = (line.split("|")[1] for line in table.splitlines() if line.startswith("| `"))
+    named = {name for cell in names for name in re.findall(r"`([\w/]+)`", cell)}
     assert named == set(config_names())
