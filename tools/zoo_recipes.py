@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
 from pedzoo.eval.publish import zoo_name
@@ -51,7 +52,7 @@ class Recipe:
         return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_pool") else "val/ade"
 
     @property
-    def best(self) -> Callable[..., float]:
+    def best(self) -> Callable[..., Any]:
         """``min`` or ``max``: which of its values is best."""
         return max if self.monitor.startswith("rollout/") else min
 
