@@ -155,7 +155,7 @@ def _with_zoo_names(record: RunRecord) -> RunRecord:
         theirs = read_config(file)
         if any(theirs.get(key) != ours[key] for key in ("architecture", "init")):
             continue
-        published = load(name).state_dict()
+        published = load(file).state_dict()
         if all(torch.equal(value, published[key]) for key, value in state.items()):
             training = dict(record.training)
             words = [word.replace(began, name) for word in training["command"]]
