@@ -9,6 +9,7 @@ import yaml
 
 from pedzoo.cli.main import main
 from pedzoo.paths import config_names, shipped
+from pedzoo.sim.make import make_scenario
 
 
 @pytest.mark.parametrize("name", config_names())
@@ -20,6 +21,8 @@ def test_config_trains(name: str, tmp_path: Path, request: pytest.FixtureRequest
     options |= {"trainer.limit_train_batches": "2", "trainer.limit_val_batches": "1", "rollout.episodes": "1"}
     if "/" in name and not name.startswith("open_loop"):
         options["model.steps"] = "2"
+    if name.startswith("closed_loop"):
+        options["rollout.scenarios"] = '["hallway"]'  # its own are many, and slow to prepare
     words = [word for key, value in options.items() for word in (f"--{key}", value)]
     assert main(["fit", "--config", name, *words]) == 0
     (run,) = (tmp_path / name.replace("/", ".")).iterdir()
@@ -39,3 +42,4 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
     plan = {"map": "rings", "map_dim": 24, "map_dropout": 0.0}
     other["model"]["init_args"]["generator"]["init_args"] |= plan
     assert one | {"weights": ""} == other | {"weights": ""}
+    assert all(make_scenario(name) for name in one["rollout"]["scenarios"])
