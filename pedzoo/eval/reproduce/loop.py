@@ -87,7 +87,7 @@ class Loop(Walked):
         found = [
             "a target is met by the number itself, not by its interval; every row says what is missing",
             f"unseen floor plans: {', '.join(DRAWN)} (crowds: {', '.join(OFFICES)})"
-            f"{self._given()}; training in the loop walks through apartment.100 to 111 and office.100 and 101",
+            f"{self._given()}; training in the loop walks through apartment.100 to 111, office.100 and 101",
             *self._trained(),
             "doors of the tests share widths with those of training; their walls, offsets to the left of the"
             " axis and seeds are their own",

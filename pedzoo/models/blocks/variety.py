@@ -37,7 +37,8 @@ class VarietyLoss:
             raise UserError(
                 "energy_weight needs error: distance; a squared error's energy score rewards the mean alone"
             )
-        self.best_k, self.error = best_k, error
+        self.best_k = best_k
+        self.error: Kind = error
         self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
 
     def __call__(
