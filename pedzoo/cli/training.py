@@ -221,6 +221,8 @@ class TrainingCLI(LightningCLI):
         rows: dict[str, dict[str, Any]] = {}
         for key, value in found.items():
             where, _, metric = key.rpartition("/")
+            if where == "rollout":
+                continue  # means of other rows
             if where not in rows:
                 rows[where] = {"name": self.config["ckpt_path"] or self.config["model"]["class_path"]}
                 if where.startswith("rollout/"):

@@ -193,14 +193,14 @@ class ClosedLoopValidation(Callback):
             means = dict.fromkeys(MEANS, torch.tensor(0.0))
             for stage in self._stages:
                 found = self._measure(stage, self._walker, trainer, pl_module.device)
-                for key in METRICS:
-                    value = found.get(key, torch.tensor(math.nan))
+                values = {key: found.get(key, torch.tensor(math.nan)) for key in METRICS}
+                for key, value in values.items():
                     shown = key == "success"
                     pl_module.log(f"rollout/{stage.name}/{key}", value, prog_bar=shown, sync_dist=True)
-                for key in MEANS:
-                    means[key] = means[key] + found[key].cpu() / len(self._stages)
+                for key in means:
+                    means[key] = means[key] + values[key].float().cpu() / len(self._stages)
             for key, value in means.items():
-                pl_module.log(f"rollout/{key}", value.float(), sync_dist=True)
+                pl_module.log(f"rollout/{key}", value, sync_dist=True)
 
     def _measure(
         self, stage: Stage, walker: Walker, trainer: L.Trainer, device: torch.device
