@@ -43,7 +43,7 @@ def test_values_have_their_types() -> None:
         ("orca:radius=1,radius=2", "'radius' is given twice"),
         ("orca:radius=-1", "radius -1.0 must be"),
         ("orka", "did you mean 'orca'"),
-        ("constant_velocity:noise=always", "expected Literal"),
+        ("constant_velocity:noise=always", "expected Optional\\[Literal"),
         ("constant_velocity:speed=3", "unknown setting of walker constant_velocity 'speed'"),
     ],
 )

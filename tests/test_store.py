@@ -395,5 +395,8 @@ def test_models_are_found_without_torch(model: Forecaster) -> None:
 def test_every_shipped_card_is_that_of_its_weights() -> None:
     for name in weight_files():
         entry = find(name)
-        assert entry and load(name).config == entry.card.config["init"]
+        assert entry
+        told, built = entry.card.config["init"], load(name).config
+        # options that came later are off in older weights
+        assert told.items() <= built.items() and not any(built[key] for key in built.keys() - told.keys())
         assert entry.card.data["terms"] and entry.card.training["seed"] is not None
