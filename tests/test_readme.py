@@ -38,8 +38,7 @@ ELSEWHERE += [
         "reproduce figure4 --out pages --quick",
         "fit --config closed_loop/sgan_goal_map",  # tests/test_configs.py
         "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # tests/test_in_the_loop.py
-        "fit --config closed_loop/sgan_goal_map --data.fold zara1 --weights sgan_goal_map.zara1_way"
-        " --model.walking.walls 30",
+        "fit --config closed_loop/sgan_goal_map --weights sgan_goal.zara1 --model.walking.walls 30",
         "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/test_ppo.py
     )
 ]
