@@ -18,8 +18,8 @@ class Reward:
 
     The environment's is the way that got shorter, in metres, less
     `pedzoo.sim.simulation.CONTACT_COST` for a decision in which something was touched; every weight is in
-    that unit, metres of progress. A reward of one's own is a subclass that overrides `forward`, named by its
-    ``class_path`` in the config.
+    that unit, metres of progress. A reward of one's own is a subclass that overrides ``__call__``, named by
+    its ``class_path`` in the config.
     """
 
     def __init__(

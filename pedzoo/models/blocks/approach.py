@@ -53,21 +53,14 @@ class ApproachPooling(nn.Module):
             state: What is known about them (P, state_dim).
             crowd: Who is in one scene.
         """
-        pooled = position.new_zeros(position.shape[0], self.dim)
         other = self.other(state)
-        for group in crowd.groups:
-            if group.shape[1] < 2:
-                continue
-            me, them = group.unsqueeze(2), group.unsqueeze(1)  # (G, n, 1) and (G, 1, n)
+
+        def seen(me: Tensor, them: Tensor) -> Tensor:
             pair = _features(position[them] - position[me], moved[them] - moved[me], heading[me])
-            seen = functional.relu(self.pair(pair) + other[them])
-            seen = functional.relu(self.output(seen))
-            nobody = me == them
-            if crowd.absent is not None:
-                nobody = nobody | crowd.absent.unsqueeze(1)
-            most = seen.masked_fill(nobody.unsqueeze(-1), 0).amax(2)
-            pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
-        return pooled
+            inner = functional.relu(self.pair(pair) + other[them])
+            return functional.relu(self.output(inner))
+
+        return crowd.most_of_others(seen, position.new_zeros(position.shape[0], self.dim))
 
 
 def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ row, (P, ...), and pooling runs over groups of scenes of equal size, so nothing 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import torch
@@ -80,6 +81,23 @@ class Crowd:
             return packed.view(*self.shape, *packed.shape[1:])
         padded = packed.new_zeros(*self.shape, *packed.shape[1:])
         return padded.index_put(self._there, packed)
+
+    def most_of_others(self, seen: Callable[[Tensor, Tensor], Tensor], pooled: Tensor) -> Tensor:
+        """Return the maxima (P, D), over everybody else in the scene, of what each person sees of another.
+
+        Args:
+            seen: Takes who looks (G, n, 1) and who is looked at (G, 1, n), long, of the G scenes of each
+                size n, and returns what is seen (G, n, n, D), never negative.
+            pooled: Zeros (P, D): what those have who are alone.
+        """
+        for group in self.groups:
+            me, them = group.unsqueeze(2), group.unsqueeze(1)
+            nobody = me == them
+            if self.absent is not None:
+                nobody = nobody | self.absent.unsqueeze(1)
+            most = seen(me, them).masked_fill(nobody.unsqueeze(-1), 0).amax(2)
+            pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
+        return pooled
 
     def to_people(self, values: Tensor) -> Tensor:
         """Return for each person (K, P, C) what ``values`` (K, B, C) say about the scene."""

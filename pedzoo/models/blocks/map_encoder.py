@@ -47,6 +47,26 @@ class MapEncoder(nn.Module, ABC):
         self._bank = self._bank.to(device)
         return self._bank
 
+    def distances_at(
+        self, offsets: Tensor, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
+    ) -> Tensor:
+        """Return distances to walls (P, N), metres, at N places around each person.
+
+        Args:
+            offsets: Places (2, N), metres ahead and to the left.
+            position: As in `forward`, like all others.
+            heading: Where is ahead.
+            map_id: Floor plans.
+            pose: Poses.
+        """
+        with torch.autocast(position.device.type, enabled=False):
+            ahead = heading.float()
+            left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
+            axes = torch.stack((ahead, left), dim=-1)
+            offsets = offsets.expand(position.shape[0], 2, -1)
+            points = torch.baddbmm(position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
+            return self.bank(position.device).signed_distance(points, map_id, pose)
+
     @abstractmethod
     def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return the features (P, dim).

@@ -38,13 +38,7 @@ class RingEncoder(MapEncoder):
 
         Arguments as in `MapEncoder.forward`.
         """
-        with torch.autocast(position.device.type, enabled=False):
-            ahead = heading.float()
-            left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
-            axes = torch.stack((ahead, left), dim=-1)
-            offsets = self.get_buffer("offsets").expand(position.shape[0], 2, -1)
-            points = torch.baddbmm(position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
-            distance = self.bank(position.device).signed_distance(points, map_id, pose)
+        distance = self.distances_at(self.get_buffer("offsets"), position, heading, map_id, pose)
         return distance.clamp(-CLIP, CLIP)
 
     def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:

@@ -34,17 +34,12 @@ class RelativePooling(nn.Module):
             heading: Directions of their frames (P, 2), unit vectors.
             crowd: Who is in one scene.
         """
-        pooled = position.new_zeros(position.shape[0], self.dim)
-        for group in crowd.groups:
-            me, them = group.unsqueeze(2), group.unsqueeze(1)  # (G, n, 1) and (G, 1, n)
+
+        def seen(me: Tensor, them: Tensor) -> Tensor:
             away = geometry.unrotate(position[them] - position[me], heading[me])
             relative = geometry.unrotate(moved[them] - moved[me], heading[me])
             distance = (away.square().sum(-1, keepdim=True) + 1e-8).sqrt()
             near = REACH / (REACH + distance)
-            seen = self.net(torch.cat((near * away / REACH, relative, near), -1))
-            nobody = me == them
-            if crowd.absent is not None:
-                nobody = nobody | crowd.absent.unsqueeze(1)
-            most = seen.masked_fill(nobody.unsqueeze(-1), 0).amax(2)
-            pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
-        return pooled
+            return self.net(torch.cat((near * away / REACH, relative, near), -1))
+
+        return crowd.most_of_others(seen, position.new_zeros(position.shape[0], self.dim))
