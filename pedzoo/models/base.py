@@ -32,6 +32,8 @@ class Forecaster(nn.Module):
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, if nobody says anything else.
+        walking_safety: Whether its steps are kept clear of people and walls when it walks, if nobody says
+            anything else; see `pedzoo.models.safety`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
@@ -41,6 +43,7 @@ class Forecaster(nn.Module):
     noise_dim: int = 0
     mode_at_zero: ClassVar[bool] = False
     walking_noise: Noise = "episode"
+    walking_safety: bool = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 

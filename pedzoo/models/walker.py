@@ -14,6 +14,7 @@ from pedzoo import draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, Noise, ids_of
+from pedzoo.models.safety import safe
 from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
@@ -54,6 +55,7 @@ class Walker(TensorDictModuleBase):
         noise: Noise | None = None,
         execute_steps: int = 1,
         noise_seed: int = 0,
+        safety: bool | None = None,
     ) -> None:
         """Take a forecaster.
 
@@ -64,6 +66,9 @@ class Walker(TensorDictModuleBase):
                 ``episode``, what a person is like, the rest as for ``step``.
             execute_steps: How many steps of a prediction are walked before the next one is asked for.
             noise_seed: Other seeds give other noise for the same scenes.
+            safety: Whether steps are led off others and walls where they would touch them, see
+                `pedzoo.models.safety`; what the model asked for is then written too, as ``asked`` (B, A, 2)
+                in m/s. None: as the model says.
 
         Raises:
             UserError: A setting is out of range.
@@ -76,11 +81,14 @@ class Walker(TensorDictModuleBase):
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
         self.noise_seed = noise_seed
+        self.safety = model.walking_safety if safety is None else safety
+        self._bank: MapBank | None = None
         self._plan: Plan | None = None
 
     def bind(self, bank: MapBank) -> None:
         """Take the floor plans that ``map_id`` speaks of."""
         self.model.bind(bank)
+        self._bank = bank
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity (B, A, 2), m/s."""
@@ -89,6 +97,9 @@ class Walker(TensorDictModuleBase):
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
             step = self._planned(tensordict)
+        if self.safety:
+            tensordict["agents", "asked"] = step / STEP_SECONDS
+            step = safe(tensordict, step, self._bank)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
 

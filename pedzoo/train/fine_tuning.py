@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -15,6 +17,9 @@ from pedzoo.models.zoo import build, config_of, load
 from pedzoo.paths import config_names, find_config
 from pedzoo.registry import MODELS
 from pedzoo.train.module import LOSSES, ForecastModule, differences
+
+WALKING = ("safety",)
+"""Options of an architecture that say how a model walks: a config's, whatever its weights were trained with."""
 
 
 def start_from(module: ForecastModule, weights: str) -> None:
@@ -31,7 +36,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
         UserError: No such weights, or they are of another architecture.
     """
     model = load(weights)
-    free = LOSSES | {"goal_protocol", "noise"}
+    free = LOSSES | {"goal_protocol", "noise", *WALKING}
     if changed := differences(config_of(model), config_of(module.generator), free):
         raise UserError(
             f"--weights {weights} are of another architecture ({'; '.join(changed)}): "
@@ -74,13 +79,17 @@ def architecture_options(weights: str, config: str) -> list[str]:
         config: Name or file.
     """
     settings = yaml.safe_load(find_config(config).read_text())
-    return _architecture(saved_config(weights)) if settings.get("weights") else []
+    if not settings.get("weights"):
+        return []
+    generator = settings["model"]["init_args"]["generator"].get("init_args", {})
+    return _architecture(saved_config(weights), {key: generator[key] for key in WALKING if key in generator})
 
 
-def _architecture(config: dict[str, Any]) -> list[str]:
+def _architecture(config: dict[str, Any], walking: Mapping[str, Any] = MappingProxyType({})) -> list[str]:
     cls = MODELS.get(config["architecture"])
     # all options, also those that weights of an earlier version do not know: a config may set them
     options = build(config).config
+    options |= {key: value for key, value in walking.items() if key in options}
     model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]

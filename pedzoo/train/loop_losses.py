@@ -35,6 +35,7 @@ class LoopLosses:
         overspeed: float = 2.0,
         overspeed_from: float = 1.02,
         effort: float = 0.05,
+        corrected: float = 0.0,
         trait: float = 0.5,
         side: float = 0.0,
     ) -> None:
@@ -51,6 +52,7 @@ class LoopLosses:
             overspeed: m/s above ``overspeed_from`` times the preferred speed.
             overspeed_from: Share of the preferred speed.
             effort: Squared change of velocity from step to step, (m/s)^2.
+            corrected: What a safety layer changed, m/s.
             trait: How assertive people are who drew a large first number z of noise: their own lost time
                 counts ``exp(trait * z)`` times as much. 0: the noise does not matter for it.
             side: Metres that somebody who comes from the front is not on the side that the second number z of
@@ -63,6 +65,7 @@ class LoopLosses:
         if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
             raise UserError(f"losses of walking: {wrong}: expected at least 0")
         self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
+        self.corrected = corrected
         self.people_margin, self.wall_margin = people_margin, wall_margin
         self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
 
@@ -86,7 +89,7 @@ class LoopLosses:
             """Mean over the segment and the people of what decisions (T, B, A) cost."""
             return torch.where(moved, values, 0.0).sum() / count
 
-        speed = segment.action.square().sum(-1).clamp_min(1e-12).sqrt()
+        speed = segment.asked.square().sum(-1).clamp_min(1e-12).sqrt()
         near = 2 * BODY_RADIUS + self.people_margin - least_distances(segment)
         weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
         terms = {
@@ -95,6 +98,9 @@ class LoopLosses:
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }
+        if self.corrected:
+            change = (segment.asked - segment.action).square().sum(-1).clamp_min(1e-8).sqrt()
+            terms["corrected"] = self.corrected * mean(change)
         if bank.grids:
             near = BODY_RADIUS + self.wall_margin - wall_distances(segment, bank)
             terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
@@ -178,9 +184,9 @@ def wall_distances(segment: Segment, bank: MapBank, points: int = 4) -> Tensor:
     Not where walls let them: whoever slides along a wall is still told which way to turn.
     """
     steps, scenes, people = segment.moved.shape
-    part = torch.arange(1, points + 1, device=segment.action.device) * (STEP_SECONDS / points)
+    part = torch.arange(1, points + 1, device=segment.asked.device) * (STEP_SECONDS / points)
     here = segment.trace[..., :1, :]
-    way = here + segment.action.unsqueeze(-2) * part.view(-1, 1)
+    way = here + segment.asked.unsqueeze(-2) * part.view(-1, 1)
     rows = way.transpose(0, 1).reshape(scenes, -1, 2)
     found = bank.signed_distance(rows, segment.map_id, segment.pose)
     return found.view(scenes, steps, people, points).transpose(0, 1)

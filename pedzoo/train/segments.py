@@ -21,7 +21,8 @@ class Segment(NamedTuple):
 
     Attributes:
         trace: Positions (T, B, A, 1 + S, 2), metres: where people were at a decision, and every 0.1 s after.
-        action: Velocities that the policy asked for (T, B, A, 2), m/s.
+        asked: Velocities that the policy asked for (T, B, A, 2), m/s.
+        action: Those that its safety layer left, if it has one (T, B, A, 2), m/s.
         velocity: Theirs when they decided (T, B, A, 2), m/s.
         progress: Way to the goal that was made (T, B, A), metres.
         pref_speed: The speed that people like (T, B, A), m/s.
@@ -36,6 +37,7 @@ class Segment(NamedTuple):
     """
 
     trace: Tensor
+    asked: Tensor
     action: Tensor
     velocity: Tensor
     progress: Tensor
@@ -77,7 +79,8 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         found.append(
             (
                 torch.cat((before, info["trace"]), 2),
-                seen["agents", "action"],
+                agents.get("asked", agents["action"]),
+                agents["action"],
                 agents["velocity"],
                 progress,
                 agents["pref_speed"][..., 0],

@@ -1,0 +1,239 @@
+"""A net under a learned policy: the least change of everybody's next step that keeps bodies from touching.
+
+In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018: the
+network decides where to go, and what it asks for is projected on what can be walked without a contact. It
+looks one step ahead and no farther: it plans nothing, waits for nobody and finds no way around.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, cast
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from pedzoo.geometry import limit_speed
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
+
+ROUNDS = 8
+"""Corrections: each may undo a part of another, and the last halves leave less than the margins."""
+
+MARGIN = 0.02
+"""Metres that are kept beyond a contact: what the last correction leaves undone, and rounding."""
+
+_PLACES = (0.25, 0.5, 0.75, 1.0)
+"""Parts of a step at which walls are asked for. The arc between two of them is flatter than `MARGIN`."""
+
+_STOPS = 4
+"""Times that whoever would touch somebody all the same halves the step; after the last one they stay."""
+
+
+class Steps(NamedTuple):
+    """What B scenes of A people are about to do.
+
+    Attributes:
+        position: Where they are (B, A, 2), metres.
+        step: Where the next step leads (B, A, 2), metres; of whom the policy does not move: what they do.
+        longest: Length of a step that nobody exceeds (B, A), metres.
+        present: Who is there (B, A) bool.
+        moved: Whose steps may be changed (B, A) bool.
+    """
+
+    position: Tensor
+    step: Tensor
+    longest: Tensor
+    present: Tensor
+    moved: Tensor
+
+
+def kept_clear(steps: Steps, walls: LocalWalls | None = None, radius: float = BODY_RADIUS) -> Tensor:
+    """Return steps (B, A, 2) near those that are asked for, in which nobody touches anybody or a wall.
+
+    Two people share a correction; somebody whom the policy does not move takes no part in it. Whoever
+    touches already comes no closer. Neither turning a scene nor the order of its people changes anything.
+    Differentiable.
+
+    Args:
+        steps: What is asked for.
+        walls: As people see them (`MapBank.walls_of_people`), B * A entries; None for none.
+        radius: Of a body, metres.
+    """
+    pairs = _Pairs.of(steps, 2 * radius)
+    near = None if walls is None else _Near.of(steps, walls, radius)
+    step = _capped(steps, steps.step)
+    groups = [group for group in (pairs, near) if group is not None]
+    for _ in range(ROUNDS):
+        before = step
+        for group in groups:
+            step = group.corrected(step)
+        if step is before:
+            return step
+        step = _capped(steps, step)
+    return _stopped(step, groups)
+
+
+def _stopped(step: Tensor, groups: Sequence[_Pairs | _Near]) -> Tensor:
+    """Return steps (B, A, 2), shorter ones of whoever would touch something all the same."""
+    with torch.no_grad():
+        share = torch.ones_like(step[..., :1])
+        for halved in range(_STOPS):
+            touching = torch.stack([group.touching(step * share) for group in groups]).any(0)
+            if not bool(touching.any()):
+                break
+            share = torch.where(touching.unsqueeze(-1), share / 2 if halved < _STOPS - 1 else 0.0, share)
+    return step * share
+
+
+def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
+    """Return everybody's next steps (B, A, 2), metres, kept clear; see `kept_clear`.
+
+    Args:
+        batch: Scenes.
+        step: What people are asked to do (B, A, 2), metres.
+        bank: The floor plans; None where walls are not seen.
+    """
+    agents = cast("TensorDict", batch["agents"])
+    moved = agents["mask"] & agents["controlled"]
+    there = agents["mask"].unsqueeze(-1)
+    steps = Steps(
+        torch.where(there, agents["history"][:, :, -1], 0.0),
+        torch.where(moved.unsqueeze(-1), step, agents["velocity"] * STEP_SECONDS).where(there, 0.0),
+        TOP_SPEED_RATIO * STEP_SECONDS * agents["pref_speed"][..., 0],
+        agents["mask"],
+        moved,
+    )
+    walls = None
+    if bank is not None:
+        bank = bank.to(step.device)
+        walls = bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1])
+    return kept_clear(steps, walls)
+
+
+def _capped(steps: Steps, step: Tensor) -> Tensor:
+    return torch.where(steps.moved.unsqueeze(-1), limit_speed(step, steps.longest), steps.step)
+
+
+class _Pairs(NamedTuple):
+    """Everybody and everybody else.
+
+    Attributes:
+        away: From each to each other's place (B, A, A, 2): mine less theirs, metres.
+        apart: Its length (B, A, A), metres.
+        room: Distance that is to be kept (B, A, A), metres; below 0 where nobody is.
+        mine: Share of the corrections that is mine (B, A, A).
+        least: Distance below which people touch, metres.
+    """
+
+    away: Tensor
+    apart: Tensor
+    room: Tensor
+    mine: Tensor
+    least: float
+
+    @classmethod
+    def of(cls, steps: Steps, least: float) -> _Pairs | None:
+        """Return them, None where there are none."""
+        people = steps.present.shape[1]
+        if people < 2:
+            return None
+        away = steps.position.unsqueeze(2) - steps.position.unsqueeze(1)
+        apart = (away.square().sum(-1) + 1e-9).sqrt()
+        both = steps.present.unsqueeze(2) & steps.present.unsqueeze(1)
+        both &= ~torch.eye(people, dtype=torch.bool, device=away.device)
+        moved = steps.moved.to(away.dtype)
+        mine = moved.unsqueeze(2) / (moved.unsqueeze(2) + moved.unsqueeze(1)).clamp_min(1)
+        room = torch.where(both, apart.clamp_max(least + MARGIN), -1.0)
+        return cls(away, apart, room, torch.where(both, mine, 0.0), least)
+
+    def corrected(self, step: Tensor) -> Tensor:
+        """Return everybody's steps (B, A, 2), led off others; those given where nothing is to be done."""
+        move, place, closest, gap = self._approach(step)
+        lack = (self.room - gap).clamp_min(0)
+        active = lack > 0
+        if not bool(active.any()):
+            return step
+        # to the side, at the closest approach, or back, along the line between the two: what is less
+        aside = lack / place.clamp_min(1e-3)
+        line = self.away / self.apart.unsqueeze(-1)
+        back = (self.room - self.apart - (line * move).sum(-1)).clamp_min(0)
+        way = torch.where(
+            (aside < back).unsqueeze(-1),
+            (aside / gap).unsqueeze(-1) * closest,
+            back.unsqueeze(-1) * line,
+        )
+        way = torch.where(active.unsqueeze(-1), self.mine.unsqueeze(-1) * way, 0.0)
+        # somebody whom many ask to give way need not do it for the sake of each alone
+        return step + way.sum(2) / active.sum(2).clamp_min(1).sqrt().unsqueeze(-1)
+
+    def touching(self, step: Tensor) -> Tensor:
+        """Return who would touch somebody, and more than now (B, A) bool."""
+        gap = self._approach(step)[3]
+        return ((gap < self.room.clamp_max(self.least + 0.001) - 1e-4) & (self.mine > 0)).any(2)
+
+    def _approach(self, step: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return relative moves, and the part of the step, the place and distance of closest approach."""
+        move = step.unsqueeze(2) - step.unsqueeze(1)
+        place = -(self.away * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
+        place = place.detach().clamp(0, 1)
+        closest = self.away + place.unsqueeze(-1) * move
+        return move, place, closest, (closest.square().sum(-1) + 1e-9).sqrt()
+
+
+class _Near(NamedTuple):
+    """Whoever can come to a wall within the step.
+
+    Attributes:
+        who: Which of the B * A people (N,) long.
+        walls: As they see them.
+        position: Where they are (N, 1, 2), metres.
+        room: Distance that is to be kept (N, 1), metres.
+        least: That below which a wall is touched, metres.
+        parts: Parts of a step at which walls are asked for (S,).
+    """
+
+    who: Tensor
+    walls: LocalWalls
+    position: Tensor
+    room: Tensor
+    least: float
+    parts: Tensor
+
+    @classmethod
+    def of(cls, steps: Steps, walls: LocalWalls, radius: float) -> _Near | None:
+        """Return whoever a step can bring to a wall, None for nobody."""
+        position = steps.position.flatten(0, 1)
+        reach = steps.longest.flatten() + radius + MARGIN
+        close = walls.least(position.detach().t().unsqueeze(1))[0] < reach
+        who = (close & steps.moved.flatten()).nonzero()[:, 0]
+        if not len(who):
+            return None
+        position, some = position[who].unsqueeze(1), walls.rows(who)
+        gap, _ = some.closest(position)
+        parts = torch.tensor(_PLACES, dtype=position.dtype, device=position.device)
+        return cls(who, some, position, gap.clamp_max(radius + MARGIN), radius, parts)
+
+    def corrected(self, step: Tensor) -> Tensor:
+        """Return everybody's steps (B, A, 2), theirs led off the walls; those given likewise."""
+        flat = step.flatten(0, 1)
+        mine = flat[self.who]
+        gap, away = self._along(mine)
+        most, place = ((self.room - gap) / self.parts).max(1, keepdim=True)
+        if not bool((most > 0).any()):
+            return step
+        direction = away.gather(1, place.unsqueeze(-1).expand(-1, 1, 2))[:, 0]
+        return flat.index_copy(0, self.who, mine + most.clamp_min(0) * direction).view_as(step)
+
+    def touching(self, step: Tensor) -> Tensor:
+        """Return who would touch a wall, and more than now (B, A) bool."""
+        gap, _ = self._along(step.flatten(0, 1)[self.who])
+        bound = self.room.clamp_max(self.least + 0.001) - 1e-4
+        found = torch.zeros(step.shape[0] * step.shape[1], dtype=torch.bool, device=step.device)
+        found[self.who] = (gap < bound).any(1)
+        return found.view(step.shape[:2])
+
+    def _along(self, step: Tensor) -> tuple[Tensor, Tensor]:
+        return self.walls.closest(self.position + self.parts.view(-1, 1) * step.unsqueeze(1))
