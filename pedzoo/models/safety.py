@@ -20,16 +20,13 @@ from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 
 ROUNDS = 8
-"""Corrections: each may undo a part of another, and the last halves leave less than the margins."""
+"""Corrections at most: each may undo a part of another."""
 
 MARGIN = 0.02
-"""Metres that are kept beyond a contact: what the last correction leaves undone, and rounding."""
+"""Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
-_PLACES = (0.25, 0.5, 0.75, 1.0)
-"""Parts of a step at which walls are asked for. The arc between two of them is flatter than `MARGIN`."""
-
-_STOPS = 4
-"""Times that whoever would touch somebody all the same halves the step; after the last one they stay."""
+_PLACES = 6
+"""Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
 
 
 class Steps(NamedTuple):
@@ -80,11 +77,12 @@ def _stopped(step: Tensor, groups: Sequence[_Pairs | _Near]) -> Tensor:
     """Return steps (B, A, 2), shorter ones of whoever would touch something all the same."""
     with torch.no_grad():
         share = torch.ones_like(step[..., :1])
-        for halved in range(_STOPS):
+        # half a step first, then none; every turn stops somebody, and when all stand nobody touches anybody
+        for turn in range(step.shape[1] + 2):
             touching = torch.stack([group.touching(step * share) for group in groups]).any(0)
             if not bool(touching.any()):
                 break
-            share = torch.where(touching.unsqueeze(-1), share / 2 if halved < _STOPS - 1 else 0.0, share)
+            share = torch.where(touching.unsqueeze(-1), 0.0 if turn else 0.5, share)
     return step * share
 
 
@@ -156,13 +154,14 @@ class _Pairs(NamedTuple):
         active = lack > 0
         if not bool(active.any()):
             return step
-        # to the side, at the closest approach, or back, along the line between the two: what is less
-        aside = lack / place.clamp_min(1e-3)
+        # to the side, at the closest approach, or back, along the line between the two: what is less;
+        # who meets exactly head-on has no side
+        aside = torch.where(gap > 1e-3, lack / place.clamp_min(1e-3), torch.inf)
         line = self.away / self.apart.unsqueeze(-1)
         back = (self.room - self.apart - (line * move).sum(-1)).clamp_min(0)
         way = torch.where(
             (aside < back).unsqueeze(-1),
-            (aside / gap).unsqueeze(-1) * closest,
+            (aside.clamp_max(1e3) / gap).unsqueeze(-1) * closest,
             back.unsqueeze(-1) * line,
         )
         way = torch.where(active.unsqueeze(-1), self.mine.unsqueeze(-1) * way, 0.0)
@@ -213,7 +212,7 @@ class _Near(NamedTuple):
             return None
         position, some = position[who].unsqueeze(1), walls.rows(who)
         gap, _ = some.closest(position)
-        parts = torch.tensor(_PLACES, dtype=position.dtype, device=position.device)
+        parts = torch.arange(1, _PLACES + 1, device=position.device, dtype=position.dtype) / _PLACES
         return cls(who, some, position, gap.clamp_max(radius + MARGIN), radius, parts)
 
     def corrected(self, step: Tensor) -> Tensor:
@@ -221,7 +220,9 @@ class _Near(NamedTuple):
         flat = step.flatten(0, 1)
         mine = flat[self.who]
         gap, away = self._along(mine)
-        most, place = ((self.room - gap) / self.parts).max(1, keepdim=True)
+        # in the midst of a wall the way out may be the far side: places before it know better
+        told = (gap > 0) | (gap <= 0).all(1, keepdim=True)
+        most, place = ((self.room - gap) / self.parts * told).max(1, keepdim=True)
         if not bool((most > 0).any()):
             return step
         direction = away.gather(1, place.unsqueeze(-1).expand(-1, 1, 2))[:, 0]

@@ -1,0 +1,225 @@
+"""The safety layer: what it leaves alone, who gives way, that nobody touches anything, and its invariances."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.models.base import Forecaster
+from pedzoo.models.safety import MARGIN, Steps, kept_clear
+from pedzoo.models.walker import Walker
+from pedzoo.models.zoo import load
+from pedzoo.sim.make import make_env
+from pedzoo.types import BODY_RADIUS
+
+ROOM = rectangles(
+    [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
+)
+"""Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
+
+
+def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> Steps:
+    """Return the steps of one scene, or of several."""
+    position, step = (torch.as_tensor(values, dtype=torch.float32) for values in (position, step))
+    position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
+    there = torch.ones(position.shape[:2], dtype=torch.bool)
+    return Steps(
+        position, step, torch.full(there.shape, longest), **{"present": there, "moved": there} | more
+    )
+
+
+def nearest(position: Tensor, step: Tensor) -> float:
+    """Return the least distance of any two in the step, of 41 moments."""
+    part = torch.linspace(0, 1, 41).view(-1, 1, 1, 1)
+    at = position + part * step
+    apart = torch.cdist(at.double(), at.double()) + 1e3 * torch.eye(position.shape[1])
+    return float(apart.min())
+
+
+def test_steps_that_touch_nobody_stay_as_they_are() -> None:
+    """Two who pass each other 0.33 m beside, which is a margin more than two bodies."""
+    asked = steps([[0.0, 0.0], [1.0, 0.33]], [[0.5, 0.0], [-0.5, 0.0]])
+    assert torch.equal(kept_clear(asked), asked.step)
+
+
+def test_two_who_meet_head_on_share_the_correction() -> None:
+    """From 0.6 m apart each goes half of the way that is left, and none the other way."""
+    found = kept_clear(steps([[-0.3, 0.0], [0.3, 0.0]], [[0.5, 0.0], [-0.5, 0.0]]))[0]
+    assert found[0, 0] == pytest.approx((0.6 - 0.3 - MARGIN) / 2, abs=2e-3)
+    assert found[1].tolist() == pytest.approx((-found[0]).tolist(), abs=1e-5)
+
+
+def test_somebody_who_is_brushed_past_is_given_a_little_room() -> None:
+    """What is less, a step aside or one back: 0.29 m beside each other it is 3 cm to the side, shared."""
+    asked = steps([[0.0, 0.0], [0.4, 0.29]], [[0.4, 0.0], [-0.4, 0.0]])
+    found = kept_clear(asked)
+    assert (found - asked.step).norm(dim=-1).max() < 0.035
+    assert nearest(asked.position, found) >= 2 * BODY_RADIUS
+
+
+def test_whoever_the_policy_does_not_move_takes_no_part() -> None:
+    """A person who stands there: the other one stops before them alone."""
+    moved = torch.tensor([[True, False]])
+    found = kept_clear(steps([[-0.5, 0.0], [0.0, 0.0]], [[0.6, 0.0], [0.0, 0.0]], moved=moved))[0]
+    assert found[0].tolist() == pytest.approx([0.2 - MARGIN, 0.0], abs=2e-3) and found[1].eq(0).all()
+
+
+def test_absent_people_are_in_nobodys_way() -> None:
+    """Whatever their slots hold."""
+    present = torch.tensor([[True, False]])
+    asked = steps([[0.0, 0.0], [0.2, 0.0]], [[0.4, 0.0], [0.0, 0.0]], present=present)
+    assert torch.equal(kept_clear(asked)[0, 0], asked.step[0, 0])
+
+
+def test_who_touches_already_may_part_and_not_come_closer() -> None:
+    """Two whose bodies overlap by 0.1 m."""
+    apart = kept_clear(steps([[0.0, 0.0], [0.2, 0.0]], [[-0.3, 0.0], [0.3, 0.0]]))[0]
+    assert apart[:, 0].tolist() == pytest.approx([-0.3, 0.3])
+    closer = steps([[0.0, 0.0], [0.2, 0.0]], [[0.3, 0.0], [-0.3, 0.0]])
+    assert nearest(closer.position, kept_clear(closer)) > 0.2 - 2e-3
+
+
+def test_nobody_goes_faster_than_they_can() -> None:
+    """Also not to get out of the way."""
+    asked = steps(
+        torch.randn(8, 10, 2, generator=torch.Generator().manual_seed(0)), torch.ones(8, 10, 2), 0.5
+    )
+    assert kept_clear(asked).norm(dim=-1).max() <= 0.5 + 1e-5
+
+
+@pytest.mark.parametrize("people", [2, 6, 20])
+def test_in_a_crowd_that_runs_into_each_other_nobody_touches(people: int) -> None:
+    """All towards the middle from places that do not overlap, 64 scenes."""
+    random = torch.Generator().manual_seed(people)
+    side = math.ceil(math.sqrt(people))
+    cell = torch.cartesian_prod(torch.arange(side), torch.arange(side))[:people] - (side - 1) / 2
+    position = 0.45 * cell + 0.1 * (torch.rand(64, people, 2, generator=random) - 0.5)
+    step = 0.6 * torch.randn(64, people, 2, generator=random) - 0.5 * position
+    asked = steps(position, step)
+    assert nearest(position, asked.step.clamp(-0.5, 0.5)) < 0.1
+    assert nearest(position, kept_clear(asked)) > 2 * BODY_RADIUS - 1e-3
+
+
+def around(bank: MapBank, scenes: int, people: int) -> Any:
+    """Return the walls as people see them."""
+    return bank.walls_of_people(torch.full((scenes,), bank.grids[0].map_id), identity_pose(scenes), people)
+
+
+def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
+    """From 0.35 m before the wall's face, straight on and at 45 degrees."""
+    bank = MapBank([ROOM])
+    asked = steps([[-0.4, 1.5], [-0.4, -1.5]], [[0.5, 0.0], [0.4, 0.4]])
+    found = kept_clear(asked, around(bank, 1, 2))[0]
+    room_left = 0.35 - BODY_RADIUS - MARGIN
+    assert found[0].tolist() == pytest.approx([room_left, 0.0], abs=5e-3)
+    assert found[1].tolist() == pytest.approx([room_left, 0.4], abs=5e-3)
+
+
+def test_in_a_room_nobody_touches_walls_or_others() -> None:
+    """Random steps of 10 people around a door, places in the free."""
+    bank, random = MapBank([ROOM]), torch.Generator().manual_seed(1)
+    place = torch.rand(4000, 2, generator=random) * 3 - 1.5
+    gap, _ = bank.walls_around(torch.tensor([bank.grids[0].map_id]), identity_pose(1)).closest(place[None])
+    free = place[gap[0] > BODY_RADIUS]
+    position = free[: len(free) // 10 * 10].view(-1, 10, 2)
+    apart = torch.cdist(position, position) + 9 * torch.eye(10)
+    position = position[apart.amin((1, 2)) > 2 * BODY_RADIUS]
+    assert len(position) >= 5
+    asked = steps(position, 0.4 * torch.randn(position.shape, generator=random))
+    walls = around(bank, *position.shape[:2])
+    found = kept_clear(asked, walls)
+    path = position.unsqueeze(2) + torch.linspace(0, 1, 21).view(-1, 1) * found.unsqueeze(2)
+    gap, _ = walls.closest(path.flatten(0, 1))
+    assert gap.min() > BODY_RADIUS - 1e-3 and nearest(position, found) > 2 * BODY_RADIUS - 1e-3
+
+
+def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer() -> None:
+    """Six people who run into each other."""
+    random = torch.Generator().manual_seed(3)
+    asked = steps(0.8 * torch.randn(4, 6, 2, generator=random), 0.4 * torch.randn(4, 6, 2, generator=random))
+    found = kept_clear(asked)
+    assert (found - asked.step).abs().max() > 0.1
+    angle, order = torch.tensor(0.7), torch.randperm(6, generator=random)
+    turn = torch.stack((angle.cos(), -angle.sin(), angle.sin(), angle.cos())).view(2, 2)
+    turned = kept_clear(steps(asked.position @ turn.T + 5, asked.step @ turn.T))
+    assert torch.allclose(turned, found @ turn.T, atol=1e-4)
+    assert torch.allclose(kept_clear(steps(asked.position[:, order], asked.step[:, order])), found[:, order])
+
+
+def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:
+    """One that needs nothing beside one that needs all corrections."""
+    random = torch.Generator().manual_seed(4)
+    asked = steps(0.6 * torch.randn(5, 8, 2, generator=random), 0.4 * torch.randn(5, 8, 2, generator=random))
+    alone = torch.cat([kept_clear(Steps(*(values[[row]] for values in asked))) for row in range(5)])
+    assert torch.equal(kept_clear(asked), alone)
+
+
+def test_gradients_are_finite_and_those_of_free_steps_are_one() -> None:
+    """Of people on top of each other, too."""
+    step = torch.tensor([[[0.4, 0.0], [-0.4, 0.0], [0.1, 0.1]]], requires_grad=True)
+    asked = steps([[0.0, 0.0], [0.0, 0.0], [5.0, 5.0]], [[0.0, 0.0]] * 3)._replace(step=step)
+    kept_clear(asked).sum().backward()
+    assert step.grad is not None and step.grad.isfinite().all()
+    assert step.grad[0, 2].tolist() == [1.0, 1.0]
+
+
+class Dash(Forecaster):
+    """Runs at its goal, whoever is in the way; and at the walls."""
+
+    needs = frozenset({"goal"})
+    stochastic = False
+
+    def __init__(self, safety: bool) -> None:
+        """Set whether it is held back."""
+        super().__init__()
+        self.config, self.walking_safety = {"safety": safety}, safety
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the straight way at 1.3 m/s."""
+        agents: Any = batch["agents"]
+        way = agents["goal"] - agents["history"][:, :, -1]
+        unit = torch.nn.functional.normalize(way + 0.3 * way.flip(-1), dim=-1)
+        return (0.52 * unit).unsqueeze(2).expand(-1, -1, steps, -1)
+
+
+def contacts(policy: Walker, scenario: str, decisions: int = 20) -> tuple[int, int]:
+    """Return how many people touched others and walls in the decisions of 8 scenes."""
+    env = make_env(scenario, 8, "grid")
+    policy.bind(env.bank)
+    seen: TensorDictBase = env.reset(seed=0)
+    agent = wall = 0
+    for _ in range(decisions):
+        seen = env.step(policy(seen))["next"]
+        info = seen["agents", "info"]
+        agent, wall = agent + int(info["agent_contact"].sum()), wall + int(info["wall_contact"].sum())
+        if bool(seen["done"].all()):
+            break
+    return agent, wall
+
+
+@pytest.mark.parametrize(
+    "scenario", ["door:people=4,width=0.8", "room_exit:people=12,entering=0", "standing"]
+)
+def test_whoever_walks_with_it_touches_nobody_and_nothing(scenario: str) -> None:
+    """A policy that does both without."""
+    assert sum(contacts(Walker(Dash(False)), scenario)) > 10
+    assert contacts(Walker(Dash(True)), scenario) == (0, 0)
+
+
+def test_the_walker_says_what_was_asked_for_and_can_do_without() -> None:
+    """As the model says, unless somebody says otherwise."""
+    env = make_env("door:width=0.8", 4, "grid")
+    seen = env.reset(seed=0)
+    for walker, held in ((Walker(Dash(True)), True), (Walker(Dash(True), safety=False), False)):
+        walker.bind(env.bank)
+        assert walker.safety is held
+        assert (("agents", "asked") in walker(seen.clone()).keys(True)) is held
+    assert Walker(load("sgan_goal.zara1")).safety is False
