@@ -15,7 +15,7 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.make import make_env
-from pedzoo.train.loop_losses import LoopLosses, least_distances, lost_seconds, wall_distances, wrong_side
+from pedzoo.train.loop_losses import LoopLosses, least_gaps, lost_seconds, wall_distances, wrong_side
 from pedzoo.train.mixture import Course, Mixture
 from pedzoo.train.segments import Segment, unrolled
 
@@ -56,17 +56,17 @@ def two(distance: float, steps: int = 3) -> Segment:
 def test_people_are_as_near_as_between_two_trace_points() -> None:
     """Two who meet head-on at 2 m/s, 0.2 m beside each other, half way between two points of the trace."""
     velocity = torch.tensor([[[[2.0, 0.0], [-2.0, 0.0]]]])
-    found = least_distances(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
+    found = least_gaps(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
     assert found.shape == (1, 1, 2) and found[0, 0].tolist() == pytest.approx([0.2, 0.2], abs=1e-4)
 
 
 def test_nobody_is_near_who_is_alone_or_gone() -> None:
     alone = made(torch.ones(2, 1, 1, 2), torch.zeros(1, 1, 2))
-    assert bool((least_distances(alone) > 100).all())
+    assert bool((least_gaps(alone) > 100).all())
     segment = two(0.2)
     present = segment.present.clone()
     present[1:, :, 1] = False
-    left = least_distances(segment._replace(present=present))
+    left = least_gaps(segment._replace(present=present))
     assert left[0, 0, 0] == pytest.approx(0.2, abs=1e-4) and bool((left[1:, 0, 0] > 40).all())
 
 

@@ -13,10 +13,16 @@ from torch.nn import functional
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.train.segments import Segment
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 
 _SOON = 6.0
 """Seconds of delay that count 1."""
+
+_FAR = 1e3
+"""Metres to the nearest other where nobody else is."""
+
+_MEETING = 2.0
+"""m/s relative to each other: two who come from the front at an easy pace."""
 
 _MEET, _BESIDE, _APART = 4.0, 1.2, 0.5
 """Metres ahead and beside within which people meet others from the front, and to the side that is enough."""
@@ -30,6 +36,7 @@ class LoopLosses:
         progress: float = 1.0,
         people: float = 10.0,
         people_margin: float = 0.2,
+        meeting_margin: float = 0.0,
         walls: float = 20.0,
         wall_margin: float = 0.08,
         overspeed: float = 2.0,
@@ -47,6 +54,8 @@ class LoopLosses:
             progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
             people: Distance to others, metres short of ``2 * body_radius + people_margin``, least of a step.
             people_margin: Metres.
+            meeting_margin: Metres more between two who pass each other at 2 m/s or faster, and in proportion
+                less where they are slower: those who walk together come closer than those who meet.
             walls: Distance to walls, metres short of ``body_radius + wall_margin``, at four places of a step.
             wall_margin: Metres.
             overspeed: m/s above ``overspeed_from`` times the preferred speed.
@@ -67,6 +76,7 @@ class LoopLosses:
         self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
         self.corrected = corrected
         self.people_margin, self.wall_margin = people_margin, wall_margin
+        self.meeting_margin = meeting_margin
         self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
 
     def __call__(
@@ -90,11 +100,11 @@ class LoopLosses:
             return torch.where(moved, values, 0.0).sum() / count
 
         speed = segment.asked.square().sum(-1).clamp_min(1e-12).sqrt()
-        near = 2 * BODY_RADIUS + self.people_margin - least_distances(segment)
+        short = self.people_margin - least_gaps(segment, self.meeting_margin)
         weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
-            "people": firmness * self.people * mean(_hinge(near)),
+            "people": firmness * self.people * mean(_hinge(short)),
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }
@@ -157,25 +167,32 @@ def wrong_side(segment: Segment, side: Tensor) -> Tensor:
     return torch.where(meet, cost, 0.0).amax(-1)
 
 
-def least_distances(segment: Segment) -> Tensor:
-    """Return how close the nearest other comes in every step (T, B, A), metres; far where nobody else is.
+def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
+    """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
     Of people who walk straight from one trace point to the next: exact between them.
+
+    Args:
+        segment: What was walked.
+        meeting_margin: What two who pass each other at 2 m/s or faster lack more, metres.
     """
     path, present = segment.trace, segment.present
     people = path.shape[2]
     if people < 2:
-        return path.new_full(path.shape[:3], 1e3)
+        return path.new_full(path.shape[:3], _FAR)
     away = path.unsqueeze(2) - path.unsqueeze(3)  # (T, B, A, A, 1 + S, 2)
     begin, move = away[..., :-1, :], away.diff(dim=-2)
     length = move.square().sum(-1)
     at = (-(begin * move).sum(-1) / length.clamp_min(1e-9)).clamp(0, 1)
     closest = begin + at.detach().unsqueeze(-1) * move
-    least = (closest.square().sum(-1) + 1e-8).sqrt().amin(-1)
+    gap = (closest.square().sum(-1) + 1e-8).sqrt() - 2 * BODY_RADIUS
+    if meeting_margin:
+        speed = length.detach().sqrt() / TRACE_SECONDS
+        gap = gap - meeting_margin * (speed / _MEETING).clamp_max(1)
     nobody = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
         people, dtype=torch.bool, device=path.device
     )
-    return least.masked_fill(nobody, 1e3).amin(-1)
+    return gap.amin(-1).masked_fill(nobody, _FAR).amin(-1)
 
 
 def wall_distances(segment: Segment, bank: MapBank, points: int = 4) -> Tensor:
