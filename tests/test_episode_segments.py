@@ -31,6 +31,7 @@ def made(velocity: Tensor, start: Tensor, bank: MapBank | None = None, **more: A
     scenes = velocity.shape[1]
     fields = {
         "trace": begin.unsqueeze(-2) + velocity.unsqueeze(-2) * part,
+        "asked": velocity,
         "action": velocity,
         "velocity": velocity,
         "progress": 0.4 * velocity[..., 0],
@@ -57,7 +58,28 @@ def test_people_are_as_near_as_between_two_trace_points() -> None:
     """Two who meet head-on at 2 m/s, 0.2 m beside each other, half way between two points of the trace."""
     velocity = torch.tensor([[[[2.0, 0.0], [-2.0, 0.0]]]])
     found = least_gaps(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
-    assert found.shape == (1, 1, 2) and found[0, 0].tolist() == pytest.approx([0.2, 0.2], abs=1e-4)
+    assert found.shape == (1, 1, 2) and found[0, 0].tolist() == pytest.approx([-0.1, -0.1], abs=1e-4)
+
+
+def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
+    """0.4 m beside each other: towards each other at 1 m/s each, at 0.5 m/s each, and side by side."""
+    start, speeds = torch.tensor([[[0.0, 0.0], [0.2, 0.4]]]), [(1.0, -1.0), (0.5, -0.5), (1.0, 1.0)]
+    for (mine, theirs), lacking in zip(speeds, (0.3, 0.15, 0.0), strict=True):
+        velocity = torch.tensor([[[[mine, 0.0], [theirs, 0.0]]]])
+        met, plain = (least_gaps(made(velocity, start), margin) for margin in (0.3, 0.0))
+        assert (plain - met)[0, 0].tolist() == pytest.approx([lacking, lacking], abs=1e-3)
+    term = LoopLosses(people=10.0, people_margin=0.2, meeting_margin=0.3)
+    assert float(term(two(0.3), MapBank([]))["people"]) == pytest.approx(10 * (0.2 + 0.04) * 2 / 3, abs=1e-3)
+
+
+def test_what_a_safety_layer_changed_costs() -> None:
+    """One of three is held back by 0.5 m/s in all steps."""
+    segment = two(5.0)
+    asked = segment.asked.clone()
+    asked[:, :, 0, 0] += 0.5
+    found = LoopLosses(corrected=3.0)(segment._replace(asked=asked), MapBank([]))["corrected"]
+    assert float(found) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
+    assert "corrected" not in LoopLosses()(segment, MapBank([]))
 
 
 def test_nobody_is_near_who_is_alone_or_gone() -> None:
@@ -67,7 +89,7 @@ def test_nobody_is_near_who_is_alone_or_gone() -> None:
     present = segment.present.clone()
     present[1:, :, 1] = False
     left = least_gaps(segment._replace(present=present))
-    assert left[0, 0, 0] == pytest.approx(0.2, abs=1e-4) and bool((left[1:, 0, 0] > 40).all())
+    assert left[0, 0, 0] == pytest.approx(-0.1, abs=1e-4) and bool((left[1:, 0, 0] > 40).all())
 
 
 def test_walls_are_felt_along_the_way_that_was_asked_for() -> None:
@@ -105,7 +127,7 @@ def test_a_weight_of_nothing_takes_its_term_away_and_twice_the_weight_doubles_it
     bank = MapBank([grid])
     segment = two(0.25)
     faster = segment._replace(
-        action=1.5 * segment.action, map_id=torch.tensor([grid.map_id]), progress=0.5 * segment.progress
+        asked=1.5 * segment.asked, map_id=torch.tensor([grid.map_id]), progress=0.5 * segment.progress
     )
     once, twice, never = (LoopLosses(**{name: weight})(faster, bank)[name] for weight in (1.0, 2.0, 0.0))
     assert float(once) > 0 and float(twice) == pytest.approx(2 * float(once)) and float(never) == 0

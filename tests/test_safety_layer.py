@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
@@ -18,6 +19,7 @@ from pedzoo.models.safety import MARGIN, Steps, kept_clear
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
+from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.types import BODY_RADIUS
 
 ROOM = rectangles(
@@ -171,6 +173,15 @@ def test_gradients_are_finite_and_those_of_free_steps_are_one() -> None:
     assert step.grad[0, 2].tolist() == [1.0, 1.0]
 
 
+def test_going_to_the_goal_with_it_is_a_baseline() -> None:
+    """Nobody touches anything, and it decides when learned models do."""
+    kept, free = (load_policy(f"go_to_goal:safety={on}") for on in ("true", "false"))
+    found = [contacts(policy, "door:people=4,width=0.8") for policy in (kept, free)]
+    assert found[0] == (0, 0) and found[1][0] > 10
+    with pytest.raises(UserError, match="leave out dt or safety"):
+        load_policy("go_to_goal:safety=true,dt=0.2")
+
+
 class Dash(Forecaster):
     """Runs at its goal, whoever is in the way; and at the walls."""
 
@@ -190,7 +201,7 @@ class Dash(Forecaster):
         return (0.52 * unit).unsqueeze(2).expand(-1, -1, steps, -1)
 
 
-def contacts(policy: Walker, scenario: str, decisions: int = 20) -> tuple[int, int]:
+def contacts(policy: Walker | Policy, scenario: str, decisions: int = 20) -> tuple[int, int]:
     """Return how many people touched others and walls in the decisions of 8 scenes."""
     env = make_env(scenario, 8, "grid")
     policy.bind(env.bank)

@@ -48,7 +48,7 @@ class Recipe:
     def monitor(self) -> str:
         """The validation metric that chooses checkpoint and seed: what the model is made for."""
         if self.folder == "closed_loop":
-            return "rollout/clean"
+            return "rollout/stl"
         return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_pool") else "val/ade"
 
     @property

@@ -24,17 +24,17 @@ from pedzoo.types import OBS_LEN
 METRICS = (
     *("success", "episode_success", "clean", "deadlock", "failed"),
     *("agent_contacts_per_min", "wall_contacts_per_min", "least_distance_m"),
-    *("time_ratio", "path_ratio"),
+    *("time_ratio", "path_ratio", "stl"),
 )
 """What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
 
 BEST: dict[str, str] = {
-    **dict.fromkeys(("success", "episode_success", "clean"), "max"),
+    **dict.fromkeys(("success", "episode_success", "clean", "stl"), "max"),
     **dict.fromkeys(("deadlock", "failed", "agent_contacts_per_min", "wall_contacts_per_min"), "min"),
 }
 """Which value of a metric is best, where there is no doubt."""
 
-MEANS = ("success", "clean")
+MEANS = ("success", "clean", "stl")
 """Of these the mean over the scenarios is logged too, as ``rollout/METRIC``, to choose checkpoints by."""
 
 

@@ -22,8 +22,11 @@ FORCE = "social_force:preset=indoor"
 BASELINES = ("orca:radius=0.2", ORCA, "orca:radius=0.5", FORCE, "go_to_goal")
 """All see the walls."""
 
-OPEN_LOOP = ("sgan_goal_map.eth_ucy", "sgan_goal.eth_ucy")
-"""Weights that were trained to forecast alone."""
+OPEN_LOOP = ("sgan_goal_map.eth_ucy_way", "sgan_goal.eth_ucy_way")
+"""Weights that were trained to forecast alone, with which trainings in the loop begin."""
+
+APART = ("sgan_goal_map.indoor:safety=false", f"{OPEN_LOOP[0]}:safety=true", "go_to_goal:safety=true")
+"""What the training does without the safety layer, and the layer without the training, and all alone."""
 
 _SEVERAL = (Target("clean", "at least", 0.95), Target("deadlock", "at most", 0.0))
 _BUILDING = (
@@ -80,7 +83,7 @@ class Loop(Walked):
     stem = "LOOP"
     suites = ("loop_doors", "loop_buildings", "loop_noise", "loop_replay")
     models = ("sgan_goal_map.indoor", "sgan_goal.indoor")
-    baselines = (*OPEN_LOOP, *BASELINES)
+    baselines = (*APART, *OPEN_LOOP, *BASELINES)
 
     def notes(self) -> list[str]:
         """Return what has to be known to read the numbers."""

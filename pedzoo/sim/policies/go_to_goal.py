@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from tensordict import TensorDictBase
 
+from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.safety import safe
 from pedzoo.sim.policy import Policy
 from pedzoo.types import STEP_SECONDS
 
@@ -11,15 +14,31 @@ from pedzoo.types import STEP_SECONDS
 class GoToGoal(Policy):
     """The desired velocity itself: what any avoidance has to improve on."""
 
-    def __init__(self, dt: float = STEP_SECONDS) -> None:
+    def __init__(self, dt: float = STEP_SECONDS, safety: bool = False) -> None:
         """Say how often it decides.
 
         Args:
             dt: Seconds between decisions.
+            safety: Whether it has the safety layer of learned models, which looks one step of 0.4 s ahead: what
+                that does where nothing was learned.
+
+        Raises:
+            UserError: With it, decisions at another step.
         """
         super().__init__(dt)
+        if safety and dt != STEP_SECONDS:
+            raise UserError(f"dt {dt}: the safety layer looks {STEP_SECONDS} s ahead; leave out dt or safety")
+        self.safety = safety
+        self._bank: MapBank | None = None
+
+    def bind(self, bank: MapBank) -> None:
+        """Take the floor plans; only the safety layer uses them."""
+        self._bank = bank
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
-        tensordict["agents", "action"] = tensordict["agents", "desired_velocity"]
+        velocity = tensordict["agents", "desired_velocity"]
+        if self.safety:
+            velocity = safe(tensordict, velocity * STEP_SECONDS, self._bank) / STEP_SECONDS
+        tensordict["agents", "action"] = velocity
         return tensordict
