@@ -86,13 +86,14 @@ def _stopped(step: Tensor, groups: Sequence[_Pairs | _Near]) -> Tensor:
     return step * share
 
 
-def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
+def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None, radius: float = BODY_RADIUS) -> Tensor:
     """Return everybody's next steps (B, A, 2), metres, kept clear; see `kept_clear`.
 
     Args:
         batch: Scenes.
         step: What people are asked to do (B, A, 2), metres.
-        bank: The floor plans; None where walls are not seen.
+        bank: The floor plans; None for no walls.
+        radius: Of a body, metres.
     """
     agents = cast("TensorDict", batch["agents"])
     moved = agents["mask"] & agents["controlled"]
@@ -108,7 +109,7 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
     if bank is not None:
         bank = bank.to(step.device)
         walls = bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1])
-    return kept_clear(steps, walls)
+    return kept_clear(steps, walls, radius)
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:
