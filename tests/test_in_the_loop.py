@@ -202,7 +202,9 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     config = yaml.safe_load((run / "config.yaml").read_text())
     before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
     generator = config["model"]["init_args"]["generator"]
-    assert generator["init_args"] == before.config == after.config
+    held = {"safety": True} if "safety" in before.config else {}
+    assert generator["init_args"] == before.config | held == after.config
+    assert after.walking_safety is bool(held) and not before.walking_safety
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)
@@ -277,7 +279,9 @@ def test_what_cannot_be_is_told_before_the_training(
 
 
 def test_a_course_says_what_is_wrong_with_it() -> None:
-    with pytest.raises(UserError, match="'door': scenes 4, share -1: expected at least 1 and above 0"):
-        Course("door", 4, -1)
+    with pytest.raises(
+        UserError, match=r"'door': scenes 4, share -1, body 0\.1: expected at least 1, above 0"
+    ):
+        Course("door", 4, -1, 0.1)
     with pytest.raises(UserError, match="keep 0"):
         module(cast("SGAN", small()), keep=0)

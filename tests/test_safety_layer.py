@@ -1,4 +1,4 @@
-"""The safety layer: what it leaves alone, who gives way, that nobody touches anything, and its invariances."""
+"""The safety layer: what it leaves alone, who gives way, that nobody touches anything, invariances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.models.base import Forecaster
-from pedzoo.models.safety import MARGIN, Steps, kept_clear
+from pedzoo.models.safety import MARGIN, MEETING, Steps, kept_clear
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
@@ -33,9 +33,8 @@ def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> Ste
     position, step = (torch.as_tensor(values, dtype=torch.float32) for values in (position, step))
     position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
     there = torch.ones(position.shape[:2], dtype=torch.bool)
-    return Steps(
-        position, step, torch.full(there.shape, longest), **{"present": there, "moved": there} | more
-    )
+    other = {"way": torch.zeros_like(step), "longest": torch.full(there.shape, longest)}
+    return Steps(position, step, **other | {"present": there, "moved": there} | more)
 
 
 def nearest(position: Tensor, step: Tensor) -> float:
@@ -57,6 +56,16 @@ def test_two_who_meet_head_on_share_the_correction() -> None:
     found = kept_clear(steps([[-0.3, 0.0], [0.3, 0.0]], [[0.5, 0.0], [-0.5, 0.0]]))[0]
     assert found[0, 0] == pytest.approx((0.6 - 0.3 - MARGIN) / 2, abs=2e-3)
     assert found[1].tolist() == pytest.approx((-found[0]).tolist(), abs=1e-5)
+
+
+def test_those_who_go_opposite_ways_pass_shoulder_beside_shoulder() -> None:
+    """Of four pairs, each 0.4 m beside each other, only the one that meets gives more room."""
+    east, west, north, nowhere = (1.0, 0.0), (-2.0, 0.1), (0.0, 1.0), (0.0, 0.0)
+    ways = torch.tensor([(east, west), (east, east), (east, north), (east, nowhere)])
+    asked = steps([[[0.0, 0.0], [0.6, 0.4]]] * 4, [[[0.5, 0.0], [-0.5, 0.0]]] * 4, way=ways)
+    found = kept_clear(asked)
+    gaps = [nearest(asked.position[[pair]], found[[pair]]) for pair in range(4)]
+    assert gaps == pytest.approx([0.3 + MARGIN + MEETING, 0.4, 0.4, 0.4], abs=5e-3)
 
 
 def test_somebody_who_is_brushed_past_is_given_a_little_room() -> None:
@@ -147,13 +156,16 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer() 
     """Six people who run into each other."""
     random = torch.Generator().manual_seed(3)
     asked = steps(0.8 * torch.randn(4, 6, 2, generator=random), 0.4 * torch.randn(4, 6, 2, generator=random))
+    asked = asked._replace(way=torch.randn(4, 6, 2, generator=random))
+    asked = asked._replace(way=torch.randn(4, 6, 2, generator=random))
     found = kept_clear(asked)
     assert (found - asked.step).abs().max() > 0.1
     angle, order = torch.tensor(0.7), torch.randperm(6, generator=random)
     turn = torch.stack((angle.cos(), -angle.sin(), angle.sin(), angle.cos())).view(2, 2)
-    turned = kept_clear(steps(asked.position @ turn.T + 5, asked.step @ turn.T))
+    turned = kept_clear(steps(asked.position @ turn.T + 5, asked.step @ turn.T, way=asked.way @ turn.T))
     assert torch.allclose(turned, found @ turn.T, atol=1e-4)
-    assert torch.allclose(kept_clear(steps(asked.position[:, order], asked.step[:, order])), found[:, order])
+    swapped = kept_clear(Steps(*(values[:, order] for values in asked)))
+    assert torch.allclose(swapped, found[:, order], atol=1e-5)
 
 
 def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:

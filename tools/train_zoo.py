@@ -64,20 +64,25 @@ def train_one(recipe: Recipe, seed: int, root: Path) -> None:
 
 
 def export(recipes: list[Recipe], root: Path) -> None:
-    """Publish the seed of every recipe that is best in validation."""
+    """Publish the seed of every recipe that is best in validation, and of some the others beside it."""
     for recipe in recipes:
         if values := recipe.finished(root):
             best = recipe.best(values, key=values.__getitem__)
-            card = publish(recipe.run(best, root).best, shipped("checkpoints"), recipe.name)
-            print(f"{card}: seed {best} of {len(values)}, {recipe.monitor} {values[best]:.4f}", flush=True)
+            for seed in values if recipe.all_seeds else [best]:
+                name = recipe.name if seed == best else f"{recipe.name}_seed{seed}"
+                card = publish(recipe.run(seed, root).best, shipped("checkpoints"), name)
+                print(
+                    f"{card}: seed {seed} of {len(values)}, {recipe.monitor} {values[seed]:.4f}", flush=True
+                )
 
 
 def numbers(recipes: list[Recipe]) -> None:
     """Measure the shipped weights whose cards have no numbers yet."""
-    for recipe in recipes:
-        path = shipped("checkpoints") / f"{recipe.name}.yaml"
+    names = [name for recipe in recipes for name in (recipe.name, *recipe.other_names)]
+    for name in names:
+        path = shipped("checkpoints") / f"{name}.yaml"
         if path.is_file() and not (card := read_card(path)).evaluations:
-            write_card(dataclasses.replace(card, evaluations=measure(recipe.name)), path)
+            write_card(dataclasses.replace(card, evaluations=measure(name)), path)
             print(path, flush=True)
 
 

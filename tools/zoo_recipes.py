@@ -70,6 +70,16 @@ class Recipe:
         return zoo_name(self.config, protocol)
 
     @property
+    def all_seeds(self) -> bool:
+        """Whether every seed is published: what controllers do in the loop is told of each."""
+        return self.folder == "closed_loop" and self.fold == EVERYTHING
+
+    @property
+    def other_names(self) -> list[str]:
+        """Names that seeds besides the best one may have."""
+        return [f"{self.name}_seed{seed}" for seed in range(self.seeds)] if self.all_seeds else []
+
+    @property
     def options(self) -> dict[str, str]:
         """What ``pedzoo fit`` is told beside the seed."""
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}

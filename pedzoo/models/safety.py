@@ -13,6 +13,7 @@ from typing import NamedTuple, cast
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.nn import functional
 
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.bank import MapBank
@@ -25,6 +26,10 @@ ROUNDS = 8
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
+MEETING = 0.26
+"""Metres more that those keep who go opposite ways: 0.58 m, shoulder beside shoulder. Two of them do not fit
+through a door narrower than 0.92 m at once, and one has to wait, as people do; bodies alone would squeeze."""
+
 _PLACES = 6
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
 
@@ -35,6 +40,7 @@ class Steps(NamedTuple):
     Attributes:
         position: Where they are (B, A, 2), metres.
         step: Where the next step leads (B, A, 2), metres; of whom the policy does not move: what they do.
+        way: Where they are going (B, A, 2), of any length; zero for nowhere.
         longest: Length of a step that nobody exceeds (B, A), metres.
         present: Who is there (B, A) bool.
         moved: Whose steps may be changed (B, A) bool.
@@ -42,6 +48,7 @@ class Steps(NamedTuple):
 
     position: Tensor
     step: Tensor
+    way: Tensor
     longest: Tensor
     present: Tensor
     moved: Tensor
@@ -86,14 +93,13 @@ def _stopped(step: Tensor, groups: Sequence[_Pairs | _Near]) -> Tensor:
     return step * share
 
 
-def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None, radius: float = BODY_RADIUS) -> Tensor:
+def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
     """Return everybody's next steps (B, A, 2), metres, kept clear; see `kept_clear`.
 
     Args:
         batch: Scenes.
         step: What people are asked to do (B, A, 2), metres.
         bank: The floor plans; None for no walls.
-        radius: Of a body, metres.
     """
     agents = cast("TensorDict", batch["agents"])
     moved = agents["mask"] & agents["controlled"]
@@ -101,6 +107,7 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None, radius: floa
     steps = Steps(
         torch.where(there, agents["history"][:, :, -1], 0.0),
         torch.where(moved.unsqueeze(-1), step, agents["velocity"] * STEP_SECONDS).where(there, 0.0),
+        agents["desired_velocity"] if "desired_velocity" in agents.keys() else torch.zeros_like(step),
         TOP_SPEED_RATIO * STEP_SECONDS * agents["pref_speed"][..., 0],
         agents["mask"],
         moved,
@@ -109,7 +116,7 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None, radius: floa
     if bank is not None:
         bank = bank.to(step.device)
         walls = bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1])
-    return kept_clear(steps, walls, radius)
+    return kept_clear(steps, walls)
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:
@@ -145,7 +152,9 @@ class _Pairs(NamedTuple):
         both &= ~torch.eye(people, dtype=torch.bool, device=away.device)
         moved = steps.moved.to(away.dtype)
         mine = moved.unsqueeze(2) / (moved.unsqueeze(2) + moved.unsqueeze(1)).clamp_min(1)
-        room = torch.where(both, apart.clamp_max(least + MARGIN), -1.0)
+        ahead = functional.normalize(steps.way, dim=-1)
+        opposed = (ahead.unsqueeze(2) * ahead.unsqueeze(1)).sum(-1) < -0.5
+        room = torch.where(both, torch.minimum(apart, least + MARGIN + MEETING * opposed), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least)
 
     def corrected(self, step: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, Noise, ids_of
 from pedzoo.models.safety import safe
-from pedzoo.types import BODY_RADIUS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -42,7 +42,6 @@ class Walker(TensorDictModuleBase):
 
     Attributes:
         model: The forecaster.
-        body_radius: Of the bodies that the safety layer keeps apart, metres.
         decision_dt: Seconds between decisions; no other are possible.
     """
 
@@ -83,7 +82,6 @@ class Walker(TensorDictModuleBase):
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
-        self.body_radius = BODY_RADIUS
         self._bank: MapBank | None = None
         self._plan: Plan | None = None
 
@@ -101,7 +99,7 @@ class Walker(TensorDictModuleBase):
             step = self._planned(tensordict)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
-            step = safe(tensordict, step, self._bank, self.body_radius)
+            step = safe(tensordict, step, self._bank)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
 

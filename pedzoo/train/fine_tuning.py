@@ -19,7 +19,7 @@ from pedzoo.registry import MODELS
 from pedzoo.train.module import LOSSES, ForecastModule, differences
 
 WALKING = ("safety",)
-"""Options of an architecture that say how a model walks: a config's, whatever its weights were trained with."""
+"""Options of an architecture that a config decides, with whatever weights it begins: how a model walks."""
 
 
 def start_from(module: ForecastModule, weights: str) -> None:

@@ -109,7 +109,6 @@ class LoopModule(ForecastModule):
         running = self.mixture.at(int(self.iteration), self.current_epoch)
         seen = running.begin(self.keep)
         self.walker.bind(running.env.bank)
-        self.walker.body_radius = running.course.body
         noise = self.walker.noise_of(seen)
         segment = unrolled(running.env, self.walker, seen, self.steps)
         running.end(segment.done)

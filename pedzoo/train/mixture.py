@@ -12,7 +12,6 @@ from pedzoo.draws import join, uniform
 from pedzoo.errors import UserError
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.types import BODY_RADIUS
 
 
 @dataclass(frozen=True)
@@ -23,14 +22,11 @@ class Course:
         scenario: With settings, as ``door:people=4``.
         scenes: That are walked at once.
         share: Of the updates, beside those of the other courses.
-        body: Radius of the bodies that a safety layer keeps apart, metres. Where two of them do not fit through
-            a door, people have to learn to go one after the other; where they do, they squeeze.
     """
 
     scenario: str
     scenes: int = 64
     share: float = 1.0
-    body: float = BODY_RADIUS
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -38,10 +34,10 @@ class Course:
         Raises:
             UserError: One of them gives no training.
         """
-        if self.scenes < 1 or self.share <= 0 or self.body < BODY_RADIUS:
+        if self.scenes < 1 or self.share <= 0:
             raise UserError(
-                f"course {self.scenario!r}: scenes {self.scenes}, share {self.share}, body {self.body}: expected"
-                f" at least 1, above 0, and at least {BODY_RADIUS}"
+                f"course {self.scenario!r}: scenes {self.scenes}, share {self.share}: expected at least 1 and"
+                " above 0"
             )
 
 

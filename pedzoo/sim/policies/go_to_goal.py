@@ -19,8 +19,8 @@ class GoToGoal(Policy):
 
         Args:
             dt: Seconds between decisions.
-            safety: Whether it has the safety layer of learned models, which looks one step of 0.4 s ahead: what
-                that does where nothing was learned.
+            safety: Whether it has the safety layer of learned models, see `pedzoo.models.safety`: what that
+                does where nothing was learned.
 
         Raises:
             UserError: With it, decisions at another step.
