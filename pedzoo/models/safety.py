@@ -26,9 +26,10 @@ ROUNDS = 8
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
-MEETING = 0.26
-"""Metres more that those keep who go opposite ways: 0.58 m, shoulder beside shoulder. Two of them do not fit
-through a door narrower than 0.92 m at once, and one has to wait, as people do; bodies alone would squeeze."""
+MEETING = 0.34
+"""Metres more that those keep who go opposite ways: 0.66 m, about the room that a walker takes up sideways
+(0.71 m in Weidmann, "Transporttechnik der Fussgaenger", 1993). Two of them do not fit through a door narrower
+than a metre at once, and one has to wait, as people do; bodies alone would squeeze."""
 
 _PLACES = 6
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
@@ -241,7 +242,8 @@ class _Near(NamedTuple):
     def touching(self, step: Tensor) -> Tensor:
         """Return who would touch a wall, and more than now (B, A) bool."""
         gap, _ = self._along(step.flatten(0, 1)[self.who])
-        bound = self.room.clamp_max(self.least + 0.001) - 1e-4
+        # corners are cut a little between two places
+        bound = self.room.clamp_max(self.least + MARGIN / 2) - 1e-4
         found = torch.zeros(step.shape[0] * step.shape[1], dtype=torch.bool, device=step.device)
         found[self.who] = (gap < bound).any(1)
         return found.view(step.shape[:2])
