@@ -127,7 +127,10 @@ def test_a_weight_of_nothing_takes_its_term_away_and_twice_the_weight_doubles_it
     bank = MapBank([grid])
     segment = two(0.25)
     faster = segment._replace(
-        asked=1.5 * segment.asked, map_id=torch.tensor([grid.map_id]), progress=0.5 * segment.progress
+        asked=1.5 * segment.asked,
+        action=1.5 * segment.action,
+        map_id=torch.tensor([grid.map_id]),
+        progress=0.5 * segment.progress,
     )
     once, twice, never = (LoopLosses(**{name: weight})(faster, bank)[name] for weight in (1.0, 2.0, 0.0))
     assert float(once) > 0 and float(twice) == pytest.approx(2 * float(once)) and float(never) == 0

@@ -67,9 +67,8 @@ def export(recipes: list[Recipe], root: Path) -> None:
     """Publish the seed of every recipe that is best in validation, and of some the others beside it."""
     for recipe in recipes:
         if values := recipe.finished(root):
-            best = recipe.best(values, key=values.__getitem__)
-            for seed in values if recipe.all_seeds else [best]:
-                name = recipe.name if seed == best else f"{recipe.name}_seed{seed}"
+            best_first = sorted(values, key=values.__getitem__, reverse=recipe.best is max)
+            for name, seed in zip(recipe.names, best_first, strict=False):
                 card = publish(recipe.run(seed, root).best, shipped("checkpoints"), name)
                 print(
                     f"{card}: seed {seed} of {len(values)}, {recipe.monitor} {values[seed]:.4f}", flush=True
@@ -78,7 +77,7 @@ def export(recipes: list[Recipe], root: Path) -> None:
 
 def numbers(recipes: list[Recipe]) -> None:
     """Measure the shipped weights whose cards have no numbers yet."""
-    names = [name for recipe in recipes for name in (recipe.name, *recipe.other_names)]
+    names = [name for recipe in recipes for name in recipe.names]
     for name in names:
         path = shipped("checkpoints") / f"{name}.yaml"
         if path.is_file() and not (card := read_card(path)).evaluations:

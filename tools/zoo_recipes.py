@@ -75,9 +75,9 @@ class Recipe:
         return self.folder == "closed_loop" and self.fold == EVERYTHING
 
     @property
-    def other_names(self) -> list[str]:
-        """Names that seeds besides the best one may have."""
-        return [f"{self.name}_seed{seed}" for seed in range(self.seeds)] if self.all_seeds else []
+    def names(self) -> list[str]:
+        """Zoo names of its seeds, the best one's first."""
+        return [self.name, *(f"{self.name}_{letter}" for letter in "bc" if self.all_seeds)]
 
     @property
     def options(self) -> dict[str, str]:

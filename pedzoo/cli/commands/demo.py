@@ -13,7 +13,7 @@ CONTROLLER = "sgan_goal_map.indoor"
 """The best that there is to walk with, trained in the loop."""
 
 NAME = "sgan_goal_map.eth_ucy"
-"""Trained to forecast alone: beside it one sees what the loop is good for, and it is fine-tuned in a minute."""
+"""Trained to forecast alone: shows what the loop is good for, and is fine-tuned in a minute."""
 
 POLICIES = f"{CONTROLLER} {NAME} orca:radius=0.3 social_force:preset=indoor"
 METRICS = "success,deadlock,agent_contacts_per_min,wall_contacts_per_min,time_ratio,least_distance_m"

@@ -126,9 +126,7 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     for check in found.parity:
         print(f"  {check.scenes:>3} scenes of {check.people:>3} people: {check.difference:.1e}")
     if model.walking_safety:
-        print(
-            "the graph predicts; the safety layer, which keeps its steps clear of people and walls, is not in it"
-        )
+        print("the safety layer, which keeps steps clear of people and walls, is not in the graph")
     for name in files[1:]:
         print(f"{name}  map_image and map_affine of {options.plan}")
     return {"files": files, "parity": [check._asdict() for check in found.parity]}
