@@ -58,16 +58,6 @@ def test_two_who_meet_head_on_share_the_correction() -> None:
     assert found[1].tolist() == pytest.approx((-found[0]).tolist(), abs=1e-5)
 
 
-def test_those_who_go_opposite_ways_pass_shoulder_beside_shoulder() -> None:
-    """Of four pairs, each 0.4 m beside each other, only the one that meets gives more room."""
-    east, west, north, nowhere = (1.0, 0.0), (-2.0, 0.1), (0.0, 1.0), (0.0, 0.0)
-    ways = torch.tensor([(east, west), (east, east), (east, north), (east, nowhere)])
-    asked = steps([[[0.0, 0.0], [0.6, 0.4]]] * 4, [[[0.5, 0.0], [-0.5, 0.0]]] * 4, way=ways)
-    found = kept_clear(asked)
-    gaps = [nearest(asked.position[[pair]], found[[pair]]) for pair in range(4)]
-    assert gaps == pytest.approx([0.3 + MARGIN + MEETING, 0.4, 0.4, 0.4], abs=5e-3)
-
-
 def test_somebody_who_is_brushed_past_is_given_a_little_room() -> None:
     """What is less, a step aside or one back: 0.29 m beside each other it is 3 cm to the side, shared."""
     asked = steps([[0.0, 0.0], [0.4, 0.29]], [[0.4, 0.0], [-0.4, 0.0]])
@@ -132,6 +122,22 @@ def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
     room_left = 0.35 - BODY_RADIUS - MARGIN
     assert found[0].tolist() == pytest.approx([room_left, 0.0], abs=5e-3)
     assert found[1].tolist() == pytest.approx([room_left, 0.4], abs=5e-3)
+
+
+def test_those_who_meet_in_a_narrow_place_keep_a_shoulders_room() -> None:
+    """Of four pairs, each 0.1 m beside each other, only the one that meets in the door; not in the open."""
+    bank = MapBank([ROOM])
+    east, west, north, nowhere = (1.0, 0.0), (-2.0, 0.1), (0.0, 1.0), (0.0, 0.0)
+    ways = torch.tensor([(east, west), (east, east), (east, north), (east, nowhere)])
+    door = torch.tensor([[[-0.5, -0.05], [0.5, 0.05]]]).expand(4, -1, -1)
+    move = torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]]).expand(4, -1, -1)
+    gaps = []
+    for places in (door, door + torch.tensor([1.5, 1.0])):
+        found = kept_clear(steps(places, move, way=ways), around(bank, 4, 2))
+        gaps.append([nearest(places[[pair]], found[[pair]]) for pair in range(4)])
+    body = 2 * BODY_RADIUS + MARGIN
+    assert gaps[0] == pytest.approx([body + MEETING, body, body, body], abs=0.01)
+    assert gaps[1] == pytest.approx([body] * 4, abs=0.01)
 
 
 def test_in_a_room_nobody_touches_walls_or_others() -> None:

@@ -27,9 +27,12 @@ MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
 MEETING = 0.34
-"""Metres more that those keep who go opposite ways: 0.66 m, about the room that a walker takes up sideways
-(0.71 m in Weidmann, "Transporttechnik der Fussgaenger", 1993). Two of them do not fit through a door narrower
-than a metre at once, and one has to wait, as people do; bodies alone would squeeze."""
+"""Metres more that those keep who meet in a narrow place, going opposite ways: 0.66 m, about the room that
+somebody takes up sideways (0.71 m in Weidmann, "Transporttechnik der Fussgaenger", 1993). Two do not
+fit through a door narrower than a metre at once, and one has to wait, as people do; bodies would squeeze."""
+
+NARROW = 0.5
+"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
 
 _PLACES = 6
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
@@ -67,8 +70,13 @@ def kept_clear(steps: Steps, walls: LocalWalls | None = None, radius: float = BO
         walls: As people see them (`MapBank.walls_of_people`), B * A entries; None for none.
         radius: Of a body, metres.
     """
-    pairs = _Pairs.of(steps, 2 * radius)
-    near = None if walls is None else _Near.of(steps, walls, radius)
+    narrow = near = None
+    if walls is not None:
+        ends = torch.stack((steps.position, steps.position + steps.step), 2)
+        gap, _ = walls.closest(ends.flatten(0, 1))
+        narrow = (gap < NARROW).any(1).view(steps.moved.shape)
+        near = _Near.of(steps, walls, gap[:, :1], radius)
+    pairs = _Pairs.of(steps, 2 * radius, narrow)
     step = _capped(steps, steps.step)
     groups = [group for group in (pairs, near) if group is not None]
     for _ in range(ROUNDS):
@@ -142,8 +150,8 @@ class _Pairs(NamedTuple):
     least: float
 
     @classmethod
-    def of(cls, steps: Steps, least: float) -> _Pairs | None:
-        """Return them, None where there are none."""
+    def of(cls, steps: Steps, least: float, narrow: Tensor | None) -> _Pairs | None:
+        """Return them, None where there are none; ``narrow`` is who is in a narrow place (B, A) bool."""
         people = steps.present.shape[1]
         if people < 2:
             return None
@@ -153,9 +161,12 @@ class _Pairs(NamedTuple):
         both &= ~torch.eye(people, dtype=torch.bool, device=away.device)
         moved = steps.moved.to(away.dtype)
         mine = moved.unsqueeze(2) / (moved.unsqueeze(2) + moved.unsqueeze(1)).clamp_min(1)
-        ahead = functional.normalize(steps.way, dim=-1)
-        opposed = (ahead.unsqueeze(2) * ahead.unsqueeze(1)).sum(-1) < -0.5
-        room = torch.where(both, torch.minimum(apart, least + MARGIN + MEETING * opposed), -1.0)
+        wanted = torch.full_like(apart, least + MARGIN)
+        if narrow is not None:
+            ahead = functional.normalize(steps.way, dim=-1)
+            opposed = (ahead.unsqueeze(2) * ahead.unsqueeze(1)).sum(-1) < -0.5
+            wanted = wanted + MEETING * (opposed & (narrow.unsqueeze(2) | narrow.unsqueeze(1)))
+        room = torch.where(both, torch.minimum(apart, wanted), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least)
 
     def corrected(self, step: Tensor) -> Tensor:
@@ -213,18 +224,15 @@ class _Near(NamedTuple):
     parts: Tensor
 
     @classmethod
-    def of(cls, steps: Steps, walls: LocalWalls, radius: float) -> _Near | None:
-        """Return whoever a step can bring to a wall, None for nobody."""
-        position = steps.position.flatten(0, 1)
+    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor, radius: float) -> _Near | None:
+        """Return whoever a step can bring to a wall, None for nobody; ``gap`` is how far it is (B * A, 1)."""
         reach = steps.longest.flatten() + radius + MARGIN
-        close = walls.least(position.detach().t().unsqueeze(1))[0] < reach
-        who = (close & steps.moved.flatten()).nonzero()[:, 0]
+        who = ((gap[:, 0] < reach) & steps.moved.flatten()).nonzero()[:, 0]
         if not len(who):
             return None
-        position, some = position[who].unsqueeze(1), walls.rows(who)
-        gap, _ = some.closest(position)
+        position = steps.position.flatten(0, 1)[who].unsqueeze(1)
         parts = torch.arange(1, _PLACES + 1, device=position.device, dtype=position.dtype) / _PLACES
-        return cls(who, some, position, gap.clamp_max(radius + MARGIN), radius, parts)
+        return cls(who, walls.rows(who), position, gap[who].clamp_max(radius + MARGIN), radius, parts)
 
     def corrected(self, step: Tensor) -> Tensor:
         """Return everybody's steps (B, A, 2), theirs led off the walls; those given likewise."""
