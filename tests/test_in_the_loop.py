@@ -279,9 +279,7 @@ def test_what_cannot_be_is_told_before_the_training(
 
 
 def test_a_course_says_what_is_wrong_with_it() -> None:
-    with pytest.raises(
-        UserError, match=r"'door': scenes 4, share -1, body 0\.1: expected at least 1, above 0"
-    ):
-        Course("door", 4, -1, 0.1)
+    with pytest.raises(UserError, match="'door': scenes 4, share -1: expected at least 1 and above 0"):
+        Course("door", 4, -1)
     with pytest.raises(UserError, match="keep 0"):
         module(cast("SGAN", small()), keep=0)

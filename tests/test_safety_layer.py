@@ -227,7 +227,7 @@ def contacts(policy: Walker | Policy, scenario: str, decisions: int = 20) -> tup
     agent = wall = 0
     for _ in range(decisions):
         seen = env.step(policy(seen))["next"]
-        info = seen["agents", "info"]
+        info: Any = seen["agents", "info"]
         agent, wall = agent + int(info["agent_contact"].sum()), wall + int(info["wall_contact"].sum())
         if bool(seen["done"].all()):
             break

@@ -117,7 +117,7 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
         torch.where(there, agents["history"][:, :, -1], 0.0),
         torch.where(moved.unsqueeze(-1), step, agents["velocity"] * STEP_SECONDS).where(there, 0.0),
         agents["desired_velocity"] if "desired_velocity" in agents.keys() else torch.zeros_like(step),
-        TOP_SPEED_RATIO * STEP_SECONDS * agents["pref_speed"][..., 0],
+        TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
         agents["mask"],
         moved,
     )
