@@ -27,6 +27,17 @@ def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
     return velocity * (top_speed / speed).clamp_max(1.0).unsqueeze(-1)
 
 
+def nearest_part(away: Tensor, move: Tensor) -> Tensor:
+    """Return at which part (...), 0 to 1, of a straight relative move (..., 2) two are nearest; no gradient.
+
+    Args:
+        away: Relative places at its beginning (..., 2).
+        move: How these change.
+    """
+    part = -(away * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
+    return part.detach().clamp(0, 1)
+
+
 def identity_pose(scenes: int, device: torch.device | None = None) -> Tensor:
     """Return the scene poses (B, 4) that leave every scene where its floor plan is."""
     return torch.tensor([0.0, 1.0, 0.0, 0.0], device=device).repeat(scenes, 1)

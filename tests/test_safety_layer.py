@@ -163,7 +163,6 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer() 
     random = torch.Generator().manual_seed(3)
     asked = steps(0.8 * torch.randn(4, 6, 2, generator=random), 0.4 * torch.randn(4, 6, 2, generator=random))
     asked = asked._replace(way=torch.randn(4, 6, 2, generator=random))
-    asked = asked._replace(way=torch.randn(4, 6, 2, generator=random))
     found = kept_clear(asked)
     assert (found - asked.step).abs().max() > 0.1
     angle, order = torch.tensor(0.7), torch.randperm(6, generator=random)

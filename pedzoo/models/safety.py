@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.nn import functional
 
-from pedzoo.geometry import limit_speed
+from pedzoo.geometry import limit_speed, nearest_part
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
@@ -198,8 +198,7 @@ class _Pairs(NamedTuple):
     def _approach(self, step: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return relative moves, and the part of the step, the place and distance of closest approach."""
         move = step.unsqueeze(2) - step.unsqueeze(1)
-        place = -(self.away * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
-        place = place.detach().clamp(0, 1)
+        place = nearest_part(self.away, move)
         closest = self.away + place.unsqueeze(-1) * move
         return move, place, closest, (closest.square().sum(-1) + 1e-9).sqrt()
 

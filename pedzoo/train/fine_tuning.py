@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -82,10 +80,12 @@ def architecture_options(weights: str, config: str) -> list[str]:
     if not settings.get("weights"):
         return []
     generator = settings["model"]["init_args"]["generator"].get("init_args", {})
-    return _architecture(saved_config(weights), {key: generator[key] for key in WALKING if key in generator})
+    return _architecture(
+        saved_config(weights), **{key: generator[key] for key in WALKING if key in generator}
+    )
 
 
-def _architecture(config: dict[str, Any], walking: Mapping[str, Any] = MappingProxyType({})) -> list[str]:
+def _architecture(config: dict[str, Any], **walking: Any) -> list[str]:
     cls = MODELS.get(config["architecture"])
     # all options, also those that weights of an earlier version do not know: a config may set them
     options = build(config).config

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pedzoo.errors import UserError
+from pedzoo.geometry import nearest_part
 from pedzoo.maps.bank import MapBank
 from pedzoo.train.segments import Segment
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
@@ -182,12 +183,10 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
         return path.new_full(path.shape[:3], _FAR)
     away = path.unsqueeze(2) - path.unsqueeze(3)  # (T, B, A, A, 1 + S, 2)
     begin, move = away[..., :-1, :], away.diff(dim=-2)
-    length = move.square().sum(-1)
-    at = (-(begin * move).sum(-1) / length.clamp_min(1e-9)).clamp(0, 1)
-    closest = begin + at.detach().unsqueeze(-1) * move
+    closest = begin + nearest_part(begin, move).unsqueeze(-1) * move
     gap = (closest.square().sum(-1) + 1e-8).sqrt() - 2 * BODY_RADIUS
     if meeting_margin:
-        speed = length.detach().sqrt() / TRACE_SECONDS
+        speed = move.detach().norm(dim=-1) / TRACE_SECONDS
         gap = gap - meeting_margin * (speed / _MEETING).clamp_max(1)
     nobody = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
         people, dtype=torch.bool, device=path.device
