@@ -38,6 +38,15 @@ def nearest_part(away: Tensor, move: Tensor) -> Tensor:
     return part.detach().clamp(0, 1)
 
 
+def opposed(ahead: Tensor) -> Tensor:
+    """Return who is going the opposite way of whom (..., A, A) bool, within 60 degrees.
+
+    Args:
+        ahead: Unit vectors in which people are going (..., A, 2); zero for nowhere.
+    """
+    return (ahead.unsqueeze(-2) * ahead.unsqueeze(-3)).sum(-1) < -0.5
+
+
 def identity_pose(scenes: int, device: torch.device | None = None) -> Tensor:
     """Return the scene poses (B, 4) that leave every scene where its floor plan is."""
     return torch.tensor([0.0, 1.0, 0.0, 0.0], device=device).repeat(scenes, 1)

@@ -61,6 +61,16 @@ def test_people_are_as_near_as_between_two_trace_points() -> None:
     assert found.shape == (1, 1, 2) and found[0, 0].tolist() == pytest.approx([-0.1, -0.1], abs=1e-4)
 
 
+def test_people_are_as_near_as_they_ask_to_be_and_others_as_they_are() -> None:
+    """A layer holds two back who would walk into each other; the one whom nothing moves stays where it is."""
+    held = made(torch.zeros(1, 1, 2, 2), torch.tensor([[[0.0, 0.0], [1.0, 0.0]]]))
+    asks = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
+    moved = torch.tensor([[[True, False]]])
+    assert least_gaps(held)[0, 0, 0] == pytest.approx(0.7, abs=1e-4)
+    assert least_gaps(held._replace(asked=asks))[0, 0, 0] == pytest.approx(-0.1, abs=1e-4)
+    assert least_gaps(held._replace(asked=asks, moved=moved))[0, 0, 0] == pytest.approx(0.3, abs=1e-4)
+
+
 def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
     """0.4 m beside each other: towards each other at 1 m/s each, at 0.5 m/s each, and side by side."""
     start, speeds = torch.tensor([[[0.0, 0.0], [0.2, 0.4]]]), [(1.0, -1.0), (0.5, -0.5), (1.0, 1.0)]

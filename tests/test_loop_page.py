@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from walks import made, straight
 
 from pedzoo.cli.main import main
 from pedzoo.eval.reproduce.loop import BASELINES, FORCE, ORCA, Loop, _plans, targets
+from pedzoo.eval.reproduce.loop_forecasts import forecasts
 from pedzoo.eval.suite import Request
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.eval.suites.loop_buildings import OFFICES, LoopBuildings
@@ -23,6 +25,8 @@ from pedzoo.eval.suites.loop_replay import LoopReplay
 from pedzoo.eval.targets import Target, verdict
 from pedzoo.metrics.choices import first_through, passing_side, varied
 from pedzoo.metrics.ratios import summarised
+from pedzoo.models.card import ModelCard, read_card, write_card
+from pedzoo.paths import shipped
 from pedzoo.sim.make import make_scenario
 
 NAN = float("nan")
@@ -172,6 +176,37 @@ def test_page_says_what_is_met_and_what_is_missing() -> None:
     assert f"walked {DRAWS} times" in " ".join(loop.notes()) and "office.2" in loop.notes()[1]
     given = Loop(models=["go_to_goal"], request=Request(quick=True, maps=("flat", "office.7")))
     assert "those that were given: [flat,office.7]" in given.notes()[1]
+
+
+def test_forecasts_stand_beside_those_of_the_weights_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = (
+        read_card(shipped("checkpoints") / f"sgan_goal_map.{tag}.yaml") for tag in ("zara1", "zara2")
+    )
+    reports = [one for one in before.evaluations if one["command"] == "forecast"]
+
+    def told(card: ModelCard, name: str, factor: float, **training: Any) -> None:
+        rows = [
+            [dict(row, metrics={"ade_m": factor * row["metrics"]["ade_m"]}) for row in one["rows"]]
+            for one in reports
+        ]
+        found = [one | {"rows": row} for one, row in zip(reports, rows, strict=True)]
+        known = card.training | training
+        write_card(replace(card, name=name, training=known, evaluations=found), tmp_path / f"{name}.yaml")
+
+    told(before, "sgan_goal_map.before", 1.0)
+    told(after, "sgan_goal_map.good", 1.1, overrides={"weights": "sgan_goal_map.before"})
+    told(after, "sgan_goal_map.bad", 1.2, overrides={"weights": "sgan_goal_map.before"})
+    told(after, "sgan_goal_map.alone", 1.2)
+    monkeypatch.setenv("PEDZOO_ZOO", str(tmp_path))
+    names = [f"sgan_goal_map.{tag}" for tag in ("before", "good:safety=false", "bad", "alone")]
+    page = forecasts([*names, "go_to_goal", "orca:radius=0.3"])
+    assert page is not None and len(page.rows) == 2 * len(reports)
+    verdicts = {row[0]: row[2] for row in page.rows}
+    assert verdicts == {"sgan_goal_map.good": "met", "sgan_goal_map.bad": "1.200, not at most 1.15"}
+    assert all(row[4] == "sgan_goal_map.before" for row in page.rows)
+    assert forecasts(["go_to_goal"]) is None
 
 
 def test_loop_writes_page_and_report_and_names_what_is_missing(

@@ -114,17 +114,17 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
 def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
     """Return the protocol in a line: suites with their episodes, worlds and warm starts, noise and seeds."""
     counts: dict[str, dict[str, int]] = {}
-    worlds = {}
+    worlds: dict[str, dict[str, None]] = {}
     for row in report["rows"]:
         suite = row["case"]["suite"]
         counts.setdefault(suite, {})[case_label(row)] = row["n"]
-        worlds[suite] = row["case"]["world"]
+        worlds.setdefault(suite, {})[row["case"]["world"]] = None
     parts, protocol = [], report["protocol"]
     for suite, cases in counts.items():
         size = f"{len(cases)} x {min(cases.values())}" if len(cases) > 1 else str(*cases.values())
         if len(set(cases.values())) > 1:
             size = f"{len(cases)} cases, {sum(cases.values())}"
-        where = f"{worlds[suite]}, warm start {protocol['warm_start'][suite]}"
+        where = f"{' and '.join(worlds[suite])}, warm start {protocol['warm_start'][suite]}"
         parts.append(f"{suite} {size} {shown[suite].counted} ({where})")
     noise = "none" if protocol["deterministic"] else "sampled"
     seeds = " ".join(map(str, report["seeds"]))

@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.nn import functional
 
-from pedzoo.geometry import limit_speed, nearest_part
+from pedzoo.geometry import limit_speed, nearest_part, opposed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
@@ -164,8 +164,7 @@ class _Pairs(NamedTuple):
         wanted = torch.full_like(apart, least + MARGIN)
         if narrow is not None:
             ahead = functional.normalize(steps.way, dim=-1)
-            opposed = (ahead.unsqueeze(2) * ahead.unsqueeze(1)).sum(-1) < -0.5
-            wanted = wanted + MEETING * (opposed & (narrow.unsqueeze(2) | narrow.unsqueeze(1)))
+            wanted = wanted + MEETING * (opposed(ahead) & (narrow.unsqueeze(2) | narrow.unsqueeze(1)))
         room = torch.where(both, torch.minimum(apart, wanted), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least)
 

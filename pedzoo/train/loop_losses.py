@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pedzoo.errors import UserError
-from pedzoo.geometry import nearest_part
+from pedzoo.geometry import nearest_part, opposed
 from pedzoo.maps.bank import MapBank
 from pedzoo.train.segments import Segment
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS
@@ -160,8 +160,7 @@ def wrong_side(segment: Segment, side: Tensor) -> Tensor:
     mine = ahead.unsqueeze(-2)
     before = (away * mine).sum(-1)
     left = mine[..., 0] * away[..., 1] - mine[..., 1] * away[..., 0]
-    opposed = (mine * ahead.unsqueeze(-3)).sum(-1) < -0.5
-    meet = opposed & (before > 0) & (before < _MEET) & (left.abs() < _BESIDE)
+    meet = opposed(ahead) & (before > 0) & (before < _MEET) & (left.abs() < _BESIDE)
     meet &= present.unsqueeze(-1) & present.unsqueeze(-2)
     like = side.tanh().unsqueeze(-1)
     cost = like.abs() * (_APART + like.sign() * left).clamp_min(0)

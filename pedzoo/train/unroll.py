@@ -137,7 +137,6 @@ def _towards(position: Tensor, destination: Tensor) -> Tensor:
 
 def _arrives(begin: Tensor, end: Tensor, destination: Tensor) -> Tensor:
     """Return whose straight way (..., 2) comes within 0.3 m of their destination (...,) bool."""
-    move, away = end - begin, destination - begin
-    part = (away * move).sum(-1) / move.square().sum(-1).clamp_min(_NEAR**2)
-    nearest = away - part.clamp(0, 1).unsqueeze(-1) * move
+    move, away = end - begin, begin - destination
+    nearest = away + geometry.nearest_part(away, move).unsqueeze(-1) * move
     return nearest.square().sum(-1) < GOAL_RADIUS**2

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from pedzoo.data.datasets.eth_ucy import SCENES
+from pedzoo.eval.reproduce.loop_forecasts import forecasts
 from pedzoo.eval.reproduce.walked import Walked
 from pedzoo.eval.results import Page, cell
 from pedzoo.eval.suites.goals import DRAWN
@@ -127,7 +129,9 @@ class Loop(Walked):
             tables.setdefault(row["table"], {})[row["name"]] = row
         if not tables:
             return []
-        return [_overview(tables), *(self._page(table, rows) for table, rows in tables.items())]
+        told = forecasts([*self.policies, *(f"{name}_{fold}" for name in self.policies for fold in SCENES)])
+        walked = [self._page(table, rows) for table, rows in tables.items()]
+        return [_overview(tables), *walked, *([told] if told else [])]
 
     def _page(self, table: str, rows: Mapping[str, Mapping[str, Any]]) -> Page:
         suite = next(iter(rows.values()))["case"]["suite"]
