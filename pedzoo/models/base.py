@@ -34,6 +34,7 @@ class Forecaster(nn.Module):
         walking_noise: How often its noise is drawn when it walks, if nobody says anything else.
         walking_safety: Whether its steps are kept clear of people and walls when it walks, if nobody says
             anything else; see `pedzoo.models.safety`.
+        walking_pace: Whether nearer goals are moved out when it walks, likewise; see `pedzoo.models.pace`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
@@ -44,6 +45,7 @@ class Forecaster(nn.Module):
     mode_at_zero: ClassVar[bool] = False
     walking_noise: Noise = "episode"
     walking_safety: bool = False
+    walking_pace: bool = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 

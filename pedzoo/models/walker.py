@@ -14,6 +14,7 @@ from pedzoo import draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster, Noise, ids_of
+from pedzoo.models.pace import paced
 from pedzoo.models.safety import safe
 from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 
@@ -56,6 +57,7 @@ class Walker(TensorDictModuleBase):
         execute_steps: int = 1,
         noise_seed: int = 0,
         safety: bool | None = None,
+        pace: bool | None = None,
     ) -> None:
         """Take a forecaster.
 
@@ -69,6 +71,8 @@ class Walker(TensorDictModuleBase):
             safety: Whether steps are led off others and walls where they would touch them, see
                 `pedzoo.models.safety`; what the model asked for is then written too, as ``asked`` (B, A, 2)
                 in m/s. None: as the model says.
+            pace: Whether goals are as far ahead as people walk in the time, also where the way bends before,
+                see `pedzoo.models.pace`. None: as the model says.
 
         Raises:
             UserError: A setting is out of range.
@@ -82,6 +86,7 @@ class Walker(TensorDictModuleBase):
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
+        self.pace = model.walking_pace if pace is None else pace
         self._bank: MapBank | None = None
         self._plan: Plan | None = None
 
@@ -131,7 +136,8 @@ class Walker(TensorDictModuleBase):
         return kept.steps[torch.arange(len(key), device=key.device), :, now - kept.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
-        return self.model.next_steps(tensordict, self.noise_of(tensordict), steps, PRED_LEN)
+        scenes = paced(tensordict) if self.pace else tensordict
+        return self.model.next_steps(scenes, self.noise_of(tensordict), steps, PRED_LEN)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return everybody's noise (B, A, noise_dim) in scenes as they are now, None for none."""

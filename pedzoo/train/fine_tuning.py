@@ -16,7 +16,7 @@ from pedzoo.paths import config_names, find_config
 from pedzoo.registry import MODELS
 from pedzoo.train.module import LOSSES, ForecastModule, differences
 
-WALKING = ("safety",)
+WALKING = ("safety", "pace")
 """Options of an architecture that a config decides, with whatever weights it begins: how a model walks."""
 
 

@@ -82,6 +82,7 @@ class SGAN(Forecaster):
         mode_weight: float = 0.0,
         energy_weight: float = 0.0,
         safety: bool = False,
+        pace: bool = False,
     ) -> None:
         """Create the parameters.
 
@@ -113,6 +114,7 @@ class SGAN(Forecaster):
             energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
                 minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
             safety: Whether those who walk are kept clear of others and walls: see `pedzoo.models.safety`.
+            pace: Whether those who walk do not slow down for goals round a corner: see `pedzoo.models.pace`.
 
         Raises:
             UserError: Options that do not go together.
@@ -132,7 +134,7 @@ class SGAN(Forecaster):
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
         self.walking_noise = "mixed" if noise == "mixed" else "episode"
-        self.walking_safety = safety
+        self.walking_safety, self.walking_pace = safety, pace
         self.losses = VarietyLoss(best_k, error, variety_weight, mode_weight, energy_weight)
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
