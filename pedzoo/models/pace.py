@@ -13,7 +13,7 @@ from pedzoo.types import AHEAD_SECONDS
 
 
 def paced(batch: TensorDictBase) -> TensorDictBase:
-    """Return scenes in which nobody's short-term goal is nearer than where the desired velocity leads in 3.2 s.
+    """Return scenes in which no short-term goal is nearer than where the desired velocity leads in 3.2 s.
 
     Goals ``window_end`` of recordings are where people are 3.2 s later, so who learned from them takes a near
     goal for an order to slow down. A planner's goal is near because there is a corner, behind which nothing

@@ -106,7 +106,7 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     from pedzoo.maps.library import load_plan
     from pedzoo.models.saved import saved_config
     from pedzoo.models.zoo import load
-    from pedzoo.types import PRED_LEN
+    from pedzoo.types import AHEAD_SECONDS, PRED_LEN
 
     check_packages()
     model = load(options.model)
@@ -127,6 +127,8 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
         print(f"  {check.scenes:>3} scenes of {check.people:>3} people: {check.difference:.1e}")
     if model.walking_safety:
         print("the safety layer, which keeps steps clear of people and walls, is not in the graph")
+    if model.walking_pace:
+        print(f"nearer goals are not moved out to {AHEAD_SECONDS:g} s at the desired velocity in the graph")
     for name in files[1:]:
         print(f"{name}  map_image and map_affine of {options.plan}")
     return {"files": files, "parity": [check._asdict() for check in found.parity]}

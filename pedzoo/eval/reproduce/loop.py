@@ -27,7 +27,11 @@ BASELINES = ("orca:radius=0.2", ORCA, "orca:radius=0.5", FORCE, "go_to_goal")
 OPEN_LOOP = ("sgan_goal_map.eth_ucy_way", "sgan_goal.eth_ucy_way")
 """Weights that were trained to forecast alone, with which trainings in the loop begin."""
 
-APART = ("sgan_goal_map.indoor:safety=false", f"{OPEN_LOOP[0]}:safety=true", "go_to_goal:safety=true")
+APART = (
+    "sgan_goal_map.indoor:safety=false",
+    f"{OPEN_LOOP[0]}:safety=true,pace=true",
+    "go_to_goal:safety=true",
+)
 """What the training does without the safety layer, and the layer without the training, and all alone."""
 
 _SEVERAL = (Target("clean", "at least", 0.95), Target("deadlock", "at most", 0.0))
