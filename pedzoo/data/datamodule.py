@@ -9,6 +9,7 @@ import lightning as L
 import torch
 from lightning.pytorch.utilities import rank_zero_only
 from tensordict import TensorDict
+from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from pedzoo.data.own_files import OwnFiles
@@ -54,6 +55,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         seed: int = 0,
         unroll: int = 0,
         unroll_batch_size: int = 64,
+        unroll_apart: bool = False,
     ) -> None:
         """Set what `setup` will read.
 
@@ -82,6 +84,8 @@ class TrajectoryDataModule(L.LightningDataModule):
                 ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
                 accelerate is imitated.
             unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
+            unroll_apart: A batch of these is of one recording: how people were followed differs, and with it
+                how much they seem to accelerate. Who imitates one crowd at a time can tell from what is observed.
         """
         super().__init__()
         self.save_hyperparameters()
@@ -153,7 +157,9 @@ class TrajectoryDataModule(L.LightningDataModule):
         if self.unrolled is None:
             return forecast
         size = self.hparams["unroll_batch_size"]
-        return {"forecast": forecast, "unrolled": self._batches(self.unrolled, "destination", size, True)}
+        apart = self.unrolled.recording if self.hparams["unroll_apart"] else None
+        unrolled = self._batches(self.unrolled, "destination", size, True, apart)
+        return {"forecast": forecast, "unrolled": unrolled}
 
     def val_dataloader(self) -> DataLoader:
         """Return all validation windows in order."""
@@ -168,13 +174,15 @@ class TrajectoryDataModule(L.LightningDataModule):
             self.setup(STAGES[split])
         return self._batches(self.sets[split], self.goal, self.hparams["batch_size"], shuffle)
 
-    def _batches(self, scenes: SceneSet, goal: GoalProtocol, size: int, shuffle: bool) -> DataLoader:
+    def _batches(
+        self, scenes: SceneSet, goal: GoalProtocol, size: int, shuffle: bool, groups: Tensor | None = None
+    ) -> DataLoader:
         h, rank, replicas = self.hparams, 0, 1
         # every process evaluates all windows: nothing is counted twice or left out
         if shuffle and self.trainer:
             rank, replicas = self.trainer.global_rank, self.trainer.world_size
         pairs = max(1, h["max_pairs"] * size // h["batch_size"])
-        sampler = BucketSampler(scenes.sizes, size, pairs, shuffle, h["seed"], rank, replicas)
+        sampler = BucketSampler(scenes.sizes, size, pairs, shuffle, h["seed"], rank, replicas, groups)
         batches = _Batches(scenes, goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
         return DataLoader(batches, sampler=sampler, batch_size=None, collate_fn=_as_it_is)
 

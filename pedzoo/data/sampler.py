@@ -39,12 +39,29 @@ class BucketSampler(DistributedSampler[Draw]):
         seed: int = 0,
         rank: int = 0,
         replicas: int = 1,
+        groups: Tensor | None = None,
     ) -> None:
-        """Cut the batches; ``sizes`` (S,) are people per scene, ``rank`` of ``replicas`` gets its share."""
+        """Cut the batches.
+
+        Args:
+            sizes: People in each scene (S,).
+            batch_size: Scenes in a batch, at most.
+            max_pairs: Ordered pairs of people in a batch, at most.
+            shuffle: Another order in every epoch.
+            seed: Of the order.
+            rank: Of the process.
+            replicas: Processes, each of which gets its share.
+            groups: Which scenes may be in a batch together (S,) long: those of the same number; None for all.
+        """
         self.sizes = sizes.numpy()
+        self.groups = np.zeros_like(self.sizes) if groups is None else groups.numpy()
         self.shuffle, self.seed, self.rank, self.replicas = shuffle, seed, rank, replicas
         self.epoch = 0
-        self.cuts = _cuts(np.sort(self.sizes), batch_size, max_pairs)
+        self.cuts: list[tuple[int, int]] = []
+        for group in np.unique(self.groups):
+            before = int((self.groups < group).sum())
+            found = _cuts(np.sort(self.sizes[self.groups == group]), batch_size, max_pairs)
+            self.cuts += [(before + start, before + stop) for start, stop in found]
 
     def set_epoch(self, epoch: int) -> None:
         """Choose the epoch; Lightning calls this."""
@@ -58,7 +75,7 @@ class BucketSampler(DistributedSampler[Draw]):
         """Yield the batches of the current epoch."""
         random = np.random.default_rng((self.seed, self.epoch if self.shuffle else 0))
         tie = random.permutation(len(self.sizes)) if self.shuffle else np.arange(len(self.sizes))
-        order = np.lexsort((tie, self.sizes))
+        order = np.lexsort((tie, self.sizes, self.groups))
         batches = random.permutation(len(self.cuts)) if self.shuffle else np.arange(len(self.cuts))
         seeds = random.integers(2**62, size=len(self.cuts))
         for i in np.resize(batches, len(self) * self.replicas)[self.rank :: self.replicas]:

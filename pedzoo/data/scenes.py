@@ -28,6 +28,7 @@ class SceneSet:
         end: Row of the last recorded position (W,) int32 of that person.
         offsets: Where each scene's people start in ``rows`` (S + 1,).
         map_id: Floor plan of each scene (S,), -1 for none.
+        recording: Number of the recording that each scene is of (S,).
         counts: Each recording's name, and what was kept and dropped of it.
     """
 
@@ -62,6 +63,7 @@ class SceneSet:
         self.offsets = torch.from_numpy(np.concatenate([*offsets, people_before[-1:]]))
         windows = torch.tensor([w.counts.windows for w in cut])
         self.map_id = torch.repeat_interleave(torch.tensor(list(map_ids)), windows)
+        self.recording = torch.repeat_interleave(torch.arange(len(windows)), windows)
 
     def __len__(self) -> int:
         """Return the number of scenes S."""
