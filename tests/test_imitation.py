@@ -113,6 +113,17 @@ def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureF
     assert torch.equal(data.sets["train"].rows, plain.sets["train"].rows)
 
 
+def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> None:
+    data = TrajectoryDataModule("zara1", str(shared / "data"), clock="true", unroll=6, unroll_apart=True)
+    data.setup("fit")
+    assert data.unrolled is not None
+    names = [name for name, counts in data.unrolled.counts if counts.windows]
+    assert len(data.unrolled.recording.unique()) == len(names) > 1
+    loader = data.train_dataloader()["unrolled"]
+    for draw in loader.sampler:
+        assert len(data.unrolled.recording[draw.scenes].unique()) == 1
+
+
 def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
     """One person walks 1 m per step through the whole recording: where they are says when."""
     path = tmp_path / "long.txt"

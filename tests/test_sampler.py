@@ -37,6 +37,19 @@ def test_every_scene_once_within_the_caps(shuffle: bool, batch_size: int, max_pa
         assert [17] in scenes(draws)
 
 
+@pytest.mark.parametrize("shuffle", [True, False])
+def test_batches_of_groups_are_of_one_each(shuffle: bool) -> None:
+    groups = torch.arange(501) % 3 * 10
+    sampler = BucketSampler(SIZES, 16, 8192, shuffle, groups=groups)
+    draws = epoch(sampler, 1)
+    assert len(draws) == len(sampler)
+    assert sorted(scene for draw in draws for scene in draw.scenes.tolist()) == list(range(501))
+    assert all(len(groups[draw.scenes].unique()) == 1 for draw in draws)
+    assert all((SIZES[draw.scenes] ** 2).sum() <= 8192 or len(draw.scenes) == 1 for draw in draws)
+    one = BucketSampler(SIZES, 16, 8192, shuffle, groups=torch.zeros(501, dtype=torch.long))
+    assert scenes(epoch(one)) == scenes(epoch(BucketSampler(SIZES, 16, 8192, shuffle)))
+
+
 def test_caps_are_used() -> None:
     """Batches are as large as they may be: one more scene of the next batch would not fit."""
     sampler = BucketSampler(SIZES, 64, 8192, shuffle=False)

@@ -84,8 +84,8 @@ class TrajectoryDataModule(L.LightningDataModule):
                 ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
                 accelerate is imitated.
             unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
-            unroll_apart: A batch of these is of one recording: how people were followed differs, and with it
-                how much they seem to accelerate. Who imitates one crowd at a time can tell from what is observed.
+            unroll_apart: A batch of these is of one recording: how exactly people were followed differs, and
+                with it how much they seem to accelerate, which can be told from what is observed.
         """
         super().__init__()
         self.save_hyperparameters()
