@@ -11,10 +11,10 @@ from pedzoo.errors import UserError
 from pedzoo.eval.training_plot import plot_training
 
 
-def make_run(folder: Path, columns: str = "val/ade,rollout/success,rollout/clean") -> Path:
+def make_run(folder: Path, columns: str = "val/ade,rollout/success,rollout/clean,rollout/stl") -> Path:
     """Make the metrics of a run that validated twice; losses have rows of their own."""
     folder.mkdir(parents=True)
-    numbers = [[0.1, 0.9, 0.5], [0.12, 1.0, 0.95]]
+    numbers = [[0.1, 0.9, 0.5, 0.4], [0.12, 1.0, 0.95, 0.8]]
     rows = [f"epoch,step,train/people,{columns}"]
     for epoch, found in enumerate(numbers):
         rows += [f"{epoch},{epoch},0.3{',' * (columns.count(',') + 1)}"]
@@ -32,7 +32,7 @@ def test_runs_share_a_picture(tmp_path: Path) -> None:
 
 
 def test_a_run_that_never_walked_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="no validation with val/ade and rollout/clean: train with --rollout"):
+    with pytest.raises(UserError, match="no validation with val/ade and rollout/stl: train with --rollout"):
         plot_training([make_run(tmp_path / "run", "val/ade")], tmp_path / "out.png")
     with pytest.raises(UserError, match=r"expected a run folder with metrics\.csv"):
         plot_training([tmp_path], tmp_path / "out.png")

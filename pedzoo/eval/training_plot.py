@@ -11,15 +11,17 @@ from matplotlib.figure import Figure
 from pedzoo.errors import UserError
 from pedzoo.eval.run_record import monitored
 
-ERROR, SUCCESS, CLEAN = "val/ade", "rollout/success", "rollout/clean"
+ERROR, SUCCESS, CLEAN, IN_TIME = "val/ade", "rollout/success", "rollout/clean", "rollout/stl"
 """What is drawn of the metrics that `pedzoo fit` logs."""
 
 
 def plot_training(runs: Sequence[str | Path], path: str | Path) -> None:
     """Draw success in the loop against ADE over trainings into a PNG.
 
-    Left, by epoch: above the share of people who reach their goals, and that of episodes in which all do and
-    nobody touches anything; below ADE. Right: clean episodes against ADE, a point for every validation.
+    Left, by epoch: above the share of people who reach their goals, that of episodes in which all do and
+    nobody touches anything, and success weighted by time; below ADE. Right: success weighted by time (with a
+    safety layer nearly everybody arrives, and how fast is what training changes) against ADE, a point for
+    every validation.
 
     Args:
         runs: Run folders of ``pedzoo fit``, with ``metrics.csv``.
@@ -34,21 +36,23 @@ def plot_training(runs: Sequence[str | Path], path: str | Path) -> None:
     for number, run in enumerate(map(Path, runs)):
         if not (run / "metrics.csv").is_file():
             raise UserError(f"no training in {str(run)!r}: expected a run folder with metrics.csv")
-        ade, success, clean = (monitored(run, metric) for metric in (ERROR, SUCCESS, CLEAN))
-        both = sorted(ade.keys() & clean.keys())
+        wanted = (ERROR, SUCCESS, CLEAN, IN_TIME)
+        ade, success, clean, in_time = (monitored(run, metric) for metric in wanted)
+        both = sorted(ade.keys() & in_time.keys())
         if not both:
             raise UserError(
-                f"run {str(run)!r} has no validation with {ERROR} and {CLEAN}: train with --rollout.scenarios"
+                f"run {str(run)!r} has no validation with {ERROR} and {IN_TIME}: train with --rollout.scenarios"
             )
         color, named = f"C{number}", number == 0
         _over_epochs(shares, success, "--", color, "people who arrive" if named else None)
-        _over_epochs(shares, clean, "-", color, "clean episodes" if named else None)
+        _over_epochs(shares, clean, ":", color, "clean episodes" if named else None)
+        _over_epochs(shares, in_time, "-", color, "success weighted by time" if named else None)
         _over_epochs(error, ade, "-", color)
-        _against(against, both, ade, clean, color, f"{run.parent.name}/{run.name}")
+        _against(against, both, ade, in_time, color, f"{run.parent.name}/{run.name}")
     shares.set(ylabel="share", ylim=(0, 1.03), title="over training")
     shares.legend(loc="lower right", fontsize=8)
     error.set(xlabel="epoch", ylabel="ADE, metres", xlim=shares.get_xlim(), ylim=(0, None))
-    against.set(xlabel="ADE on validation windows, metres", ylabel="clean episodes, share", ylim=(0, 1.03))
+    against.set(xlabel="ADE on validation windows, metres", ylabel="success weighted by time")
     against.set_title("success against ADE; numbers are epochs, rings the best")
     against.legend(loc="lower right", fontsize=8)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -63,13 +67,13 @@ def _over_epochs(
 
 
 def _against(
-    axes: Axes, epochs: list[int], ade: dict[int, float], clean: dict[int, float], color: str, name: str
+    axes: Axes, epochs: list[int], ade: dict[int, float], success: dict[int, float], color: str, name: str
 ) -> None:
     """Draw the way of one run, its first and last and best point with their epochs."""
-    x, y = [ade[epoch] for epoch in epochs], [clean[epoch] for epoch in epochs]
+    x, y = [ade[epoch] for epoch in epochs], [success[epoch] for epoch in epochs]
     axes.plot(x, y, "-o", color=color, markersize=3, linewidth=0.8, label=name)
-    best = max(epochs, key=clean.__getitem__)
+    best = max(epochs, key=success.__getitem__)
     for epoch in sorted({epochs[0], best, epochs[-1]}):
-        at = ade[epoch], clean[epoch]
+        at = ade[epoch], success[epoch]
         axes.annotate(f"{epoch}", at, (3, 4), textcoords="offset points", fontsize=8, color=color)
-    axes.plot(ade[best], clean[best], "o", color=color, markersize=7, fillstyle="none")
+    axes.plot(ade[best], success[best], "o", color=color, markersize=7, fillstyle="none")
