@@ -41,7 +41,8 @@ def plot_training(runs: Sequence[str | Path], path: str | Path) -> None:
         both = sorted(ade.keys() & in_time.keys())
         if not both:
             raise UserError(
-                f"run {str(run)!r} has no validation with {ERROR} and {IN_TIME}: train with --rollout.scenarios"
+                f"run {str(run)!r} has no validation with {ERROR} and {IN_TIME}:"
+                " train with --rollout.scenarios"
             )
         color, named = f"C{number}", number == 0
         _over_epochs(shares, success, "--", color, "people who arrive" if named else None)
