@@ -334,10 +334,10 @@ def test_training_on_a_term_lowers_it(batch: TensorDict, term: str) -> None:
     batch, model = batch[::4], stirred(plain_sgan(residual="bent_line"))
     weights: dict[str, Any] = {"displacement": 0.0, "distribution": 0.0, term: 1.0}
     imitation = Imitation(**weights)
-    noise = Walker(model, "episode").noise_of
+    walker = Walker(model, "episode")
     optimizer, found = torch.optim.Adam(model.parameters(), 2e-3), []
     for _ in range(6):
-        terms = imitation(model, noise, batch, torch.Generator().manual_seed(0))
+        terms = imitation(walker, batch, torch.Generator().manual_seed(0))
         optimizer.zero_grad()
         terms["loss"].backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0, error_if_nonfinite=True)
@@ -348,8 +348,7 @@ def test_training_on_a_term_lowers_it(batch: TensorDict, term: str) -> None:
 
 
 def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
-    model = ConstantVelocity()
-    terms = Imitation(distribution=0.0)(model, lambda _: None, batch, torch.Generator())
+    terms = Imitation(distribution=0.0)(Walker(ConstantVelocity()), batch, torch.Generator())
     walked = unroll(constant, batch, 12)
     assert terms.keys() == {"loss", "displacement"}
     assert float(terms["loss"]) == float(Imitation()._displacement(walked, recorded(batch, 12)))
@@ -388,7 +387,7 @@ def test_a_discriminator_learns_who_is_real_and_the_generator_from_it(batch: Ten
     """People who stand are told from real ones; then the way out is to walk, for the generator alone."""
     imitation, model = adversary(), plain_sgan()
     judge = cast("Discriminator", imitation.discriminator)
-    noise, random = Walker(model, "episode").noise_of, torch.Generator()
+    walker, random = Walker(model, "episode"), torch.Generator()
     optimizer, losses = torch.optim.Adam(judge.parameters(), 1e-2), []
     still = unroll(lambda seen: 0 * toward(seen), repeated(batch, 2), 12)
     for _ in range(40):
@@ -398,7 +397,7 @@ def test_a_discriminator_learns_who_is_real_and_the_generator_from_it(batch: Ten
         optimizer.step()
         losses.append(loss.item())
     assert losses[0] > 1 > 0.5 > losses[-1]
-    walked = imitation.walk(model, noise, batch, random)
+    walked = imitation.walk(walker, batch, random)
     terms = imitation.terms(walked, batch)
     learns, ours = {}, (list(model.parameters()), list(imitation.parameters()))
     for name in ("adversarial", "discriminator", "tail"):
@@ -437,8 +436,7 @@ class _Losses(PlainModule):
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         self.seen = [*getattr(self, "seen", []), set(batch)]
-        noise = Walker(self.generator, "episode").noise_of
-        found = Imitation()(self.generator, noise, batch["unrolled"], torch.Generator())
+        found = Imitation()(Walker(self.generator, "episode"), batch["unrolled"], torch.Generator())
         return cast("Tensor", super().training_step(batch["forecast"], batch_idx)) + found["loss"]
 
 

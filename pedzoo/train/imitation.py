@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import cast
 
 import torch
@@ -11,15 +11,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pedzoo.errors import UserError, unknown
-from pedzoo.models.base import Forecaster, agents_of
+from pedzoo.models.base import agents_of
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.train.likeness import SPREADS, features, tail, wasserstein
+from pedzoo.train.segments import Policy
 from pedzoo.train.unroll import Unrolled, recorded, unroll
-from pedzoo.types import PRED_LEN
-
-Noise = Callable[[TensorDict], Tensor | None]
-"""Returns everybody's noise (B, A, noise_dim) for what they see; None for the most likely step."""
+from pedzoo.types import STEP_SECONDS
 
 
 class Imitation(nn.Module):
@@ -78,14 +76,12 @@ class Imitation(nn.Module):
         self.adversarial, self.judged_steps = adversarial, judged_steps
         self.discriminator = (discriminator or Discriminator(signed=True)) if adversarial else None
 
-    def walk(
-        self, generator: Forecaster, noise: Noise, batch: TensorDict, random: torch.Generator
-    ) -> Unrolled:
+    def walk(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> Unrolled:
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
 
         Args:
-            generator: The model, bound to the windows' floor plans.
-            noise: Draws its noise by ``scene_key`` and ``time``.
+            policy: Walks, bound to the windows' floor plans, with a safety layer if it has one: what it
+                changes is a part of the walk.
             batch: Recorded windows with N future steps and the goal protocol ``destination``.
             random: Draws the scenes' keys.
         """
@@ -94,15 +90,13 @@ class Imitation(nn.Module):
         key = torch.randint(2**62, (len(many),), generator=random)
 
         def displacement(seen: TensorDict) -> Tensor:
-            return generator.next_steps(seen, noise(seen), 1, PRED_LEN)[:, :, 0]
+            return cast("Tensor", policy(seen)["agents", "action"]) * STEP_SECONDS
 
         return unroll(displacement, many, steps, key)
 
-    def forward(
-        self, generator: Forecaster, noise: Noise, batch: TensorDict, random: torch.Generator
-    ) -> dict[str, Tensor]:
+    def forward(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> dict[str, Tensor]:
         """Return the ``loss`` and its terms before their weights, scalars; arguments as of `walk`."""
-        return self.terms(self.walk(generator, noise, batch, random), batch)
+        return self.terms(self.walk(policy, batch, random), batch)
 
     def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
         """Return ``loss`` and its terms before their weights, scalars; what has weight 0 may be left out.

@@ -94,12 +94,12 @@ class LoopModule(ForecastModule):
         """Return the loss of a segment and of two batches of recordings."""
         data = cast("Any", self.trainer).datamodule
         terms = self._walk()
-        self.generator.bind(data.bank)
+        self.walker.bind(data.bank)
         if self.forecast_weight:
             people = agents_of(batch["forecast"])["mask"].sum()
             loss = self.generator.loss(batch["forecast"], self.random())
             terms["forecast"] = self.forecast_weight * loss / people
-        imitated = self.imitation(self.generator, self.walker.noise_of, batch["unrolled"], self.random())
+        imitated = self.imitation(self.walker, batch["unrolled"], self.random())
         terms["imitation"] = imitated.pop("loss")
         self._log(terms | {f"imitation/{name}": value for name, value in imitated.items()})
         return torch.stack(list(terms.values())).sum()
