@@ -347,6 +347,33 @@ def test_training_on_a_term_lowers_it(batch: TensorDict, term: str) -> None:
     assert min(found[3:]) < 0.9 * found[0]
 
 
+class Chases(ConstantVelocity):
+    """Everybody walks to whoever is nearest, 0.3 m in a step."""
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the step (B, A, 1, 2)."""
+        agents = agents_of(batch)
+        position = agents["history"][:, :, -1].where(agents["mask"].unsqueeze(-1), 1e4)
+        away = torch.cdist(position, position) + 1e6 * torch.eye(position.shape[1])
+        nearest = position.gather(1, away.argmin(2, keepdim=True).expand_as(position))
+        return 0.3 * torch.nn.functional.normalize(nearest - position, dim=-1).unsqueeze(2)
+
+
+def test_what_a_safety_layer_changes_is_part_of_the_walk(batch: TensorDict) -> None:
+    """Of people who run into each other many touch; with the layer under them, none do."""
+
+    def touching(safety: bool) -> int:
+        """Return how many pairs touch at the end of steps in which both walk."""
+        walker = Walker(Chases(), safety=safety)
+        walk = Imitation().walk(walker, batch, torch.Generator().manual_seed(0))
+        apart = (walk.xy.unsqueeze(1) - walk.xy.unsqueeze(2)).norm(dim=-1)
+        both = walk.walked.unsqueeze(1) & walk.walked.unsqueeze(2)
+        itself = torch.eye(walk.xy.shape[1], dtype=torch.bool).unsqueeze(-1)
+        return int(((apart < 0.299) & both & ~itself).sum())
+
+    assert touching(False) > 100 and touching(True) == 0
+
+
 def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
     terms = Imitation(distribution=0.0)(Walker(ConstantVelocity()), batch, torch.Generator())
     walked = unroll(constant, batch, 12)
