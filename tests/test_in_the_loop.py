@@ -202,9 +202,10 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     config = yaml.safe_load((run / "config.yaml").read_text())
     before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
     generator = config["model"]["init_args"]["generator"]
-    held = {"safety": True} if "safety" in before.config else {}
+    held = {"safety": True, "pace": True} if "safety" in before.config else {}
     assert generator["init_args"] == before.config | held == after.config
-    assert after.walking_safety is bool(held) and not before.walking_safety
+    assert after.walking_safety is after.walking_pace is bool(held)
+    assert not before.walking_safety and not before.walking_pace
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)

@@ -42,7 +42,16 @@ _EXPECTED = (
 
 _USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
 
-_TRAINING_ONLY = ("batch_size", "max_pairs", "rotate", "mirror", "seed", "unroll", "unroll_batch_size")
+_TRAINING_ONLY = (
+    "batch_size",
+    "max_pairs",
+    "rotate",
+    "mirror",
+    "seed",
+    "unroll",
+    "unroll_batch_size",
+    "unroll_apart",
+)
 
 
 def train(command: Command, argv: list[str], about: str, example: str) -> int:
