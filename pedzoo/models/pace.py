@@ -25,13 +25,14 @@ def paced(batch: TensorDictBase) -> TensorDictBase:
     agents = cast("TensorDict", batch["agents"])
     if "goal" not in agents.keys():
         return batch
-    position, desired = agents["history"][:, :, -1], cast("Tensor", agents["desired_velocity"])
-    away = agents["goal"] - position
+    position = cast("Tensor", agents["history"])[:, :, -1]
+    goal, desired = (cast("Tensor", agents[key]) for key in ("goal", "desired_velocity"))
+    away = goal - position
     # whoever stands on the goal goes on as desired
     ahead = functional.normalize(away + 0.1 * functional.normalize(desired, dim=-1), dim=-1)
     lacking = AHEAD_SECONDS * desired.norm(dim=-1, keepdim=True) - away.norm(dim=-1, keepdim=True)
     told = agents.copy()
-    told["goal"] = agents["goal"] + torch.where(lacking > 0, lacking * ahead, 0.0)
+    told["goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
     scenes = batch.copy()
     scenes["agents"] = told
     return scenes
