@@ -34,7 +34,7 @@ fit through a door narrower than a metre at once, and one has to wait, as people
 NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
 
-_PLACES = 6
+_PLACES = 8
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
 
 
