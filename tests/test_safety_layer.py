@@ -125,7 +125,7 @@ def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
 
 
 def test_those_who_meet_in_a_narrow_place_keep_a_shoulders_room() -> None:
-    """Of four pairs, 0.1 m beside each other, the one that meets in the door, others less; not in the open."""
+    """Of four pairs 0.1 m beside each other the one that meets in the door, others less; not in the open."""
     bank = MapBank([ROOM])
     east, west, north, nowhere = (1.0, 0.0), (-2.0, 0.1), (0.0, 1.0), (0.0, 0.0)
     ways = torch.tensor([(east, west), (east, east), (east, north), (east, nowhere)])
