@@ -13,6 +13,7 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.models.base import Forecaster
 from pedzoo.models.safety import FOLLOWING, MARGIN, MEETING, Steps, kept_clear
@@ -158,18 +159,27 @@ def test_in_a_room_nobody_touches_walls_or_others() -> None:
     assert gap.min() > BODY_RADIUS - 1e-3 and nearest(position, found) > 2 * BODY_RADIUS - 1e-3
 
 
-def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer() -> None:
-    """Six people who run into each other."""
+@pytest.mark.parametrize("walled", [False, True])
+def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(walled: bool) -> None:
+    """Six people who run into each other, in the open and around a door that turns and moves with them."""
+    bank = MapBank([ROOM])
+    plan = torch.full((4,), bank.grids[0].map_id)
+
+    def walls(pose: Tensor) -> LocalWalls | None:
+        return bank.walls_of_people(plan, pose, 6) if walled else None
+
     random = torch.Generator().manual_seed(3)
     asked = steps(0.8 * torch.randn(4, 6, 2, generator=random), 0.4 * torch.randn(4, 6, 2, generator=random))
     asked = asked._replace(way=torch.randn(4, 6, 2, generator=random))
-    found = kept_clear(asked)
+    found = kept_clear(asked, walls(identity_pose(4)))
     assert (found - asked.step).abs().max() > 0.1
+    assert walled != torch.allclose(found, kept_clear(asked), atol=1e-2)
     angle, order = torch.tensor(0.7), torch.randperm(6, generator=random)
     turn = torch.stack((angle.cos(), -angle.sin(), angle.sin(), angle.cos())).view(2, 2)
-    turned = kept_clear(steps(asked.position @ turn.T + 5, asked.step @ turn.T, way=asked.way @ turn.T))
+    moved = steps(asked.position @ turn.T + 5, asked.step @ turn.T, way=asked.way @ turn.T)
+    turned = kept_clear(moved, walls(torch.tensor([[0.7, 1.0, 5.0, 5.0]]).expand(4, -1)))
     assert torch.allclose(turned, found @ turn.T, atol=1e-4)
-    swapped = kept_clear(Steps(*(values[:, order] for values in asked)))
+    swapped = kept_clear(Steps(*(values[:, order] for values in asked)), walls(identity_pose(4)))
     assert torch.allclose(swapped, found[:, order], atol=1e-5)
 
 
