@@ -13,9 +13,8 @@ from typing import NamedTuple, cast
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torch.nn import functional
 
-from pedzoo.geometry import limit_speed, nearest_part, opposed
+from pedzoo.geometry import limit_speed, nearest_part
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
@@ -26,15 +25,12 @@ ROUNDS = 8
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
-MEETING = 0.34
-"""Metres more that those keep who meet in a narrow place, going opposite ways: 0.66 m, about the room that
-somebody takes up sideways (0.71 m in Weidmann, "Transporttechnik der Fussgaenger", 1993). Two do not
-fit through a door narrower than a metre at once, and one has to wait, as people do; bodies would squeeze."""
-
-FOLLOWING = 0.1
-"""Metres more that others keep in narrow places. Bodies are slimmer than people with their arms and steps:
-queues of bodies alone pass a door faster than real ones (2.7 persons per metre and second, where Seyfried
-et al., "New insights into pedestrian flow through bottlenecks", 2009, found 1.9)."""
+SHOULDERS = 0.71
+"""Metres between two who are in a narrow place or come to one: what somebody takes up sideways in Weidmann,
+"Transporttechnik der Fussgaenger", 1993. Bodies are slimmer than people with their arms and steps. They would
+squeeze past each other in a door where one person waits, and queues of them pass faster than real ones (2.9
+persons per metre and second, where Seyfried et al., "New insights into pedestrian flow through
+bottlenecks", 2009, found 1.9)."""
 
 NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
@@ -49,7 +45,6 @@ class Steps(NamedTuple):
     Attributes:
         position: Where they are (B, A, 2), metres.
         step: Where the next step leads (B, A, 2), metres; of whom the policy does not move: what they do.
-        way: Where they are going (B, A, 2), of any length; zero for nowhere.
         longest: Length of a step that nobody exceeds (B, A), metres.
         present: Who is there (B, A) bool.
         moved: Whose steps may be changed (B, A) bool.
@@ -57,7 +52,6 @@ class Steps(NamedTuple):
 
     position: Tensor
     step: Tensor
-    way: Tensor
     longest: Tensor
     present: Tensor
     moved: Tensor
@@ -95,7 +89,10 @@ def kept_clear(steps: Steps, walls: LocalWalls | None = None, radius: float = BO
 
 
 def _stopped(step: Tensor, groups: Sequence[_Pairs | _Near]) -> Tensor:
-    """Return steps (B, A, 2), shorter ones of whoever would touch something all the same."""
+    """Return steps (B, A, 2), shorter ones of whoever would touch something all the same.
+
+    Whoever is run into goes on: in a jam those in front have to get away first.
+    """
     with torch.no_grad():
         share = torch.ones_like(step[..., :1])
         # half a step first, then none; every turn stops somebody, and when all stand nobody touches anybody
@@ -121,7 +118,6 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
     steps = Steps(
         torch.where(there, agents["history"][:, :, -1], 0.0),
         torch.where(moved.unsqueeze(-1), step, agents["velocity"] * STEP_SECONDS).where(there, 0.0),
-        agents["desired_velocity"] if "desired_velocity" in agents.keys() else torch.zeros_like(step),
         TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
         agents["mask"],
         moved,
@@ -168,16 +164,14 @@ class _Pairs(NamedTuple):
         mine = moved.unsqueeze(2) / (moved.unsqueeze(2) + moved.unsqueeze(1)).clamp_min(1)
         wanted = torch.full_like(apart, least + MARGIN)
         if narrow is not None:
-            ahead = functional.normalize(steps.way, dim=-1)
-            one, other = narrow.unsqueeze(2), narrow.unsqueeze(1)
-            meet = opposed(ahead)
-            wanted = wanted + MEETING * (meet & (one | other)) + FOLLOWING * (~meet & one & other)
+            wanted = torch.where(narrow.unsqueeze(2) | narrow.unsqueeze(1), SHOULDERS, wanted)
         room = torch.where(both, torch.minimum(apart, wanted), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least)
 
     def corrected(self, step: Tensor) -> Tensor:
         """Return everybody's steps (B, A, 2), led off others; those given where nothing is to be done."""
-        move, place, closest, gap = self._approach(step)
+        move = step.unsqueeze(2) - step.unsqueeze(1)
+        place, closest, gap = self._approach(move)
         lack = (self.room - gap).clamp_min(0)
         active = lack > 0
         if not bool(active.any()):
@@ -197,16 +191,17 @@ class _Pairs(NamedTuple):
         return step + way.sum(2) / active.sum(2).clamp_min(1).sqrt().unsqueeze(-1)
 
     def touching(self, step: Tensor) -> Tensor:
-        """Return who would touch somebody, and more than now (B, A) bool."""
-        gap = self._approach(step)[3]
-        return ((gap < self.room.clamp_max(self.least + 0.001) - 1e-4) & (self.mine > 0)).any(2)
+        """Return who would run into somebody, and more than now (B, A) bool; both where it takes both."""
+        bound = self.room.clamp_max(self.least + 0.001) - 1e-4
+        touch = self._approach(step.unsqueeze(2) - step.unsqueeze(1))[2] < bound
+        alone = touch & (self._approach(step.unsqueeze(2).expand_as(self.away))[2] < bound)
+        return (touch & (alone | ~alone.mT) & (self.mine > 0)).any(2)
 
-    def _approach(self, step: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return relative moves, and the part of the step, the place and distance of closest approach."""
-        move = step.unsqueeze(2) - step.unsqueeze(1)
+    def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the part of relative moves (B, A, A, 2), the place and the distance of closest approach."""
         place = nearest_part(self.away, move)
         closest = self.away + place.unsqueeze(-1) * move
-        return move, place, closest, (closest.square().sum(-1) + 1e-9).sqrt()
+        return place, closest, (closest.square().sum(-1) + 1e-9).sqrt()
 
 
 class _Near(NamedTuple):
