@@ -85,6 +85,9 @@ class Recipe:
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}
         if self.begins_with:
             options |= {"weights": self.begins_with, "monitor_mode": self.best.__name__}
+            if not self.all_seeds:
+                # five trainings for replays of unseen folds alone: half as long each
+                options["trainer.max_epochs"] = "7"
         else:
             # these weights are chosen open loop, and evaluated in closed loop afterwards
             options["rollout.scenarios"] = "null"
@@ -119,5 +122,7 @@ RECIPES = [
     Recipe("sgan_goal_destination"),
     *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan_pool") for fold in SCENES),
     *(Recipe(f"{half}/sgan_goal", EVERYTHING) for half in CONTROLLER),
-    *(Recipe(f"{half}/sgan_goal_map", fold) for half in CONTROLLER for fold in (EVERYTHING, *SCENES)),
+    *(Recipe(f"{half}/sgan_goal_map", EVERYTHING) for half in CONTROLLER),
+    *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),
+    *(Recipe("closed_loop/sgan_goal_map", fold, seeds=1) for fold in SCENES),
 ]
