@@ -1,4 +1,4 @@
-"""Figure 4: two people at a narrow door, four controllers, equal and unequal speeds."""
+"""Figure 4: two people at a narrow door, the paper's controllers and ours, equal and unequal speeds."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ RARE = 0.05
 
 
 class Figure4(Walked):
-    """ORCA with two radii, SGAN and SGAN+goal+map; with walls unseen and alone, what it is that blocks."""
+    """ORCA, SGAN, SGAN+goal+map and the same in the loop; walls unseen and alone: what it is that blocks."""
 
     title = "Figure 4: two people at a narrow door"
     stem = "FIGURE4"
     suites = ("figure4",)
-    models = ("sgan.eth_ucy", "sgan_goal_map.eth_ucy")
+    models = ("sgan.eth_ucy", "sgan_goal_map.eth_ucy", "sgan_goal_map.indoor")
     baselines = ("orca:radius=0.5", UNSEEN, "orca:radius=0.1", "go_to_goal")
 
     def notes(self) -> list[str]:

@@ -51,7 +51,7 @@ class Table2(Walked):
     title = "Table II: from goal to goal"
     stem = "TABLE2"
     suites = ("table2",)
-    models = ("sgan_goal_map.eth_ucy", "sgan_goal.eth_ucy")
+    models = ("sgan_goal_map.indoor", "sgan_goal_map.eth_ucy", "sgan_goal.eth_ucy")
     baselines = (
         "go_to_goal",
         "orca:radius=0.2",
