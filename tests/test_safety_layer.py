@@ -16,7 +16,8 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.models.base import Forecaster
-from pedzoo.models.safety import MARGIN, SHOULDERS, Steps, kept_clear
+from pedzoo.models.clearance import MARGIN, SHOULDERS, Steps
+from pedzoo.models.safety import kept_clear
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
@@ -72,6 +73,15 @@ def test_whoever_the_policy_does_not_move_takes_no_part() -> None:
     moved = torch.tensor([[True, False]])
     found = kept_clear(steps([[-0.5, 0.0], [0.0, 0.0]], [[0.6, 0.0], [0.0, 0.0]], moved=moved))[0]
     assert found[0].tolist() == pytest.approx([0.2 - MARGIN, 0.0], abs=2e-3) and found[1].eq(0).all()
+
+
+def test_who_stands_gives_way_to_somebody_whom_the_policy_does_not_move() -> None:
+    """Run into from behind: they are pushed on alone, and the other comes as they would."""
+    moved = torch.tensor([[False, True]])
+    asked = steps([[-0.4, 0.0], [0.0, 0.0]], [[0.5, 0.0], [0.0, 0.0]], moved=moved)
+    found = kept_clear(asked)
+    assert torch.equal(found[0, 0], asked.step[0, 0])
+    assert found[0, 1].tolist() == pytest.approx([0.4 + MARGIN, 0.0], abs=5e-3)
 
 
 def test_absent_people_are_in_nobodys_way() -> None:
