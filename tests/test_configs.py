@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 import yaml
 
 from pedzoo.cli.main import main
+from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.paths import config_names, shipped
 from pedzoo.sim.make import make_scenario
+from pedzoo.train.fine_tuning import architecture_options
 
 
 @pytest.mark.parametrize("name", config_names())
@@ -39,7 +42,22 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
         yaml.safe_load((shipped("configs") / "closed_loop" / f"{name}.yaml").read_text())
         for name in ("sgan_goal_map", "sgan_goal")
     )
-    plan = {"map": "rings", "map_dim": 24, "map_dropout": 0.0}
+    plan = {"map": "rings", "map_dim": 24, "map_dropout": 0.5}
     other["model"]["init_args"]["generator"]["init_args"] |= plan
     assert one | {"weights": ""} == other | {"weights": ""}
     assert all(make_scenario(name) for name in one["rollout"]["scenarios"])
+
+
+@pytest.mark.parametrize("name", ["sgan_goal_map", "sgan_goal"])
+def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
+    """With these weights on the command line, as releases are made, it is the same training."""
+    config = yaml.safe_load((shipped("configs") / "closed_loop" / f"{name}.yaml").read_text())
+    told = iter(architecture_options(config["weights"], f"closed_loop/{name}"))
+    generator = next(json.loads(next(told)) for option in told if option == "--model.generator")
+    written = config["model"]["init_args"]["generator"]
+    assert written["class_path"] == generator["class_path"]
+    assert written["init_args"] == {key: generator["init_args"][key] for key in written["init_args"]}
+    left_out = generator["init_args"].keys() - written["init_args"].keys()
+    assert all(generator["init_args"][key] == SGAN().config[key] for key in left_out)
+    data = {"people": "complete", "min_people": 2} | config["data"]
+    assert {f"--data.{key}={value}" for key, value in data.items()} >= set(told)
