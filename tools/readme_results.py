@@ -1,4 +1,4 @@
-"""Copy the main rows of checkpoints/FORECAST.json and RESULTS.md into the README: tools/readme_results.py."""
+"""Copy the main rows of FORECAST.json, RESULTS.md and LOOP.md in checkpoints/ into the README."""
 
 from __future__ import annotations
 
@@ -9,10 +9,53 @@ from pathlib import Path
 from pedzoo.eval.forecast import BASELINES
 
 ROOT = Path(__file__).parents[1]
+FOLDS = ("eth", "hotel", "univ", "zara1", "zara2")
 BEGIN, END = "<!-- results: tools/readme_results.py -->\n", "<!-- end of results -->"
 WALKED, END_OF_WALKED = "<!-- walked: tools/readme_results.py -->\n", "<!-- end of walked -->"
+LOOP, END_OF_LOOP = "<!-- loop: tools/readme_results.py -->\n", "<!-- end of loop -->"
 HEADLINE = "## all suites\n"
 """The first table of checkpoints/RESULTS.md."""
+
+SHOWN = {
+    ("doors: varied", "clean"): "two at doors of 0.7 to 1.2 m: clean",
+    ("doors: varied", "time_ratio_median"): "their time / free walking, median",
+    ("doors: hard", "clean"): "doors of 0.7 to 0.85 m, both there within 0.4 s: clean",
+    ("doors: mirror", "clean"): "each the mirror image of the other: clean",
+    ("doors: mirror", "yield_delay_s"): "how much later the second one passes, s",
+    ("doors: 2 against 2", "clean"): "2 against 2 at a door: clean",
+    ("doors: queue of 6", "clean"): "queue of 6: clean",
+    ("doors: standing", "clean"): "somebody stands at the door: clean",
+    (
+        "doors: flow of 20",
+        "specific_flow_per_m_s",
+    ): "queue of 20: people per metre and second (real: about 1.9)",
+    ("buildings: drawn", "episode_success"): "unseen drawn apartments: everybody reaches all goals",
+    ("buildings: drawn", "contact_free"): "nobody touches anything there",
+    ("buildings: drawn", "time_ratio"): "time / planned way's",
+    ("buildings: aws_small_house", "time_ratio"): "time / planned way's in a scanned apartment",
+    ("buildings: crowd of 50", "success"): "50 people in an unseen office: share who arrive",
+    ("buildings: crowd of 50", "contacts_per_min"): "their touches per minute",
+    ("noise: who goes first", "varied"): "doors at which the noise says who goes first",
+    **{(f"replay: {fold}", "realism"): f"realism among the people of {fold}" for fold in FOLDS},
+}
+"""Rows of checkpoints/LOOP.md by case and metric, and what the README calls them."""
+
+SEEDS = "", "_b", "_c"
+COLUMNS = {
+    "sgan_goal_map.indoor": [f"sgan_goal_map.indoor{seed}" for seed in SEEDS],
+    "sgan_goal.indoor": [f"sgan_goal.indoor{seed}" for seed in SEEDS],
+    **{
+        name: [name]
+        for name in (
+            "sgan_goal_map.eth_ucy_way",
+            "go_to_goal:safety=true",
+            "orca:radius=0.2",
+            "orca:radius=0.3",
+            "social_force:preset=indoor",
+        )
+    },
+}
+"""Columns of the README, and those of checkpoints/LOOP.md of which they show the least and the most."""
 
 INTRODUCTION = """
 zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many trainings ±
@@ -36,7 +79,8 @@ def main() -> None:
     """Write the tables between the README's markers."""
     readme = ROOT / "README.md"
     text = between(readme.read_text(), BEGIN, END, forecasts())
-    readme.write_text(between(text, WALKED, END_OF_WALKED, walked()))
+    text = between(text, WALKED, END_OF_WALKED, walked())
+    readme.write_text(between(text, LOOP, END_OF_LOOP, in_the_loop()))
 
 
 def between(text: str, begin: str, end: str, new: str) -> str:
@@ -53,6 +97,37 @@ def walked() -> str:
     return f"\n{table}\n"
 
 
+def in_the_loop() -> str:
+    """Return what controllers trained in the loop do, of several trainings the least and the most.
+
+    Among recorded people those walk that have not seen them; where there are none, others, marked.
+    """
+    page = (ROOT / "checkpoints" / "LOOP.md").read_text()
+    lines = page.partition("## Targets\n")[2].partition("\n## ")[0].strip().splitlines()
+    head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    told = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
+    seen = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
+    text = f"\n| | {' | '.join(f'`{name}`' for name in COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}\n"
+    for key, label in SHOWN.items():
+        recorded = key[0].startswith("replay")
+        cells = []
+        for names in COLUMNS.values():
+            fresh = [name for name in names if name not in seen] if recorded else names
+            cells.append(_span([told[key][name] for name in fresh or names]) + "*" * (not fresh))
+        text += f"| {label} | {' | '.join(cells)} |\n"
+    return text
+
+
+def _span(cells: list[str]) -> str:
+    """Return the least and the most of some cells, one number where they are the same."""
+    values = [cell.split()[0] for cell in cells]
+    return " to ".join(dict.fromkeys((min(values, key=_number), max(values, key=_number))))
+
+
+def _number(text: str) -> float:
+    return float("nan") if text == "-" else float(text)
+
+
 def forecasts() -> str:
     """Return the tables of forecasting errors."""
     rows = json.loads((ROOT / "checkpoints" / "FORECAST.json").read_text())["rows"]
@@ -63,7 +138,7 @@ def forecasts() -> str:
                 trained = "" if row["name"] in BASELINES else row["seeds"]
                 text += f"| `{goal}` | `{row['name']}` | {trained} | {' | '.join(_cells(row))} |\n"
     text += READING
-    for fold in ("eth", "hotel", "univ", "zara1", "zara2"):
+    for fold in FOLDS:
         here = {row["name"]: row for row in rows if _is(row, fold, "window_end")}
         cells = [_value(here[name], "ade_m") for name in ("sgan_goal", "bent_line", "straight_line")]
         text += f"| {fold} | {' | '.join(cells)} |\n"
