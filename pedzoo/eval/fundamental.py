@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
@@ -43,14 +43,20 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
         raise UserError("there is no density and speed to draw: evaluate the suite replay")
     folds = list(dict.fromkeys(row["case"]["fold"] for row in mine))
     names = [name for name in dict.fromkeys(row["name"] for row in mine) if name != REAL]
-    colours = dict(zip(names, cycle(colormaps["tab10"].colors), strict=False))  # pyright: ignore
+    # whoever comes after ten colours has them again, dashed
+    looks = product(("-", "--", ":"), colormaps["tab10"].colors)  # pyright: ignore
+    styles = {
+        name: {"color": colour, "ls": line, "lw": 1.3}
+        for name, (line, colour) in zip(names, cycle(looks), strict=False)
+    }
+    styles[REAL] = {"color": "black", "lw": 3, "zorder": 3}
     columns = min(3, len(folds))
     lines = -(-len(folds) // columns)
     size = (PANEL[0] * columns, PANEL[1] * lines + 0.6)
     figure = Figure(figsize=size, layout="constrained")
     panels = list(figure.subplots(lines, columns, squeeze=False).flat)
     for axes, fold in zip(panels, folds, strict=False):
-        _draw(axes, fold, [row for row in mine if row["case"]["fold"] == fold], colours)
+        _draw(axes, fold, [row for row in mine if row["case"]["fold"] == fold], styles)
     for axes in panels[len(folds) :]:
         axes.set_axis_off()
     handles, labels = panels[0].get_legend_handles_labels()
@@ -58,7 +64,7 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
     figure.savefig(path, dpi=130)
 
 
-def _draw(axes: Axes, fold: str, rows: Sequence[Mapping[str, Any]], colours: Mapping[str, Any]) -> None:
+def _draw(axes: Axes, fold: str, rows: Sequence[Mapping[str, Any]], styles: Mapping[str, Any]) -> None:
     """Draw one recording."""
     curve = rows[0][CURVE]
     often = np.array([bin["real_share"] for bin in curve]) >= RARE
@@ -71,11 +77,7 @@ def _draw(axes: Axes, fold: str, rows: Sequence[Mapping[str, Any]], colours: Map
     for row in rows:
         speeds = [bin["speed_m_per_s"] for bin in row[CURVE]]
         speed = np.array([np.nan if one is None else one for one in speeds], dtype=float)[often]
-        real = row["name"] == REAL
-        style = (
-            {"color": "black", "lw": 3, "zorder": 3} if real else {"color": colours[row["name"]], "lw": 1.3}
-        )
-        axes.plot(density, speed, marker=".", label=row["name"], **style)
+        axes.plot(density, speed, marker=".", label=row["name"], **styles[row["name"]])
     axes.set_title(fold)
     axes.set_ylim(bottom=0)
     axes.set_xlabel("people per m² within 2 m", fontsize=8)

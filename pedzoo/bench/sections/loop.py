@@ -22,6 +22,10 @@ from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 MODEL = "sgan_goal_map.zara1"
 NETWORK = f"{MODEL} alone"
+KEPT_CLEAR = "sgan_goal_map.indoor"
+"""Trained in the loop, with a safety layer."""
+
+UNHELD = f"{KEPT_CLEAR}:safety=false"
 BARE = "go_to_goal"
 SHORT = f"go_to_goal:dt={TRACE_SECONDS}"
 ORCA = f"orca:dt={STEP_SECONDS}"
@@ -33,6 +37,8 @@ POLICIES_TIMED = (
     "orca",
     "social_force",
     MODEL,
+    KEPT_CLEAR,
+    UNHELD,
 )
 """Who walks; the first makes the environment bare. Some decide every 0.1 s, as VMAS does."""
 
@@ -93,6 +99,8 @@ class Loop(Section):
             metrics |= {case.metric: ratio(found, speeds[case.title]) for case in rivals}
             if walk.policy_name == MODEL:
                 metrics["times_network"] = ratio(found, speeds[NETWORK])
+            if walk.policy_name == KEPT_CLEAR:
+                metrics["times_without_safety"] = ratio(found, speeds[by_name[UNHELD].title])
             row = Row("loop", walk.title, where, metrics)
             yield Row("loop", walk.title, where, metrics, self._bars(row, walk.policy_name, size))
         alone = _metrics(speeds[NETWORK], STEP_SECONDS)
