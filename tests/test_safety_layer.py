@@ -17,7 +17,7 @@ from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.models.base import Forecaster
 from pedzoo.models.clearance import MARGIN, SHOULDERS, Steps
-from pedzoo.models.safety import kept_clear
+from pedzoo.models.safety import kept_clear, safe
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
@@ -36,6 +36,7 @@ def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> Ste
     position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
     there = torch.ones(position.shape[:2], dtype=torch.bool)
     other = {"longest": torch.full(there.shape, longest), "present": there, "moved": there}
+    other |= {"waits": torch.zeros_like(there)}
     return Steps(position, step, **other | more)
 
 
@@ -147,6 +148,30 @@ def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
     body = 2 * BODY_RADIUS + MARGIN
     assert gaps[:3] == pytest.approx([SHOULDERS, SHOULDERS, body], abs=0.01)
     assert gaps[3:] == pytest.approx([SHOULDERS, SHOULDERS, nearest(places, move)], abs=0.01)
+
+
+def test_two_who_wait_for_each_other_in_a_narrow_place_turn_a_shoulder() -> None:
+    """Both have to wait: who has only just come keeps the room, and so does who meets somebody that walks."""
+    bank = MapBank([ROOM])
+    place = torch.tensor([[[-0.4, -0.1], [0.4, 0.1]]])
+    move = torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]])
+    body = 2 * BODY_RADIUS + MARGIN
+    for waits, room_left in (((True, True), body), ((True, False), SHOULDERS), ((False, False), SHOULDERS)):
+        found = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(bank, 1, 2))
+        assert nearest(place, found) == pytest.approx(room_left, abs=0.01)
+
+
+def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
+    """Two face to face in a door: after standing there they are let closer than after walking up to it."""
+    env = make_env("door:width=0.8,jitter=0,speed_std=0", 1, "grid")
+    seen = env.reset(seed=0)
+    agents: Any = seen["agents"]
+    place, ahead = torch.tensor([[-0.4, -0.05], [0.4, 0.05]]), torch.tensor([[0.4, 0.0], [-0.4, 0.0]])
+    ago = torch.arange(-7.0, 1.0).view(-1, 1)
+    for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN), (0.3, SHOULDERS)):
+        agents["history"] = (place.unsqueeze(1) + walked * ago * ahead.unsqueeze(1)).unsqueeze(0)
+        found = safe(seen, ahead.unsqueeze(0), env.bank)
+        assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.02)
 
 
 def test_in_a_room_nobody_touches_walls_or_others() -> None:

@@ -23,6 +23,10 @@ bottlenecks", 2009, found 1.9)."""
 NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
 
+WAITED = 0.4
+"""Metres within the observed steps, 2.8 s, below which somebody waits. Two who wait for each other in a
+narrow place turn a shoulder, too: nobody else would end that."""
+
 _PLACES = 8
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
 
@@ -36,6 +40,7 @@ class Steps(NamedTuple):
         longest: Length of a step that nobody exceeds (B, A), metres.
         present: Who is there (B, A) bool.
         moved: Whose steps may be changed (B, A) bool.
+        waits: Who has hardly moved of late (B, A) bool.
     """
 
     position: Tensor
@@ -43,6 +48,7 @@ class Steps(NamedTuple):
     longest: Tensor
     present: Tensor
     moved: Tensor
+    waits: Tensor
 
 
 class Pairs(NamedTuple):
@@ -76,7 +82,9 @@ class Pairs(NamedTuple):
         mine = moved.unsqueeze(2) / (moved.unsqueeze(2) + moved.unsqueeze(1)).clamp_min(1)
         wanted = torch.full_like(apart, least + MARGIN)
         if narrow is not None:
-            wanted = torch.where(narrow.unsqueeze(2) | narrow.unsqueeze(1), SHOULDERS, wanted)
+            broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
+            broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
+            wanted = torch.where(broad, SHOULDERS, wanted)
         room = torch.where(both, torch.minimum(apart, wanted), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least)
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.models.clearance import NARROW, Near, Pairs, Steps
+from pedzoo.models.clearance import NARROW, WAITED, Near, Pairs, Steps
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 
 ROUNDS = 8
@@ -82,12 +82,15 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
     agents = cast("TensorDict", batch["agents"])
     moved = agents["mask"] & agents["controlled"]
     there = agents["mask"].unsqueeze(-1)
+    history = cast("Tensor", agents["history"])
+    here = history[:, :, -1]
     steps = Steps(
-        torch.where(there, agents["history"][:, :, -1], 0.0),
+        torch.where(there, here, 0.0),
         torch.where(moved.unsqueeze(-1), step, agents["velocity"] * STEP_SECONDS).where(there, 0.0),
         TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
         agents["mask"],
         moved,
+        (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED,
     )
     walls = None
     if bank is not None:
