@@ -6,10 +6,10 @@ import json
 import re
 from pathlib import Path
 
+from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.forecast import BASELINES
 
 ROOT = Path(__file__).parents[1]
-FOLDS = ("eth", "hotel", "univ", "zara1", "zara2")
 BEGIN, END = "<!-- results: tools/readme_results.py -->\n", "<!-- end of results -->"
 WALKED, END_OF_WALKED = "<!-- walked: tools/readme_results.py -->\n", "<!-- end of walked -->"
 LOOP, END_OF_LOOP = "<!-- loop: tools/readme_results.py -->\n", "<!-- end of loop -->"
@@ -25,10 +25,7 @@ SHOWN = {
     ("doors: 2 against 2", "clean"): "2 against 2 at a door: clean",
     ("doors: queue of 6", "clean"): "queue of 6: clean",
     ("doors: standing", "clean"): "somebody stands at the door: clean",
-    (
-        "doors: flow of 20",
-        "specific_flow_per_m_s",
-    ): "queue of 20: people per metre and second (real: about 1.9)",
+    ("doors: flow of 20", "specific_flow_per_m_s"): "queue of 20: people / (m s) (real: about 1.9)",
     ("buildings: drawn", "episode_success"): "unseen drawn floor plans: everybody reaches all goals",
     ("buildings: drawn", "contact_free"): "nobody touches anything there",
     ("buildings: drawn", "time_ratio"): "time / planned way's",
@@ -36,7 +33,7 @@ SHOWN = {
     ("buildings: crowd of 50", "success"): "50 people in an unseen office: share who arrive",
     ("buildings: crowd of 50", "contacts_per_min"): "their touches per minute",
     ("noise: who goes first", "varied"): "doors at which the noise says who goes first",
-    **{(f"replay: {fold}", "realism"): f"realism among the people of {fold}" for fold in FOLDS},
+    **{(f"replay: {fold}", "realism"): f"realism among the people of {fold}" for fold in SCENES},
 }
 """Rows of checkpoints/LOOP.md by case and metric, and what the README calls them."""
 
@@ -44,16 +41,11 @@ SEEDS = "", "_b", "_c"
 COLUMNS = {
     "sgan_goal_map.indoor": [f"sgan_goal_map.indoor{seed}" for seed in SEEDS],
     "sgan_goal.indoor": [f"sgan_goal.indoor{seed}" for seed in SEEDS],
-    **{
-        name: [name]
-        for name in (
-            "sgan_goal_map.eth_ucy_way",
-            "go_to_goal:safety=true",
-            "orca:radius=0.2",
-            "orca:radius=0.3",
-            "social_force:preset=indoor",
-        )
-    },
+    "sgan_goal_map.eth_ucy_way": ["sgan_goal_map.eth_ucy_way"],
+    "go_to_goal:safety=true": ["go_to_goal:safety=true"],
+    "orca:radius=0.2": ["orca:radius=0.2"],
+    "orca:radius=0.3": ["orca:radius=0.3"],
+    "social_force:preset=indoor": ["social_force:preset=indoor"],
 }
 """Columns of the README, and those of checkpoints/LOOP.md of which they show the least and the most."""
 
@@ -120,12 +112,10 @@ def in_the_loop() -> str:
 
 def _span(cells: list[str]) -> str:
     """Return the least and the most of some cells, one number where they are the same."""
-    values = [cell.split()[0] for cell in cells]
-    return " to ".join(dict.fromkeys((min(values, key=_number), max(values, key=_number))))
-
-
-def _number(text: str) -> float:
-    return float("nan") if text == "-" else float(text)
+    values = {cell.split()[0] for cell in cells}
+    if len(values) == 1:
+        return values.pop()
+    return f"{min(values, key=float)} to {max(values, key=float)}"
 
 
 def forecasts() -> str:
@@ -138,7 +128,7 @@ def forecasts() -> str:
                 trained = "" if row["name"] in BASELINES else row["seeds"]
                 text += f"| `{goal}` | `{row['name']}` | {trained} | {' | '.join(_cells(row))} |\n"
     text += READING
-    for fold in FOLDS:
+    for fold in SCENES:
         here = {row["name"]: row for row in rows if _is(row, fold, "window_end")}
         cells = [_value(here[name], "ade_m") for name in ("sgan_goal", "bent_line", "straight_line")]
         text += f"| {fold} | {' | '.join(cells)} |\n"

@@ -20,13 +20,6 @@ squeeze past each other in a door where one person waits, and queues of them pas
 persons per metre and second, where Seyfried et al., "New insights into pedestrian flow through
 bottlenecks", 2009, found 1.9)."""
 
-NARROW = 0.5
-"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
-
-WAITED = 0.4
-"""Metres within the observed steps, 2.8 s, below which somebody waits. Two who wait for each other in a
-narrow place turn a shoulder, too: nobody else would end that."""
-
 _PLACES = 8
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
 

@@ -17,11 +17,18 @@ from torch import Tensor
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.models.clearance import NARROW, WAITED, Near, Pairs, Steps
+from pedzoo.models.clearance import Near, Pairs, Steps
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 
 ROUNDS = 8
 """Corrections at most: each may undo a part of another."""
+
+NARROW = 0.5
+"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
+
+WAITED = 0.4
+"""Metres within the observed steps, 2.8 s, below which somebody waits. Two who wait for each other in a
+narrow place turn a shoulder, too: nobody else would end that."""
 
 
 def kept_clear(steps: Steps, walls: LocalWalls | None = None, radius: float = BODY_RADIUS) -> Tensor:
