@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -72,6 +73,18 @@ class MapBank:
     def _walls(self) -> Walls:
         return Walls.of(self.grids, self.unknown, self.max_distance).to(self._rows.device)
 
+    @cached_property
+    def wall_arrays(self) -> tuple[Any, ...]:
+        """What `pedzoo.maps.compiled` reads: choices, options, lower bounds, and where distances end."""
+        walls = self._walls
+        return walls.choice.numpy(), walls.option.numpy(), walls.least.numpy(), walls.limit
+
+    @cached_property
+    def map_arrays(self) -> tuple[Any, ...]:
+        """What the compiled planner reads: how the maps lie, and the lower bounds of distances."""
+        walls = self._walls
+        return walls.affine.numpy(), walls.place.numpy(), walls.side.numpy(), walls.least.numpy()
+
     @property
     def names(self) -> tuple[str, ...]:
         """The names that ``id_of`` knows."""
@@ -95,7 +108,12 @@ class MapBank:
         moved.__dict__.update(self.__dict__)
         moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
         moved._atlas = self._atlas.to(device)
-        moved.__dict__.pop("_walls", None)  # made anew on the device where somebody asks for it
+        for made in (
+            "_walls",
+            "wall_arrays",
+            "map_arrays",
+        ):  # made anew on the device where somebody asks for it
+            moved.__dict__.pop(made, None)
         return moved
 
     def index(self, map_id: Tensor) -> Tensor:
@@ -167,6 +185,22 @@ class MapBank:
             agents: A.
         """
         return self.walls_around(map_id, pose).each(agents) if self.grids else None
+
+    def walls_of_scenes(self, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Return how walls lie in B scenes, `LocalWalls.frame` (B, 7) and `LocalWalls.place` (B, 3).
+
+        Args:
+            row: Row of each scene's floor plan (B,) long, -1 for none.
+            pose: Scene poses (B, 4).
+        """
+        walls = LocalWalls.around(self._walls, row, pose)
+        return walls.frame.float().t().contiguous(), walls.place.t().contiguous()
+
+    def walls_of_state(self, frame: Tensor, place: Tensor) -> LocalWalls | None:
+        """Return the walls as the agents (B, A) of scenes see them, from what `walls_of_scenes` returned."""
+        if not self.grids:
+            return None
+        return LocalWalls(self._walls, frame.t().unsqueeze(2), place.t().unsqueeze(2))
 
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""

@@ -1,12 +1,13 @@
-"""The carrot: the point ahead on people's ways that they are told to walk to."""
+"""The carrot: the point ahead on agents' ways that they are told to walk to."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.maps.planar import columns
 
 BODY_CLEARANCE = 0.15
 """Metres that the line to the carrot keeps from walls: a body's radius."""
@@ -17,51 +18,31 @@ _SPACING = 0.3
 _PARTS = (1.0, 0.5, 0.25)
 """How much of the way beyond the waypoint is tried."""
 
-_ROUGH = torch.tensor([1 / 8, 3 / 8, 5 / 8, 7 / 8])
-"""Points of a line; no other one is farther than an eighth of it from the nearest of these."""
 
-
-def seen_beyond(walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor) -> Tensor:
-    """Return how far beyond the waypoint people see their carrot (P,): ``rest``, a half, a quarter, or not.
+def seen_beyond(
+    walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor, farthest: float
+) -> Tensor:
+    """Return how far beyond the waypoint agents see their carrot (*E): ``rest``, a half, a quarter, or not.
 
     It is seen if points of the straight line to it, 0.3 m apart, keep a body's radius from walls; on coarse
     floor plans up to 0.71 cells more.
 
     Args:
-        walls: As people see them from their positions on the map.
-        home: Where people are, in the map's frame (2, P), metres.
-        waypoint: Their next waypoints (2, P), which they see.
-        beyond: Unit vectors of where the way goes from there (2, P).
-        rest: Metres that the carrot is beyond the waypoint (P,), not negative.
+        walls: As agents see them from their positions on the map.
+        home: Where agents are, in the map's frame (2, *E), metres.
+        waypoint: Their next waypoints (2, *E), which they see.
+        beyond: Unit vectors of where the way goes from there (2, *E).
+        rest: Metres that the carrot is beyond the waypoint (*E), not negative.
+        farthest: Length of the longest line, metres.
     """
-    who = (rest > 0).nonzero()[:, 0]
-    if not len(who):
-        return rest
-    rest, walls = rest.clone(), walls.rows(who)
-    begin, corner = (of.index_select(1, who) for of in (home, waypoint))
-    end = corner + beyond.index_select(1, who) * rest.index_select(0, who)
-    # points are a fixed way apart, however far others look: an answer is the same whoever else asks
-    length = torch.hypot(*(end - begin))
-    spacing = _SPACING / length.clamp_min(_SPACING)
-    line = walls.cells(torch.stack((begin, corner, end), dim=1))
-    quarters = walls.quarters
-    # where there is much room a few points answer
-    rough = torch.addcmul(line[:, :1], _ROUGH.to(line).unsqueeze(1), line[:, 2:] - line[:, :1])
-    narrow = (quarters.least(rough).amin(0) < length / (2 * len(_ROUGH)) + BODY_CLEARANCE).nonzero()[:, 0]
-    who, spacing, quarters, line = who[narrow], spacing[narrow], quarters.rows(narrow), columns(line, narrow)
-    for part in _PARTS:
-        if not len(who):
-            return rest
-        samples = int((1 / spacing.min()).ceil())
-        steps = torch.arange(1, samples + 1, device=who.device).unsqueeze(1) * spacing
-        begin, corner, end = line.split(1, dim=1)
-        points = torch.addcmul(begin, steps.clamp_max_(1), corner + part * (end - corner) - begin)
-        hidden = quarters.least(points).amin(0) < BODY_CLEARANCE
-        if part < 1:
-            seen = who[~hidden]
-            rest[seen] = rest[seen] * part
-        still = hidden.nonzero()[:, 0]
-        who, spacing, quarters = who[still], spacing[still], quarters.rows(still)
-        line = columns(line, still)
-    rest[who] = 0
-    return rest
+    end = waypoint + beyond * rest
+    spacing = _SPACING / torch.hypot(*(end - home)).clamp_min(_SPACING)
+    begin, corner, end = walls.cells(torch.stack((home, waypoint, end), dim=1)).unbind(1)
+    parts = torch.tensor(_PARTS, device=rest.device).view(-1, *[1] * rest.dim())
+    number = torch.arange(1, math.ceil(farthest / _SPACING) + 1, device=rest.device)
+    share = (number.view(-1, *[1] * rest.dim()) * spacing).clamp_max(1)
+    to = corner.unsqueeze(1) + parts * (end - corner).unsqueeze(1) - begin.unsqueeze(1)
+    points = begin[:, None, None] + share.unsqueeze(0).unsqueeze(1) * to.unsqueeze(2)
+    least = walls.least_at(points.flatten(1, 2)).unflatten(0, (len(_PARTS), -1)).amin(1)
+    seen = least >= BODY_CLEARANCE
+    return rest * (parts * seen).amax(0)

@@ -58,11 +58,10 @@ def segments(home: Tensor, found: Found) -> tuple[Tensor, Tensor, Tensor]:
 def heading(
     points: Tensor, waypoint: Tensor, frame: Frame, length: Tensor, beyond: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return where people walk (P, 2), unit vectors, and how far it is to their waypoints (P,)."""
+    """Return where agents walk (..., 2), unit vectors, and how far it is to their waypoints (...,)."""
     way = waypoint - points
-    distance = way.norm(dim=1)
-    unit = way / distance.clamp_min(_EPSILON)[:, None]
+    distance = way.norm(dim=-1)
+    unit = way / distance.clamp_min(_EPSILON)[..., None]
+    # on the waypoint the way goes on along the second segment
     there = length < _EPSILON
-    if there.any():  # on the waypoint the way goes on along the second segment
-        unit = torch.where(there[:, None], frame.turn_to_scene(beyond), unit)
-    return unit, distance
+    return torch.where(there[..., None], frame.turn_to_scene(beyond), unit), distance

@@ -26,9 +26,13 @@ class Frame(NamedTuple):
         angle, mirror, x, y = pose.float().unbind(1)
         return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
 
+    def per_scene(self) -> Frame:
+        """Return the frames of B scenes for all of their agents (B, A)."""
+        return Frame(*(value.unsqueeze(-1) for value in self))
+
     def to_map(self, points: Tensor) -> Tensor:
-        """Move scene positions (P, 2) to where they are on the map (2, P)."""
-        x, y = points.t() - self.shift
+        """Move scene positions (*E, 2) to where they are on the map (2, *E)."""
+        x, y = points.movedim(-1, 0) - self.shift
         return torch.stack((self.cosine * x + self.sine * y, (self.cosine * y - self.sine * x) * self.mirror))
 
     def to_scene(self, points: Tensor) -> Tensor:

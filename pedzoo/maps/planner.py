@@ -12,6 +12,7 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.carrot import seen_beyond
+from pedzoo.maps.compiled_guide import guide_compiled
 from pedzoo.maps.corners import CornerGraph
 from pedzoo.maps.fields import Fields, build_fields
 from pedzoo.maps.graph import OpenGraph, as_points, show
@@ -34,7 +35,10 @@ class Planner:
         snap: Metres that a goal may be moved to the nearest open cell.
         cell: Metres to which finer cells are joined before ways are looked for.
         share: Side of squares, metres, in which all goals have the ways to one of them.
+        compiled: Whether compiled loops are used on the CPU where no gradients are asked for.
     """
+
+    compiled = True
 
     def __init__(
         self,
@@ -168,35 +172,45 @@ class Planner:
         Raises:
             UserError: A goal is of another map than the person.
         """
-        frame, _, found = self._find(points, goal_id, self._index(map_id), pose)
+        row = self.rows(map_id)
+        self._on(points.device).check(goal_id, row)
+        frame = Frame.of(pose)
+        _, found = self._find(points, goal_id, row, frame)
         with torch.no_grad():
             places = torch.stack((found.waypoint, found.after, found.goal), dim=1)
             waypoint, after, goal = frame.to_scene(places)
         distance = (waypoint - points).norm(dim=1) + found.onward
         return Look(waypoint, after, goal, distance)
 
-    def _index(self, map_id: Tensor) -> Tensor:
-        # the tables follow the people to their device, and so does the bank
+    def rows(self, map_id: Tensor) -> Tensor:
+        """Return the rows (N,) long of floor plans ``map_id`` (N,) in the bank; -1 stays -1.
+
+        Raises:
+            UserError: One is not in the bank.
+        """
+        # the tables follow the agents to their device, and so does the bank
         self.bank = self.bank.to(map_id.device)
         return self.bank.index(map_id)
 
+    def _on(self, device: torch.device) -> Tables:
+        """Return the tables of all goals, on a device."""
+        self._tables = tables = self._prepared().to(device)
+        return tables
+
     @torch.no_grad()
-    def _find(self, points: Tensor, goal: Tensor, row: Tensor, pose: Tensor) -> tuple[Frame, Tensor, Found]:
-        """Return the frames of people's scenes, their positions on the map (2, P) and where they go."""
-        self._tables = tables = self._prepared().to(points.device)
-        frame = Frame.of(pose)
+    def _find(self, points: Tensor, goal: Tensor, row: Tensor, frame: Frame) -> tuple[Tensor, Found]:
+        """Return agents' positions on the map (2, *E) and where they go, for points (*E, 2)."""
         home = frame.to_map(points.detach().float())
-        found = tables.look(home, goal, row)
-        lost = found.onward.isinf()
-        stay = (goal < 0) | lost
-        if stay.any():
-            found = found._replace(
-                waypoint=torch.where(stay, home, found.waypoint),
-                after=torch.where(stay, home, found.after),
-                goal=torch.where(goal < 0, home, found.goal),
-                last=found.last | stay,
-            )
-        return frame, home, found
+        found = self._on(points.device).look(home.flatten(1), goal.flatten(), row.flatten())
+        found = Found(*(part.view(*part.shape[:-1], *goal.shape) for part in found))
+        none = goal < 0
+        stay = none | found.onward.isinf()
+        return home, found._replace(
+            waypoint=torch.where(stay, home, found.waypoint),
+            after=torch.where(stay, home, found.after),
+            goal=torch.where(none, home, found.goal),
+            last=found.last | stay,
+        )
 
     def guide(
         self,
@@ -207,12 +221,7 @@ class Planner:
         pref_speed: Tensor,
         look_ahead_seconds: float,
     ) -> Guidance:
-        """Return everybody's carrot and desired velocity.
-
-        The carrot is the point of the way that is reached in ``look_ahead_seconds`` at ``pref_speed``; past
-        the goal the last segment is prolonged, so that people walk through it instead of braking. Beyond the
-        next waypoint it is moved back until the line to it keeps a body's radius from walls: a half of what
-        is beyond, a quarter, or to the waypoint itself. People without a goal, or without a way to it, stay.
+        """Return everybody's carrot and desired velocity; see `guide_scenes`.
 
         Args:
             points: Scene positions (P, 2), metres.
@@ -221,39 +230,76 @@ class Planner:
             pose: As in `look`.
             pref_speed: Metres per second (P,).
             look_ahead_seconds: How far ahead the carrot is.
+
+        Raises:
+            UserError: A goal is of another map than the person.
         """
-        row = self._index(map_id)
-        frame, home, found = self._find(points, goal_id, row, pose)
+        row = self.rows(map_id)
+        self._on(points.device).check(goal_id, row)
+        fastest = float(pref_speed.max()) if len(pref_speed) else 1.0
+        found = self.guide_scenes(
+            points.unsqueeze(1),
+            goal_id.unsqueeze(1),
+            row,
+            pose,
+            pref_speed.unsqueeze(1),
+            look_ahead_seconds,
+            fastest,
+        )
+        return Guidance(*(value.squeeze(1) for value in found))
+
+    def guide_scenes(
+        self,
+        points: Tensor,
+        goal_id: Tensor,
+        row: Tensor,
+        pose: Tensor,
+        pref_speed: Tensor,
+        look_ahead_seconds: float,
+        fastest: float,
+    ) -> Guidance:
+        """Return the carrots and desired velocities of the agents of B scenes, (B, A, ...).
+
+        The carrot is the point of the way that is reached in ``look_ahead_seconds`` at ``pref_speed``; past
+        the goal the last segment is prolonged, so that people walk through it instead of braking. Beyond the
+        next waypoint it is moved back until the line to it keeps a body's radius from walls: a half of what
+        is beyond, a quarter, or to the waypoint itself. People without a goal, or without a way to it, stay.
+
+        Nothing is read back to the host. On the CPU, where no gradient is asked for, compiled loops answer.
+
+        Args:
+            points: Scene positions (B, A, 2), metres.
+            goal_id: From `add_goals` (B, A) long, of the scenes' floor plans; -1 for no goal.
+            row: Floor plan of each scene in the bank (B,) long, -1 for none.
+            pose: Scene poses (B, 4).
+            pref_speed: Metres per second (B, A).
+            look_ahead_seconds: How far ahead the carrot is.
+            fastest: No ``pref_speed`` is above it, m/s.
+        """
+        needs_gradient = torch.is_grad_enabled() and (points.requires_grad or pref_speed.requires_grad)
+        if self.compiled and not needs_gradient and points.device.type == "cpu":
+            tables = self._on(points.device)
+            return guide_compiled(
+                self.bank, tables, points, goal_id, row, pose, pref_speed, look_ahead_seconds
+            )
+        frame = Frame.of(pose).per_scene()
+        home, found = self._find(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
         with torch.no_grad():
             ahead = pref_speed * look_ahead_seconds
             length, second_length, beyond = segments(home, found)
             # a second segment that does not end at the goal is as far as anybody looks
             rest = (ahead - length).clamp_min(0)
             rest = torch.where(found.last, rest, rest.minimum(second_length))
-            rest = seen_beyond(self.bank.walls_on_map(row), home, found.waypoint, beyond, rest)
+            if self.bank.grids:
+                walls = self.bank.walls_on_map(row).per_scene()
+                farthest = fastest * look_ahead_seconds
+                rest = seen_beyond(walls, home, found.waypoint, beyond, rest, farthest)
             places = torch.stack((found.waypoint, found.goal, found.waypoint + beyond * rest), dim=1)
             waypoint, point, carrot = frame.to_scene(places)
-            straight = (length >= ahead)[:, None]
+            straight = (length >= ahead).unsqueeze(-1)
         unit, distance = heading(points, waypoint, frame, length, beyond)
-        goal = torch.where(straight, points + unit * ahead[:, None], carrot)
-        return Guidance(goal, unit * pref_speed[:, None], waypoint, point, distance + found.onward)
-
-    def direction(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
-        """Return unit vectors (P, 2) of where people are told to walk, as in `guide`, for half the price.
-
-        Zero for people without a goal, or without a way to it.
-
-        Args:
-            points: Scene positions (P, 2), metres.
-            goal_id: As in `look`.
-            map_id: As in `look`.
-            pose: As in `look`.
-        """
-        frame, home, found = self._find(points, goal_id, self._index(map_id), pose)
-        with torch.no_grad():
-            length, _, beyond = segments(home, found)
-            waypoint = frame.to_scene(found.waypoint)
-        return heading(points, waypoint, frame, length, beyond)[0]
+        goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
+        return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + found.onward)
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest way in the map's frame: the goal is the last.

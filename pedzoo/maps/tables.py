@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -148,7 +150,22 @@ class Tables:
         """Return the tables on a device: themselves where they are there already."""
         if self.waypoint.device == device:
             return self
-        return Tables(**{name: part.to(device) for name, part in vars(self).items()})
+        return Tables(**{part.name: getattr(self, part.name).to(device) for part in fields(self)})
+
+    @cached_property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """All parts as arrays, for compiled loops."""
+        parts = (
+            self.to_cell,
+            self.begin,
+            self.nearest,
+            self.x,
+            self.y,
+            self.goal,
+            self.waypoint,
+            self.length,
+        )
+        return tuple(part.numpy() for part in parts)
 
     def look(self, points: Tensor, goal: Tensor, row: Tensor) -> Found:
         """Return where the ways of people at map-frame ``points`` lead.
@@ -158,20 +175,11 @@ class Tables:
             goal: Ids of their goals (P,), -1 for none.
             row: Rows of their maps (P,), -1 for none.
 
-        Raises:
-            UserError: A goal is of another map than the person.
         """
         # index_select is several times faster than indexing with a tensor
         start, count, of_map = self.goal.index_select(1, goal + 1)
         someone = goal >= 0
         number = row + 1
-        wrong = (of_map != number) & someone
-        if wrong.any():
-            i = int(wrong.nonzero()[0, 0])
-            raise UserError(
-                f"goal {int(goal[i])} was added for row {int(of_map[i]) - 1} of the bank, but person {i} is "
-                f"on row {int(row[i])} (-1: no map)"
-            )
         width, cells, opens = self.begin.index_select(1, number)
         a, b, c, d, e, f, last_column, last_row, reach = self.to_cell.index_select(1, number)
         x, y = points
@@ -196,11 +204,24 @@ class Tables:
         places = torch.stack((self.x.index_select(0, place), self.y.index_select(0, place)))
         waypoint, after, end, nearest = places.view(2, 4, -1).unbind(1)
 
-        away = (points - nearest).square().sum(0) > reach
-        away &= of_map > 0
-        if away.any():
-            onward = torch.where(away, onward + torch.hypot(*(waypoint - nearest)), onward)
-            is_last = torch.where(away, is_first, is_last)
-            after = torch.where(away, waypoint, after)
-            waypoint = torch.where(away, nearest, waypoint)
+        away = ((points - nearest).square().sum(0) > reach) & (of_map > 0)
+        onward = torch.where(away, onward + torch.hypot(*(waypoint - nearest)), onward)
+        is_last = torch.where(away, is_first, is_last)
+        after = torch.where(away, waypoint, after)
+        waypoint = torch.where(away, nearest, waypoint)
         return Found(waypoint, after, end, onward, is_last)
+
+    def check(self, goal: Tensor, row: Tensor) -> None:
+        """Check that goals (P,) are of the maps ``row`` (P,) of the agents that have them.
+
+        Raises:
+            UserError: One is of another map.
+        """
+        of_map = self.goal[2].index_select(0, goal + 1)
+        wrong = (of_map != row + 1) & (goal >= 0)
+        if wrong.any():
+            i = int(wrong.nonzero()[0, 0])
+            raise UserError(
+                f"goal {int(goal[i])} was added for row {int(of_map[i]) - 1} of the bank, but person {i} is "
+                f"on row {int(row[i])} (-1: no map)"
+            )

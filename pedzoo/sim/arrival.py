@@ -24,22 +24,30 @@ def arrived(path: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
         goal: Goals (B, A, 2).
         wanted: Who has one (B, A) bool.
     """
-    # people last, (2, S, M, B, A): as `dynamics.walk` has them in memory
+    # people last, (2, S, M, B, A): as `dynamics.integrate` has them in memory
     x, y = path.permute(4, 2, 3, 0, 1) - goal.permute(2, 0, 1)[:, None, None]
     near = torch.addcmul(x * x, y, y).amin(1) < GOAL_RADIUS**2
-    return (near & wanted).cummax(0).values.permute(1, 2, 0)
+    return ((near & wanted).cumsum(0) > 0).permute(1, 2, 0)
 
 
-def renewed(
-    scenario: Scenario, key: Tensor, goal_id: Tensor, drawn: Tensor, hit: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return goals and how many were drawn (B, A), with another goal for everybody who ``hit`` (B, A) one."""
-    scene, slot = hit.nonzero(as_tuple=True)
-    if not len(scene):
-        return goal_id, drawn
-    drawn = drawn + hit
-    goal = scenario.next_goal(Draws(key[scene]), slot, drawn[scene, slot], goal_id[scene, slot])
-    return goal_id.index_put((scene, slot), goal), drawn
+def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:
+    """Return the goals (B, A, G) that follow the ``first`` (B, A), drawn ahead; -1 where there are none.
+
+    Args:
+        scenario: Draws them; ``scenario.later`` are used in turn.
+        key: Of the scenes (B,) long.
+        first: Their first goals; -1 for none.
+    """
+    scenes, agents = first.shape
+    if not scenario.later:
+        return torch.full((scenes, agents, 1), -1, device=first.device)
+    scene = torch.arange(scenes, device=first.device).repeat_interleave(agents)
+    slot = torch.arange(agents, device=first.device).repeat(scenes)
+    draws, goal, goals = Draws(key[scene]), first.flatten(), []
+    for number in range(1, scenario.later + 1):
+        goal = scenario.next_goal(draws, slot, torch.full_like(slot, number), goal)
+        goals.append(goal.view(scenes, agents))
+    return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
 
 
 def planned(way: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
-"""How people move: one pure, differentiable function, the same in every world.
+"""How bodies move: velocities of every 0.1 s from what is commanded, and paths along walls.
 
-A person goes where the action says, never faster than their top speed. Walls stop them, and they slide
-along. Nobody is pushed apart: overlapping people are counted, not repaired.
+Pure, differentiable, on any device, and without a look back at the host. Agents come last, (2, ..., B, A):
+on a CPU several times faster than pairs.
 """
 
 from __future__ import annotations
@@ -12,148 +12,163 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.maps.planar import columns
+from pedzoo.sim.state import DIFF_DRIVE, HOLONOMIC, State
 from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
 SKIN = 0.01
-"""Metres by which a body gives at a wall: whoever presses against one is seen to touch it, by every world."""
+"""Metres by which a body gives at a wall: an agent that presses against one touches it in every backend."""
 
-_PUSHES = 3
-"""Corrections per place: an inner corner has two walls, and the second may push back to the first."""
+ROUNDING = 1e-4
+"""Metres by which an agent may be nearer to a wall than allowed before it goes back."""
 
-_STRETCH = 4
-"""So many sub-steps are first asked about in one go."""
+CREEP = 0.02
+"""Metres of a stride of an agent that is inside a wall."""
 
-_ROUNDING = 1e-5
-"""Metres that are not worth a correction; ten times as much is not accepted after the last one."""
+STRIDE = 2
+"""Sub-steps of a stride: walls are looked up where a stride ends, contacts are checked after each half."""
+
+_NO_WALL = 1e6
 
 
 def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
-    """Return how many sub-steps a trace step of 0.1 s needs for a top speed.
+    """Return how many sub-steps a trace step of 0.1 s needs for a top speed: whole strides.
 
-    Nobody may move more than half a body radius in one: then nobody passes through a wall or another
-    person unseen. A little less, because a body gives by `SKIN` at walls, and two sub-steps are a stride.
+    An agent may move half a body radius in one at most: then none passes through a wall or another agent
+    unseen. A little less, because a body gives by `SKIN` at walls.
     """
-    return max(1, math.ceil(fastest * TRACE_SECONDS / ((body_radius - SKIN) / 2) - 1e-9))
+    return STRIDE * max(1, math.ceil(fastest * TRACE_SECONDS / (body_radius - SKIN) - 1e-9))
 
 
-def walk(
-    position: Tensor,
-    velocity: Tensor,
-    seconds: float,
-    steps: int,
-    walls: LocalWalls | None,
-    body_radius: float = BODY_RADIUS,
-) -> Tensor:
-    """Return where people are (B, A, N, 2) after each of N equal sub-steps.
+def blended(velocity: Tensor, command: Tensor, ticks: int) -> Tensor:
+    """Return velocities (2, S, ...) of the S trace steps of a decision, blended instead of switched.
 
-    Differentiable with respect to positions and velocities. Who starts inside a wall may only move out.
+    The first step lies half-way between old and new velocity. The others make up for it, so that the decision
+    ends where the command alone would lead. An agent that brakes to a stop does not walk backwards for it:
+    what is made up is at most half of the commanded velocity.
 
     Args:
-        position: Where they are (B, A, 2), metres.
-        velocity: What they want (B, A, 2), m/s, their top speed respected already.
-        seconds: Duration of all sub-steps together.
-        steps: N.
-        walls: As people see them (`MapBank.walls_of_people`), None for none.
-        body_radius: Of a person, metres.
+        velocity: Of the last 0.1 s (2, ...), m/s.
+        command: What is wanted now (2, ...), m/s.
+        ticks: S.
     """
-    time = torch.linspace(seconds / steps, seconds, steps, device=position.device, dtype=position.dtype)
-    # coordinates first, people last, (2, N, B * A): on the CPU several times faster than pairs
-    start, wanted = (values.flatten(0, 1).t().contiguous() for values in (position, velocity))
-    path = torch.addcmul(start.unsqueeze(1), wanted.unsqueeze(1), time.unsqueeze(1))
-    if walls is not None:
-        path = _along_walls(path, start, wanted * (seconds / steps), walls, body_radius)
-    return path.permute(2, 1, 0).unflatten(0, position.shape[:2])
+    if ticks == 1:
+        return command.unsqueeze(1)
+    half = 0.5 * (velocity - command)
+    size = (half.square().sum(0) + 1e-12).sqrt()
+    speed = (command.square().sum(0) + 1e-12).sqrt()
+    half = half * (0.5 * (ticks - 1) * speed / size).clamp_max(1.0)
+    others = command - half / (ticks - 1)
+    return torch.stack([command + half, *[others] * (ticks - 1)], dim=1)
 
 
-def _along_walls(path: Tensor, start: Tensor, move: Tensor, walls: LocalWalls, body_radius: float) -> Tensor:
-    """Return ``path`` (2, N, P) with the ways of those who meet a wall.
+def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
+    """Return velocities (2, ..., B, A) shortened to top speeds (B, A)."""
+    speed = velocity.square().sum(0).clamp_min(1e-12).sqrt()
+    return velocity * (top_speed / speed).clamp_max(1.0)
+
+
+def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return velocities (2, S, B, A), headings and turning rates (B, A) with everybody's limits and wheels.
+
+    A holonomic agent changes its velocity by its acceleration at most. A unicycle is commanded its speed and
+    turning rate, (v, omega), a differential drive the speeds of its wheels, (left, right) in m/s; both are
+    limited in acceleration and drive along their heading.
 
     Args:
-        path: Straight ways.
-        start: Where they begin (2, P).
-        move: What everybody wants in a sub-step (2, P).
-        walls: As people see them.
-        body_radius: Of a person, metres.
+        state: Bodies, headings, velocities.
+        command: (2, B, A).
+        velocity: What holonomic agents want in each trace step (2, S, B, A), m/s.
     """
-    reach, steps = body_radius - SKIN, path.shape[1]
-    with torch.no_grad():  # who can come to a wall at all, then who does
-        half = move * (steps / 2)
-        least = walls.least((start + half).unsqueeze(1))[0]
-        who = (least < torch.hypot(*half) + reach).nonzero()[:, 0]
-        some = walls.rows(who)
-        stretches = columns(path, who).unflatten(1, (-1, math.gcd(steps, _STRETCH)))
-        touching = some.within(stretches, reach).any(0).nonzero()[:, 0]
-        who, some = who[touching], some.rows(touching)
-    if not len(who):
-        return path
-    slid = _slide(start.index_select(1, who), move.index_select(1, who), steps, some, body_radius)
-    return path.index_copy(2, who, slid)
+    wheels = state.drive != HOLONOMIC
+    left, right = command
+    is_pair = state.drive == DIFF_DRIVE
+    wanted_speed = torch.where(is_pair, (left + right) / 2, left).clamp(-state.top_speed, state.top_speed)
+    wanted_turn = torch.where(is_pair, (right - left) / state.track, right)
+    heading, turn = state.heading, state.turn_rate
+    moving = state.velocity.movedim(-1, 0)
+    speed = moving[0] * heading.cos() + moving[1] * heading.sin()
+    most, most_turn = state.acceleration * TRACE_SECONDS, state.turn_acceleration * TRACE_SECONDS
+    result = []
+    for tick in range(velocity.shape[1]):
+        change = velocity[:, tick] - moving
+        free = moving + change * (most / (change.square().sum(0) + 1e-12).sqrt()).clamp_max(1.0)
+        speed = speed + (wanted_speed - speed).clamp(-most, most)
+        turn = turn + (wanted_turn - turn).clamp(-most_turn, most_turn)
+        middle = heading + 0.5 * TRACE_SECONDS * turn
+        rolling = speed * torch.stack((middle.cos(), middle.sin()))
+        heading = torch.where(wheels, heading + TRACE_SECONDS * turn, heading)
+        moving = torch.where(wheels, rolling, free)
+        result.append(moving)
+    return torch.stack(result, dim=1), heading, torch.where(wheels, turn, 0.0)
 
 
-def _slide(start: Tensor, move: Tensor, steps: int, walls: LocalWalls, body_radius: float) -> Tensor:
-    """Return ways (2, N, P) of people who meet a wall.
+def integrate(
+    position: Tensor, velocity: Tensor, radius: Tensor, steps: int, walls: LocalWalls | None
+) -> tuple[Tensor, Tensor | None]:
+    """Return paths (2, S * M, B, A) of S trace steps of M sub-steps, and how far from walls they stay.
 
-    Nobody comes nearer to the nearest wall than a body's radius, or than they are already; whoever is then
-    too near to another wall is pushed off it.
+    Walls stop agents, and they slide along. An agent that starts inside a wall, or nearer than its body, may
+    only move out. Agents are not pushed apart.
+
+    In every stride the move is projected on what the nearest wall leaves, and on what the wall leaves that
+    the last stride ran into. Where the end of it is nearer to a wall than allowed all the same, the agent
+    stays for this stride.
 
     Args:
-        start: Where they begin (2, P), metres.
-        move: What they want in a sub-step (2, P), metres.
-        steps: N.
-        walls: As they see them.
-        body_radius: Of a person, metres.
-    """
-    reach = body_radius - SKIN
-    # two sub-steps are no longer than the reach: nobody gets to the other side of a wall in them
-    stride = 2 - steps % 2
-    here, move = start.double(), stride * move.double()
-    gap, away = _look(walls, here)
-    allowed = gap.detach().clamp_max(reach)
-    way, kept = [here], []
-    for _ in range(steps // stride):
-        kept.append(allowed)
-        excess = allowed - gap - (move * away).sum(0)
-        wanted = torch.addcmul(here + move, excess.clamp_min(0), away)
-        before = here, gap, away
-        here, gap, away, stuck = _off_walls(walls, wanted, allowed)
-        if bool(stuck.any()):
-            now = here, gap, away
-            here, gap, away = (torch.where(stuck, old, new) for old, new in zip(before, now, strict=True))
-        allowed = gap.detach().clamp_max(reach).maximum(allowed)  # rounding must not add up
-        way.append(here)
-    ends = torch.stack(way, dim=1)
-    if stride == 1:
-        return ends[:, 1:].to(start.dtype)
-    # a straight line between two places may cut a corner
-    between, _, _, stuck = _off_walls(walls, torch.lerp(ends[:, :-1], ends[:, 1:], 0.5), torch.stack(kept))
-    between = torch.where(stuck, ends[:, :-1], between)
-    return torch.stack((between, ends[:, 1:]), dim=2).flatten(1, 2).to(start.dtype)
-
-
-def _off_walls(walls: LocalWalls, place: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Push people who are nearer to a wall than ``allowed`` (..., P) off it.
+        position: Where agents are (2, B, A), metres.
+        velocity: In each trace step (2, S, B, A), m/s, limits respected already.
+        radius: Of bodies (B, A), metres.
+        steps: M, a multiple of `STRIDE`.
+        walls: As agents see them, None for none.
 
     Returns:
-        Where they are (2, ..., P); their distance to the nearest wall (..., P), and where it grows
-        (2, ..., P); and who is too near all the same (..., P) bool.
+        Paths, and distances to the nearest wall at all of their points (S * M, B, A), None without walls.
     """
-    gap, away = _look(walls, place)
-    for _ in range(_PUSHES):
-        lacking = allowed - gap
-        too_close = lacking > _ROUNDING
-        if not bool(too_close.any()):
-            break
-        # only these: what happens to one person does not depend on who else is asked about
-        place = torch.addcmul(place, lacking * too_close, away)
-        gap, away = _look(walls, place)
-    return place, gap, away, gap < allowed - 10 * _ROUNDING
+    ticks, strides = velocity.shape[1], steps // STRIDE
+    seconds = TRACE_SECONDS / strides
+    if walls is None:
+        time = torch.arange(1, steps + 1, device=position.device, dtype=position.dtype)
+        moved = (velocity * TRACE_SECONDS).cumsum(1)
+        begin = position.unsqueeze(1) + moved - velocity * TRACE_SECONDS
+        time = time.view(1, 1, -1, 1, 1) * (TRACE_SECONDS / steps)
+        return (begin.unsqueeze(2) + velocity.unsqueeze(2) * time).flatten(1, 2), None
+    reach = radius - SKIN
+    here = position
+    gap, away = _look(walls, here)
+    allowed = gap.detach().minimum(reach)
+    blocked_gap, blocked_away = torch.full_like(gap, _NO_WALL), torch.zeros_like(away)
+    blocked_at = here
+    points, gaps = [], []
+    for tick in range(ticks):
+        wanted = velocity[:, tick] * seconds
+        length = (wanted.square().sum(0) + 1e-12).sqrt()
+        for _ in range(strides):
+            # near a wall strides are short: a straight line between two places must not cut a corner
+            move = wanted * (allowed.clamp_min(CREEP) / length).clamp_max(1.0)
+            lacking = (allowed - gap - (move * away).sum(0)).clamp_min(0)
+            target = here + move + lacking * away
+            ahead = blocked_gap + ((target - blocked_at) * blocked_away).sum(0)
+            target = target + (allowed - ahead).clamp_min(0) * blocked_away
+            new_gap, new_away = _look(walls, target)
+            stuck = new_gap < allowed - ROUNDING
+            blocked_at = torch.where(stuck, target, blocked_at)
+            blocked_gap = torch.where(stuck, new_gap, _NO_WALL)
+            blocked_away = torch.where(stuck, new_away, blocked_away)
+            before = here
+            here = torch.where(stuck, here, target)
+            gap, away = torch.where(stuck, gap, new_gap), torch.where(stuck, away, new_away)
+            allowed = gap.detach().minimum(reach).maximum(allowed)
+            points += [0.5 * (before + here), here]
+            gaps.append(gap)
+    path = torch.stack(points, dim=1)
+    middle, _ = walls.look(path[:, ::2].detach(), edges=False)
+    return path, torch.stack((middle, torch.stack(gaps)), dim=1).flatten(0, 1)
 
 
 def _look(walls: LocalWalls, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the distance to the nearest wall (..., P), differentiable, and where it grows (2, ..., P)."""
-    gap, away = walls.look(place.detach().view(2, -1, place.shape[-1]))
-    gap, away = gap.view(place.shape[1:]), away.view(place.shape)
+    """Return the distance to the nearest wall (B, A), differentiable, and where it grows (2, B, A)."""
+    gap, away = walls.look(place.detach().unsqueeze(1), edges=False)
+    gap, away = gap[0], away[:, 0]
     if place.requires_grad:
         gap = gap + ((place - place.detach()) * away).sum(0)
     return gap, away

@@ -14,11 +14,10 @@ from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.guidance import Guidance
-from pedzoo.sim import specs
+from pedzoo.sim import kernel, specs
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.scenario import WARM_SECONDS, Scenario
-from pedzoo.sim.simulation import Outcome, Simulation
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
 from pedzoo.sim.worlds.base import World
@@ -47,9 +46,9 @@ class PedestrianEnv(EnvBase):
 
     Keys as in `pedzoo.types`, with ``action`` (m/s) and ``reward`` under ``agents``, and under
     ``agents/info`` what closed-loop metrics are made of: ``trace``, ``agent_contact``, ``wall_contact`` and
-    ``reached`` of every 0.1 s since the last decision (see `Outcome`), ``late`` and ``way`` (see `State`).
+    ``reached`` of every 0.1 s since the last decision (see `Events`), ``late`` and ``way`` (see `State`).
 
-    The reward is the way that got shorter, in metres, less `pedzoo.sim.simulation.CONTACT_COST` where
+    The reward is the way that got shorter, in metres, less `pedzoo.sim.kernel.CONTACT_COST` where
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
 
     Attributes:
@@ -106,8 +105,8 @@ class PedestrianEnv(EnvBase):
         self.scenario, self.world, self.decision_dt = scenario, world, decision_dt
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
         fine = substeps(scenario.fastest * TOP_SPEED_RATIO, body_radius)
-        self._episodes = Episodes(scenario, warm_start, fine, body_radius)
-        self._simulation = Simulation(scenario, world, trace_points, fine, body_radius)
+        self.rules = kernel.rules_of(scenario, trace_points, fine)
+        self._episodes = Episodes(scenario, warm_start, world, self.rules)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
@@ -189,11 +188,11 @@ class PedestrianEnv(EnvBase):
         draws = Draws.of(self._seed, self._number[rows])
         self._number = self._number.index_add(0, rows, torch.full_like(rows, self._stride))
         state = self._episodes.begin(draws)
-        return _Scenes(state, self._simulation.guide(state))
+        return _Scenes(state, self.rules.guide(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state
-        after, guidance, outcome = self._simulation.step(before, tensordict["agents", "action"])
+        after, guidance, outcome = kernel.step(before, tensordict["agents", "action"], self.world, self.rules)
         if bool((after.failed & ~before.failed).any()):
             self._warn(tensordict["agents", "action"], before, after)
         self._scenes = _Scenes(after, guidance)
@@ -213,9 +212,11 @@ class PedestrianEnv(EnvBase):
             stacklevel=2,
         )
 
-    def _observation(self, state: State, guidance: Guidance, outcome: Outcome | None = None) -> TensorDict:
+    def _observation(
+        self, state: State, guidance: Guidance, outcome: kernel.Events | None = None
+    ) -> TensorDict:
         scenes, agents = state.mask.shape
-        points = self._simulation.trace_points
+        points = self.rules.ticks
         nothing = torch.zeros(scenes, agents, points, dtype=torch.bool)
         info = {
             "trace": outcome.trace if outcome else state.past[:, :, -points:],
@@ -234,7 +235,7 @@ class PedestrianEnv(EnvBase):
             "goal": guidance.goal,
             "desired_velocity": guidance.desired_velocity,
             "mask": state.mask,
-            "controlled": state.controlled & ~state.failed.unsqueeze(1),
+            "controlled": state.decides & ~state.failed.unsqueeze(1),
             "info": TensorDict(info, (scenes, agents)),
         }
         scene = {

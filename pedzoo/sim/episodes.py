@@ -10,29 +10,31 @@ from torch import Tensor
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError, unknown
 from pedzoo.geometry import identity_pose
-from pedzoo.maps.guidance import Look
+from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.segments import WallSegments
+from pedzoo.sim import kernel
 from pedzoo.sim import warm_start as warm
-from pedzoo.sim.arrival import arrived, deadline, planned, renewed
+from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.scenario import Layout, Scenario
 from pedzoo.sim.script import Opening
 from pedzoo.sim.state import PAST_LEN, State
-from pedzoo.types import TRACE_SECONDS
+from pedzoo.sim.worlds.base import World
+from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
 
 
 class Episodes:
     """Makes the first state of any episode of a scenario, for as many at once as are asked for."""
 
     def __init__(
-        self, scenario: Scenario, warm_start: warm.WarmStart, substeps: int, body_radius: float
+        self, scenario: Scenario, warm_start: warm.WarmStart, physics: World, rules: kernel.Rules
     ) -> None:
         """Take a prepared scenario.
 
         Args:
             scenario: The scenario; `Scenario.prepare` was called.
             warm_start: Where the first observed steps come from.
-            substeps: Of every 0.1 s.
-            body_radius: Of a person, metres.
+            physics: Moves agents in the warm start.
+            rules: Of the scenes.
 
         Raises:
             UserError: There is no such warm start.
@@ -40,7 +42,7 @@ class Episodes:
         if warm_start not in get_args(warm.WarmStart):
             raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
         self._scenario, self._warm_start = scenario, warm_start
-        self._substeps, self._body_radius = substeps, body_radius
+        self._physics, self._rules = physics, rules
         self._walls = WallSegments(scenario.bank, most=warm.ORCA.max_obstacles)
 
     @torch.no_grad()
@@ -48,87 +50,93 @@ class Episodes:
         """Return the first state of the episodes of ``draws``.
 
         Raises:
-            UserError: Somebody's goal cannot be reached.
+            UserError: An agent's goal cannot be reached.
         """
-        key, layout = draws.key, self._scenario.layout(draws)
+        layout = self._scenario.layout(draws)
         opening = layout.opening or _everybody(layout)
-        pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
-        goal, drawn = layout.goal, torch.zeros_like(layout.goal)
-        if self._warm_start == "recorded" or layout.opening is not None:
-            past = warm.recorded(layout)
-        elif self._warm_start == "static":
-            past = warm.standing(layout)
-        else:
-            past, goal, drawn = self._rolled(key, layout, pose)
-        position = past[:, :, -1]
-        look = self._look(position, goal, layout, pose)
-        way = look.distance.view_as(layout.pref_speed)
-        stands = torch.zeros_like(way) if layout.stand is None else layout.stand
-        cut_off = ((opening.controlled | (stands > 0)) & way.isinf()).nonzero()
+        recorded = self._warm_start == "recorded" or layout.opening is not None
+        past = warm.recorded(layout) if recorded else warm.standing(layout.start)
+        state = self._placed(draws.key, layout, opening, past)
+        if not recorded and self._warm_start == "orca":
+            state = warm.rolled(state, self._physics, self._rules, self._walls)
+        guidance = self._rules.guide(state)
+        way = guidance.distance
+        cut_off = ((opening.controlled | (state.stands > 0)) & way.isinf()).nonzero()
         if len(cut_off):
-            scene, slot = cut_off[0].tolist()
-            here, there = (
-                tuple(round(float(value), 2) for value in where.view_as(position)[scene, slot])
-                for where in (position, look.goal_point)
-            )
-            clearance = self._scenario.planner.clearance
-            raise UserError(
-                f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
-                f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
-            )
-        if layout.opening is not None:  # who is played back may be where no way leads from
+            raise self._no_way(state, guidance, *cut_off[0].tolist())
+        if layout.opening is not None:  # people who are played back may be where no way leads from
             way = torch.where(way.isfinite(), way, 0.0)
-        clock = way.new_zeros(len(key))
-        velocity, until = opening.velocity, opening.deadline
+        clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
+        position, past = state.position, state.past
+        return state._replace(
+            clock=clock,
+            velocity=(position - past[:, :, -2]) / TRACE_SECONDS if velocity is None else velocity,
+            goal_point=guidance.goal_point,
+            reached=torch.zeros_like(state.reached),
+            deadline=deadline(clock, way, state.pref_speed) if until is None else until,
+            late=torch.zeros_like(state.late),
+            way=way,
+            planned=torch.where(opening.controlled, planned(way), 0.0),
+        )
+
+    def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:
+        """Return agents where they start, before anything has happened."""
+        pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
+        row = self._scenario.planner.rows(layout.map_id)
+        frame, place = self._scenario.planner.bank.walls_of_scenes(row, pose)
+        nothing, none = torch.zeros_like(layout.pref_speed), torch.zeros_like(layout.goal)
+        endless = torch.full_like(nothing, torch.inf)
+        position = past[:, :, -1]
+        velocity = (position - past[:, :, -2]) / TRACE_SECONDS
         return State(
             key=key,
             map_id=layout.map_id,
+            row=row,
+            wall_frame=frame,
+            wall_place=place,
             pose=pose,
             scene=opening.scene,
-            clock=clock,
-            failed=torch.zeros_like(clock, dtype=torch.bool),
+            clock=nothing[:, 0].clone(),
+            failed=torch.zeros_like(key, dtype=torch.bool),
             mask=layout.mask,
             controlled=opening.controlled,
             person=opening.person,
             known=opening.known,
             past=past,
-            velocity=(position - past[:, :, -2]) / TRACE_SECONDS if velocity is None else velocity,
+            velocity=velocity,
+            heading=torch.atan2(velocity[..., 1], velocity[..., 0]),
+            turn_rate=nothing,
+            radius=torch.full_like(nothing, self._physics.body_radius)
+            if layout.radius is None
+            else layout.radius,
+            kind=none if layout.kind is None else layout.kind,
+            drive=none,
+            top_speed=TOP_SPEED_RATIO * layout.pref_speed,
+            acceleration=endless,
+            turn_acceleration=endless,
+            track=torch.ones_like(nothing),
             pref_speed=layout.pref_speed,
-            goal_id=goal,
-            goal_point=look.goal_point.view_as(position),
-            drawn=drawn,
-            reached=torch.zeros_like(goal),
-            deadline=deadline(clock, way, layout.pref_speed) if until is None else until,
+            goal_id=layout.goal,
+            later_goals=later_goals(self._scenario, key, layout.goal),
+            goal_point=position,
+            drawn=none,
+            reached=none,
+            deadline=endless,
             late=torch.zeros_like(layout.mask),
-            way=way,
-            planned=torch.where(opening.controlled, planned(way), 0.0),
-            stands=stands,
+            way=nothing,
+            planned=nothing,
+            stands=nothing if layout.stand is None else layout.stand,
         )
 
-    def _rolled(self, key: Tensor, layout: Layout, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the past (B, A, 29, 2), and the goals and how many were drawn (B, A) at its end."""
-        drawn = torch.zeros_like(layout.goal)
-
-        def renew(path: Tensor, goal: Tensor) -> Tensor:
-            """Replace goals that are passed already: nothing counts before the episode begins."""
-            nonlocal drawn
-            point = self._look(path[:, :, -1], goal, layout, pose).goal_point.view_as(path[:, :, -1])
-            hit = arrived(path.unsqueeze(3), point, layout.mask & (goal >= 0))[..., -1]
-            fresh, drawn = renewed(self._scenario, key, goal, drawn, hit)
-            return torch.where(fresh >= 0, fresh, goal)
-
-        past, goal = warm.rolled(
-            layout, pose, self._scenario.planner, self._walls, self._substeps, self._body_radius, renew
+    def _no_way(self, state: State, guidance: Guidance, scene: int, slot: int) -> UserError:
+        here, there = (
+            tuple(round(float(value), 2) for value in where[scene, slot])
+            for where in (state.position, guidance.goal_point)
         )
-        return past, goal, drawn
-
-    def _look(self, position: Tensor, goal: Tensor, layout: Layout, pose: Tensor) -> Look:
-        agents = position.shape[1]
-        return self._scenario.planner.look(
-            position.flatten(0, 1),
-            goal.flatten(),
-            layout.map_id.repeat_interleave(agents),
-            pose.repeat_interleave(agents, 0),
+        clearance = self._scenario.planner.clearance
+        return UserError(
+            f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
+            f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
         )
 
 

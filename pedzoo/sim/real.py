@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim import kernel
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
@@ -18,7 +19,7 @@ from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
 from pedzoo.sim.worlds.base import People
 from pedzoo.sim.worlds.grid import GridWorld
-from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TOP_SPEED_RATIO
+from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 _AT_ONCE = 64
 """Scenes: as many as are walked together."""
@@ -35,7 +36,8 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     """
     assert scenario.script is not None
     fine = substeps(scenario.fastest * TOP_SPEED_RATIO)
-    episodes, world = Episodes(scenario, "recorded", fine, BODY_RADIUS), GridWorld(scenario.bank)
+    world = GridWorld(scenario.bank)
+    episodes = Episodes(scenario, "recorded", world, kernel.rules_of(scenario, TRACE_PER_STEP, fine))
     for number in torch.arange(scenes).split(_AT_ONCE):
         start = episodes.begin(Draws.of(0, number))
         yield _walked(scenario, scenario.script, world, start, fine)

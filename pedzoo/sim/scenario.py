@@ -38,6 +38,8 @@ class Layout(NamedTuple):
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
         opening: Who is there in scenes with a script, which always begin as they were recorded.
+        radius: Of everybody's body (B, A), metres; None: that of a person.
+        kind: Person or robot (B, A) long; None: all are people.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
             seconds; 0 for who does not. No policy moves them so long. None: nobody.
     """
@@ -51,6 +53,8 @@ class Layout(NamedTuple):
     history: Tensor | None = None
     opening: Opening | None = None
     stand: Tensor | None = None
+    radius: Tensor | None = None
+    kind: Tensor | None = None
 
 
 def door_at_origin(width: Tensor) -> Tensor:
@@ -65,8 +69,9 @@ class Scenario(ABC):
     Attributes:
         people: A, the largest number of people in a scene.
         goals: Goals that everybody has to reach.
-        finished: Whoever has reached them all will ``leave`` the scene, or ``continue`` to further goals
-            until everybody has.
+        finished: An agent that has reached them all will ``leave`` the scene, ``continue`` to later goals
+            until all agents have, or ``stand``.
+        later: Goals after the first that are drawn ahead for each agent, and used in turn.
         script: Says who is played back and who comes when; None where everybody is there from the beginning.
         unknown: What unknown cells of the floor plans count as.
         bank: The floor plans; there after `prepare`.
@@ -74,7 +79,8 @@ class Scenario(ABC):
     """
 
     unknown: ClassVar[Unknown] = "wall"
-    finished: Literal["leave", "continue"] = "leave"
+    finished: Literal["leave", "continue", "stand"] = "leave"
+    later: int = 0
     goals: int = 1
     people: int
     script: Script | None = None

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.sim.people import People
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
-from pedzoo.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 
 class Scenes(NamedTuple):
@@ -144,14 +144,10 @@ class Script:
         steps = self.people.until[person] - self.scenes.origin[scene].unsqueeze(1)
         return (steps * TRACE_PER_STEP) * TRACE_SECONDS
 
-    def played(self, state: State, path: Tensor, broken: Tensor) -> Tensor:
-        """Return ``path`` (B, A, S, M, 2) with the recorded ways of those whom the policy does not move.
-
-        Scenes that are ``broken`` (B,) stay as they are.
-        """
-        recorded = self.path(state.scene, state.person, _tick(state.clock), *path.shape[2:4])
-        scripted = state.mask & ~state.controlled & ~broken.unsqueeze(1)
-        return torch.where(scripted[..., None, None, None], recorded, path)
+    def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
+        """Return the recorded ways (B, A, S, M, 2) of everybody; in scenes that ``failed`` (B,) they stay."""
+        recorded = self.path(state.scene, state.person, _tick(state.clock), points, substeps)
+        return torch.where(failed.view(-1, 1, 1, 1, 1), state.position[:, :, None, None], recorded)
 
     def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
         """Let people come, go and be taken over at the end of a decision of S ``points``.
@@ -164,8 +160,6 @@ class Script:
         frame, sharp = at // TRACE_PER_STEP, (at % TRACE_PER_STEP == 0).unsqueeze(1)
         known = (after.known + points).clamp_max(PAST_LEN)
         after = after._replace(clock=tick * TRACE_SECONDS, known=known)
-        if not bool(sharp.any()):
-            return after, torch.zeros_like(after.mask)
         due = self.due(after.scene, frame)
         now = frame.unsqueeze(1).expand_as(due)
         there = due >= 0
@@ -178,18 +172,19 @@ class Script:
         velocity = (self.places(due, now + 1) - here) / STEP_SECONDS
         come = comes.unsqueeze(2)
         return after._replace(
-            mask=mask,
-            controlled=(after.controlled & stays) | taken,
-            person=torch.where(mask, due, -1),
+            mask=torch.where(sharp, mask, after.mask),
+            controlled=torch.where(sharp, (after.controlled & stays) | taken, after.controlled),
+            person=torch.where(sharp, torch.where(mask, due, -1), after.person),
             known=known.masked_fill(comes, 1),
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),
             pref_speed=torch.where(comes, self._pref_speed[due], after.pref_speed),
+            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[due], after.top_speed),
             goal_id=torch.where(comes, self.people.goal_id[due], after.goal_id),
             drawn=after.drawn.masked_fill(comes, 0),
             reached=after.reached.masked_fill(comes, 0),
             deadline=torch.where(comes, self._deadline(after.scene, due), after.deadline),
-            late=late & ~comes,
+            late=torch.where(sharp, late & ~comes, after.late),
             way=after.way.masked_fill(comes, 0.0),
             planned=after.planned.masked_fill(comes, 0.0),
         ), taken

@@ -1,4 +1,4 @@
-"""All that an environment knows about its scenes between two steps."""
+"""All that a simulation knows about its scenes between two steps."""
 
 from __future__ import annotations
 
@@ -15,38 +15,57 @@ TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 PAST_LEN = (OBS_LEN - 1) * TRACE_PER_STEP + 1
 """Trace points that 8 observed steps span."""
 
+HOLONOMIC, UNICYCLE, DIFF_DRIVE = range(3)
+"""How a body moves: in any direction, along its heading, or on two wheels; see `pedzoo.sim.dynamics`."""
+
 
 class State(NamedTuple):
-    """B scenes of A people. Never written in place: what a rollout was given stays as it was.
+    """B scenes of A agents. Never written in place: what a rollout was given stays as it was.
 
     Attributes:
         key: Key of each scene's draws (B,) long.
         map_id: Floor plan (B,) long, -1 for none.
+        row: Its row in the bank (B,) long, -1 for none.
+        wall_frame: How the walls lie in each scene, see `LocalWalls.frame` (B, 7).
+        wall_place: See `LocalWalls.place` (B, 3) int32.
         pose: Scene poses (B, 4).
         scene: Which scene of the scenario's script is played (B,) long; 0 where there is none.
         clock: Time since the warm start (B,), seconds.
         failed: A policy gave no number (B,) bool.
-        mask: Who is there (B, A) bool.
-        controlled: Whom the policy moves (B, A) bool; others who are there are played back.
-        person: Who is in each slot (B, A) long, -1 where nobody is: noise is drawn by it.
-        known: For how many of the latest trace points, up to 29, somebody was seen (B, A) long.
-        past: Everybody's latest positions every 0.1 s (B, A, 29, 2), oldest first.
+        mask: Which agents are there (B, A) bool.
+        controlled: Which of them a policy moves (B, A) bool; the others are played back or stay.
+        person: Number of the person in each slot (B, A) long, -1 for none: noise is drawn by it.
+        known: For how many of the latest trace points, up to 29, an agent was seen (B, A) long.
+        past: Latest positions every 0.1 s (B, A, 29, 2), oldest first.
         velocity: Over the last 0.1 s (B, A, 2), m/s.
-        pref_speed: The speed that people like (B, A), m/s.
+        heading: Where the body faces (B, A), radians.
+        turn_rate: How fast wheels turn it (B, A), rad/s.
+        radius: Of the body (B, A), metres.
+        kind: Person or robot (B, A) long.
+        drive: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` (B, A) long.
+        top_speed: No agent moves faster than this (B, A), m/s.
+        acceleration: Greatest change of speed, of wheels or in any direction (B, A), m/s^2; ``inf`` for none.
+        turn_acceleration: Greatest change of the turning rate (B, A), rad/s^2.
+        track: Distance between the wheels (B, A), metres.
+        pref_speed: The speed that agents like (B, A), m/s.
         goal_id: The planner's number of everybody's goal (B, A) long, -1 for none.
-        goal_point: Where it is (B, A, 2), metres.
-        drawn: Goals that were drawn after the first (B, A) long.
+        later_goals: The goals after the first (B, A, G) long, used in turn; -1 for none.
+        goal_point: Where the goal is (B, A, 2), metres.
+        drawn: Goals that were taken after the first (B, A) long.
         reached: Goals reached since the warm start (B, A) long.
         deadline: When the goal has to be reached (B, A), seconds on the clock.
         late: A goal was not reached in time (B, A) bool.
         way: Length of the way to the goal (B, A), metres.
         planned: Ways of all goals up to this one, as long as they were when the goal was set and without what
             a goal's radius saves (B, A), metres.
-        stands: Until when somebody stands where they began (B, A), seconds on the clock; 0 for who does not.
+        stands: Until when an agent stands where it began (B, A), seconds on the clock; 0 where it does not.
     """
 
     key: Tensor
     map_id: Tensor
+    row: Tensor
+    wall_frame: Tensor
+    wall_place: Tensor
     pose: Tensor
     scene: Tensor
     clock: Tensor
@@ -57,8 +76,18 @@ class State(NamedTuple):
     known: Tensor
     past: Tensor
     velocity: Tensor
+    heading: Tensor
+    turn_rate: Tensor
+    radius: Tensor
+    kind: Tensor
+    drive: Tensor
+    top_speed: Tensor
+    acceleration: Tensor
+    turn_acceleration: Tensor
+    track: Tensor
     pref_speed: Tensor
     goal_id: Tensor
+    later_goals: Tensor
     goal_point: Tensor
     drawn: Tensor
     reached: Tensor
@@ -70,7 +99,7 @@ class State(NamedTuple):
 
     @property
     def position(self) -> Tensor:
-        """Where people are (B, A, 2), metres."""
+        """Where agents are (B, A, 2), metres."""
         return self.past[:, :, -1]
 
     @property
@@ -84,6 +113,11 @@ class State(NamedTuple):
         age = torch.arange(PAST_LEN - 1, -1, -TRACE_PER_STEP, device=self.known.device)
         return self.known.unsqueeze(2) > age
 
+    @property
+    def decides(self) -> Tensor:
+        """Which agents walk by a policy now (B, A) bool: those with a goal; others stand."""
+        return self.controlled & (self.goal_id >= 0)
+
     def rows(self, index: Tensor) -> State:
         """Return some of the scenes."""
         return State(*(value[index] for value in self))
@@ -94,3 +128,7 @@ class State(NamedTuple):
             return other.rows(index.argsort())
         pairs = zip(self, other, strict=True)
         return State(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
+
+    def to(self, device: torch.device | str) -> State:
+        """Return the state on a device."""
+        return State(*(value.to(device) for value in self))

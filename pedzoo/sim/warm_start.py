@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import torch
@@ -10,15 +10,14 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pedzoo.errors import UserError
-from pedzoo.geometry import limit_speed
-from pedzoo.maps.planner import Planner
 from pedzoo.maps.segments import WallSegments
-from pedzoo.sim.dynamics import walk
+from pedzoo.sim import kernel
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.scenario import Layout
-from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP
-from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+from pedzoo.sim.worlds.base import World
+from pedzoo.types import OBS_LEN, STEP_SECONDS
 
 WarmStart = Literal["orca", "static", "recorded"]
 
@@ -27,55 +26,38 @@ ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS, max_obstacles=8)
 
 
 @torch.no_grad()
-def rolled(
-    layout: Layout,
-    pose: Tensor,
-    planner: Planner,
-    walls: WallSegments,
-    substeps: int,
-    body_radius: float,
-    renew: Callable[[Tensor, Tensor], Tensor],
-) -> tuple[Tensor, Tensor]:
-    """Return the first positions (B, A, 29, 2) of people who walk with ORCA, and their goals then (B, A).
+def rolled(state: State, physics: World, rules: kernel.Rules, walls: WallSegments) -> State:
+    """Return the state after 7 steps with ORCA of people who begin to walk; goals that they pass are renewed.
 
     Args:
-        layout: Where they start.
-        pose: Scene poses (B, 4).
-        planner: Ways to goals.
+        state: Everybody where they start.
+        physics: Moves them.
+        rules: Of the scenes.
         walls: Walls for ORCA.
-        substeps: Per 0.1 s.
-        body_radius: Of a person, metres.
-        renew: Gives goals (B, A) to people at positions (B, A, 2) who have goals (B, A): a goal that is
-            passed already is replaced.
     """
-    position, goal = layout.start, layout.goal
-    velocity: Tensor | None = None
-    top_speed = layout.pref_speed * TOP_SPEED_RATIO
-    walks = torch.ones_like(layout.mask) if layout.stand is None else layout.stand <= 0
-    scenes, agents = goal.shape
-    map_id, poses = layout.map_id.repeat_interleave(agents), pose.repeat_interleave(agents, 0)
-    surroundings = planner.bank.walls_of_people(layout.map_id, pose, agents)
-    trace = [position.unsqueeze(2)]
+    rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None)
+    agents = state.mask.shape[1]
+    map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
+    guidance = rules.guide(state)
+    # people are on their way already
+    state = state._replace(
+        velocity=torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
+    )
+    top_speed = state.top_speed
     for _ in range(OBS_LEN - 1):
-        direction = planner.direction(position.flatten(0, 1), goal.flatten(), map_id, poses)
-        wanted = direction.view(scenes, agents, 2) * (layout.pref_speed * walks).unsqueeze(2)
-        if velocity is None:  # people are on their way already
-            velocity = wanted
-        near = walls.near(position.flatten(0, 1), map_id, poses, ORCA.wall_reach(top_speed).flatten())
-        action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near)
-        action = limit_speed(action, top_speed) * walks.unsqueeze(2)
-        steps = TRACE_PER_STEP * substeps
-        path = walk(position, action, STEP_SECONDS, steps, surroundings, body_radius)
-        path = path[:, :, substeps - 1 :: substeps]
-        velocity, position = (path[:, :, -1] - position) / STEP_SECONDS, path[:, :, -1]
-        goal = renew(path, goal)
-        trace.append(path)
-    return torch.cat(trace, dim=2), goal
+        reach = ORCA.wall_reach(top_speed).flatten()
+        near = walls.near(state.position.flatten(0, 1), map_id, poses, reach)
+        wanted = torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
+        action = orca_velocity(state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near)
+        before = state.position
+        state, guidance, _ = kernel.step(state, action, physics, rules)
+        state = state._replace(velocity=(state.position - before) / STEP_SECONDS)
+    return state
 
 
-def standing(layout: Layout) -> Tensor:
-    """Return the first positions (B, A, 29, 2) of people who have stood still."""
-    return layout.start.unsqueeze(2).expand(-1, -1, PAST_LEN, -1).clone()
+def standing(start: Tensor) -> Tensor:
+    """Return the first positions (B, A, 29, 2) of people who have stood still at ``start`` (B, A, 2)."""
+    return start.unsqueeze(2).expand(-1, -1, PAST_LEN, -1).clone()
 
 
 def recorded(layout: Layout) -> Tensor:

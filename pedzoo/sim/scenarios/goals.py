@@ -22,6 +22,10 @@ NEAREST = 2.0
 """Metres of way to the next goal, at least."""
 
 
+MORE = 4
+"""Later goals of an agent that is finished early, beside those that it has to reach; then they begin anew."""
+
+
 class Goals(Scenario):
     """Everybody has some goals to reach, one after the other; who is finished walks on until all are.
 
@@ -65,6 +69,7 @@ class Goals(Scenario):
             )
         self.files = [map] if isinstance(map, str) else map
         self.fewest, self.goals, self.pool = fewest, goals, pool
+        self.later = goals + MORE
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the floor plans."""

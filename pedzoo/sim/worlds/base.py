@@ -14,9 +14,12 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.sim.dynamics import SKIN
+from pedzoo.sim.arrival import arrived
+from pedzoo.sim.dynamics import SKIN, integrate
+from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.state import State
 from pedzoo.sim.worlds.camera import Camera
+from pedzoo.sim.worlds.compiled import advance_compiled, compiles
 from pedzoo.types import BODY_RADIUS
 
 REACH = 5.0
@@ -31,12 +34,18 @@ class People(NamedTuple):
         mask: Who is present (B, A) bool.
         map_id: Floor plan of each scene (B, 1) long, -1 for none.
         pose: How each scene lies on its floor plan (B, 4).
+        radius: Of everybody's body (B, A), metres; None for that of the world.
     """
 
     position: Tensor
     mask: Tensor
     map_id: Tensor
     pose: Tensor
+    radius: Tensor | None = None
+
+    def scene(self, number: int) -> People:
+        """Return those of one scene."""
+        return People(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
 
 
 class Distances(NamedTuple):
@@ -55,28 +64,19 @@ class Distances(NamedTuple):
     wall_normal: Tensor
 
 
-class Contacts(NamedTuple):
-    """Who touches whom at each trace point.
-
-    Attributes:
-        agent: Whether another person is touched at trace point s (B, A, S) bool.
-        wall: Whether a wall is touched (B, A, S) bool.
-    """
-
-    agent: Tensor
-    wall: Tensor
-
-
 class World(ABC):
-    """Answers questions about people at given places on given floor plans, and never moves anybody.
+    """Moves agents on the floor plans of its bank, and answers questions about them.
 
     A world keeps nothing between two questions, so one world serves any number of scenes on the floor plans
-    of its bank. People whose position is not finite are treated as absent.
+    of its bank. Agents whose position is not finite are treated as absent.
 
     Attributes:
         bank: The floor plans.
-        body_radius: Radius of everybody's body, metres.
+        body_radius: Radius of a body where nothing else is said, metres.
+        compiled: Whether compiled loops are used on the CPU where no gradients are asked for.
     """
+
+    compiled = True
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
         """Take the floor plans.
@@ -92,6 +92,46 @@ class World(ABC):
         self.bank = bank
         self.body_radius = body_radius
 
+    def advance(
+        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+    ) -> Motion:
+        """Return where agents are every 0.1 s, what they touch on the way and which reach their goals.
+
+        Differentiable in torch: positions with respect to positions and velocities.
+
+        Args:
+            state: The scenes.
+            velocity: Of agents in each 0.1 s (2, S, B, A), m/s, limits respected already.
+            moving: Which agents they move (B, A) bool; others are played back, or stay where they are.
+            substeps: M, sub-steps of every 0.1 s.
+            played: Paths of those who are played back (B, A, S, M, 2); None for none.
+        """
+        people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+        if self.compiled and compiles(state.past, velocity):
+            paths = torch.empty(*moving.shape, velocity.shape[1], substeps, 2)
+            walked = advance_compiled(self.bank, state, velocity, moving, substeps, played, paths)
+            return Motion(walked.trace, *self.contacts(paths, people), walked.reached)
+        path, _ = self._walked(state, velocity, moving, substeps, played)
+        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, substeps))
+        contacts = self.contacts(steps.detach(), people)
+        wanted = moving & (state.goal_id >= 0)
+        return Motion(steps[:, :, :, -1], *contacts, arrived(steps.detach(), state.goal_point, wanted))
+
+    def _walked(
+        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None
+    ) -> tuple[Tensor, Tensor | None]:
+        """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
+        walls = self.bank.walls_of_state(state.wall_frame, state.wall_place)
+        position = state.position.movedim(-1, 0)
+        path, gap = integrate(position, velocity * moving, state.radius, substeps, walls)
+        if played is not None:
+            given = played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
+            scripted = state.mask & ~moving
+            path = torch.where(scripted, given, path)
+            if walls is not None and gap is not None:
+                gap = torch.where(scripted, walls.look(given, edges=False)[0], gap)
+        return path, gap
+
     @abstractmethod
     def distances(self, people: People, reach: float = REACH) -> Distances:
         """Return the distances to the nearest person and wall, as far as ``reach`` metres.
@@ -101,16 +141,15 @@ class World(ABC):
         """
 
     @abstractmethod
-    def contacts(self, path: Tensor, people: People, walls: LocalWalls | None = None) -> Contacts:
+    def contacts(self, path: Tensor, people: People) -> Contacts:
         """Return who touches somebody or a wall on the way.
 
-        People touch when their centres are closer than two body radii, a wall is touched by a centre closer
-        than one. A trace point counts when any of its sub-steps does.
+        Agents touch when their centres are closer than the sum of their radii, a wall is touched by a centre
+        closer than its own. A trace point counts when any of its sub-steps does.
 
         Args:
             path: Positions after ``people.position`` (B, A, S, M, 2): M sub-steps up to each trace point.
             people: Where everybody starts, and who is present.
-            walls: As people see them (`MapBank.walls_of_people`), from those who have them at hand.
         """
 
     @abstractmethod
@@ -148,6 +187,12 @@ class World(ABC):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _radius(self, people: People) -> Tensor:
+        """Return the radius of everybody's body (B, A), metres."""
+        if people.radius is not None:
+            return people.radius
+        return people.position.new_full(people.mask.shape, self.body_radius)
 
     def _present(self, people: People) -> Tensor:
         return people.mask & people.position.isfinite().all(-1)

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
+from pedzoo.sim.motion import Contacts
+from pedzoo.sim.worlds.base import REACH, Distances, People, World
 from pedzoo.sim.worlds.bullet_scene import BulletScene
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.frames import Affine, scene_to_grid
@@ -158,60 +158,70 @@ class BulletWorld(World):
         return best, away
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People, walls: LocalWalls | None = None) -> Contacts:
+    def contacts(self, path: Tensor, people: People) -> Contacts:
         """See `World.contacts`."""
+        extra = self._radius(people) - self.body_radius
         far = farthest(path.flatten(2, 3).permute(3, 2, 0, 1), people.position.movedim(-1, 0))
         present = people.mask & far.isfinite()
         agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
-        pairs = near_pairs(people.position, present, far, 2 * self.body_radius + _SLACK)
+        pairs = near_pairs(people.position, present, far, self._radius(people) + _SLACK)
+        both = 2 * self.body_radius + extra[pairs.scene, pairs.first] + extra[pairs.scene, pairs.second]
         apart = (path[pairs.scene, pairs.first] - path[pairs.scene, pairs.second]).abs().amax(-1)
-        pair, trace, step = (apart < 2 * self.body_radius + _SLACK).nonzero(as_tuple=True)
+        pair, trace, step = (apart < both.view(-1, 1, 1) + _SLACK).nonzero(as_tuple=True)
         meetings: list[list[tuple[int, ...]]] = [[] for _ in range(len(path))]
         columns = (pairs.scene[pair], pairs.first[pair], pairs.second[pair], trace, step)
         for scene, *meeting in torch.stack(columns, 1).tolist():
             meetings[scene].append(tuple(meeting))
-        ways, rooms = _array(path), far.cpu().numpy()
+        ways, rooms, wider = _array(path), far.cpu().numpy(), _array(extra)
         for asked in self._asked(people, present):
             if asked.present:
-                way = _move(asked.affine, ways[asked.index])
-                self._meet(asked.bullet, way, meetings[asked.index], agent[asked.index])
-                self._hit(asked, way, rooms[asked.index], wall[asked.index])
+                way, more = _move(asked.affine, ways[asked.index]), wider[asked.index]
+                self._meet(asked.bullet, way, more, meetings[asked.index], agent[asked.index])
+                self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
 
     def _meet(
         self,
         bullet: BulletScene,
         way: NDArray[np.float64],
+        extra: NDArray[np.float64],
         meetings: list[tuple[int, ...]],
         touching: NDArray[np.bool_],
     ) -> None:
+        """Note which pairs touch; bodies are ``extra`` (A,) wider than their capsules, metres."""
         for first, second, trace, step in meetings:
             if touching[first, trace] and touching[second, trace]:
                 continue
             bullet.place(first, *way[first, trace, step])
             bullet.place(second, *way[second, trace, step])
-            found = bullet.person_gap(first, second, 0.0)
-            if found and found[0] < 0:
+            more = float(extra[first] + extra[second])
+            found = bullet.person_gap(first, second, max(more, 0.0))
+            if found and found[0] < more:
                 touching[[first, second], trace] = True
 
     def _hit(
-        self, asked: _Asked, way: NDArray[np.float64], far: NDArray[Any], touching: NDArray[np.bool_]
+        self,
+        asked: _Asked,
+        way: NDArray[np.float64],
+        extra: NDArray[np.float64],
+        far: NDArray[Any],
+        touching: NDArray[np.bool_],
     ) -> None:
         low, high = np.split(asked.bullet.boxes, 2, axis=1)
-        low, high = low - self.body_radius - _SLACK, high + self.body_radius + _SLACK
-        start, room = asked.places[asked.present, None], far[asked.present, None, None]
-        near, box = np.nonzero(((start > low - room) & (start < high + room)).all(-1))
+        room = (self.body_radius + _SLACK + extra)[:, None, None]
+        start, reach = asked.places[asked.present, None], far[asked.present, None, None] + room[asked.present]
+        near, box = np.nonzero(((start > low - reach) & (start < high + reach)).all(-1))
         person = np.array(asked.present, dtype=np.int64)[near]
-        points = way[person]
-        at = (points > low[box, None, None]) & (points < high[box, None, None])
+        points, margin = way[person], room[person][:, None]
+        at = (points > low[box, None, None] - margin) & (points < high[box, None, None] + margin)
         which, trace, step = np.nonzero(at.all(-1))
         questions = np.stack((person[which], box[which], trace), axis=1).tolist()
         places = points[which, trace, step].tolist()
         for (person, box, trace), place in zip(questions, places, strict=True):
             if not touching[person, trace]:
                 asked.bullet.place(person, *place)
-                found = asked.bullet.wall_gap(person, box, 0.0)
-                touching[person, trace] = found is not None and found[0] < 0
+                found = asked.bullet.wall_gap(person, box, max(float(extra[person]), 0.0))
+                touching[person, trace] = found is not None and found[0] < extra[person]
 
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
@@ -253,7 +263,7 @@ class BulletWorld(World):
         self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `World.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
-        one = People(*(values[[scene]] for values in people))
+        one = people.scene(scene)
         (asked,) = self._asked(one, self._present(one))
         camera = self._framed(people, scene, size, camera)
         linear, shift = asked.affine[:, :2], asked.affine[:, 2]

@@ -8,29 +8,35 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.maps.planar import columns
-from pedzoo.sim.worlds.base import REACH, Contacts, Distances, People, World
+from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.state import State
+from pedzoo.sim.worlds.base import REACH, Distances, People, World
 from pedzoo.sim.worlds.camera import Camera
-from pedzoo.sim.worlds.near import farthest, near_pairs
+from pedzoo.sim.worlds.compiled import advance_compiled, compiles, contacts_compiled
+from pedzoo.sim.worlds.near import agent_contacts
 from pedzoo.sim.worlds.top_view import draw_top_view
 from pedzoo.sim.worlds.wall_rays import WallRays
-from pedzoo.types import BODY_RADIUS
+from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""
 
 
 class GridWorld(World):
-    """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
+    """Exact distances to the grid's squares, for all scenes at once and on the people's device.
 
-    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
+    Attributes:
+        compiled: Whether compiled loops are used on the CPU where no gradients are asked for.
+    """
+
+    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS, compiled: bool = True) -> None:
         """Take the floor plans.
 
         Raises:
             UserError: The radius is too small.
         """
         super().__init__(bank, body_radius)
+        self.compiled = compiled
         self._wall_rays: WallRays | None = None
 
     def distances(self, people: People, reach: float = REACH) -> Distances:
@@ -57,46 +63,43 @@ class GridWorld(World):
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
+    def advance(
+        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+    ) -> Motion:
+        """See `World.advance`: compiled loops on the CPU, torch elsewhere and for gradients."""
+        if self.compiled and compiles(state.past, velocity):
+            return advance_compiled(self.bank, state, velocity, moving, substeps, played)
+        path, gap = self._walked(state, velocity, moving, substeps, played)
+        with torch.no_grad():
+            radius = state.radius
+            points = path.detach()
+            agent = agent_contacts(points, state.mask, radius)
+            wall = torch.zeros_like(agent) if gap is None else (gap < radius) & state.mask
+            near = (points - state.goal_point.movedim(-1, 0).unsqueeze(1)).square().sum(0) < GOAL_RADIUS**2
+            wanted = moving & (state.goal_id >= 0)
+            flags = torch.stack((agent, wall, near & wanted)).unflatten(1, (-1, substeps)).any(2)
+            reached = flags[2].cumsum(0) > 0
+        trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
+        return Motion(trace, *(part.permute(1, 2, 0) for part in (flags[0], flags[1], reached)))
+
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People, walls: LocalWalls | None = None) -> Contacts:
-        """See `World.contacts`: bounds first, and the exact question only for the few whom they leave."""
-        # coordinates first, people last, (2, S, M, B * A): as `dynamics.walk` has them in memory
-        planes = path.permute(4, 2, 3, 0, 1).contiguous().flatten(3)
-        # a bound about the middle of a way is half of one about its start
-        middle = planes.flatten(1, 2)[:, planes.shape[1] * planes.shape[2] // 2]
-        far = farthest(planes.flatten(1, 2), middle).view(people.mask.shape)
-        present = people.mask & far.isfinite()
-        pairs = near_pairs(middle.t().unflatten(0, far.shape), present, far, 2 * self.body_radius)
-        first, second = pairs.places(far.shape[1])
-        apart = columns(planes, first) - columns(planes, second)
-        hit = (apart.square().sum(0) < (2 * self.body_radius) ** 2).any(1)
-        agent = torch.zeros(planes.shape[1::2], dtype=torch.bool, device=path.device)
-        point, pair = hit.nonzero(as_tuple=True)
-        agent[point.repeat(2), torch.cat((first[pair], second[pair]))] = True
-        if walls is None:
-            walls = self.bank.walls_of_people(people.map_id[:, 0], people.pose, far.shape[1])
-        wall = self._wall_contacts(planes, middle, far.flatten(), present.flatten(), walls)
-        return Contacts(*(touch.t().unflatten(0, far.shape) for touch in (agent, wall)))
-
-    def _wall_contacts(
-        self, path: Tensor, middle: Tensor, far: Tensor, present: Tensor, walls: LocalWalls | None
-    ) -> Tensor:
-        """Return when who touches a wall (S, P) bool.
-
-        Args:
-            path: Sub-steps (2, S, M, P), metres.
-            middle: A point of each path (2, P).
-            far: What no point of it is farther away (P,).
-            present: Whom to ask about (P,) bool.
-            walls: As they see them.
-        """
-        touching = torch.zeros(path.shape[1::2], dtype=torch.bool, device=path.device)
+    def contacts(self, path: Tensor, people: People) -> Contacts:
+        """See `World.contacts`."""
+        radius = self._radius(people)
+        row = self.bank.index(people.map_id[:, 0])
+        frame, place = self.bank.walls_of_scenes(row, people.pose)
+        present = people.mask & path.isfinite().flatten(2).all(2)
+        if self.compiled and compiles(path):
+            return contacts_compiled(self.bank, path, present, radius, frame, place)
+        points = path.flatten(2, 3).permute(3, 2, 0, 1)
+        agent = agent_contacts(points, present, radius)
+        walls = self.bank.walls_of_state(frame, place)
+        wall = torch.zeros_like(agent)
         if walls is not None:
-            near = present & (walls.least(middle.unsqueeze(1))[0] < far + self.body_radius)
-            who = near.nonzero()[:, 0]
-            hit = walls.rows(who).within(columns(path, who), self.body_radius)
-            touching.index_copy_(1, who, hit)
-        return touching
+            wall = (walls.look(points.contiguous(), edges=False)[0] < radius) & present
+        return Contacts(
+            *(touch.unflatten(0, path.shape[2:4]).any(1).permute(1, 2, 0) for touch in (agent, wall))
+        )
 
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
@@ -123,7 +126,7 @@ class GridWorld(World):
         # |origin + t direction - position| = radius, the smaller t; a root below zero lies behind the ray
         apart = origin.unsqueeze(2) - people.position.unsqueeze(1)
         along = (apart * direction.unsqueeze(2)).sum(-1)
-        outside = apart.square().sum(-1) - self.body_radius**2
+        outside = apart.square().sum(-1) - self._radius(people).unsqueeze(1) ** 2
         root = along.square() - outside
         entry = -along - root.clamp_min(0).sqrt()
         seen = (root > 0) & (entry >= 0) & (outside > 0) & present.unsqueeze(1)

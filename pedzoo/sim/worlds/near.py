@@ -1,4 +1,4 @@
-"""Which people can touch each other at all: bounds that spare most pairs the exact question."""
+"""Which agents touch each other on their paths."""
 
 from __future__ import annotations
 
@@ -7,19 +7,43 @@ from torch import Tensor
 
 from pedzoo.sim.neighbors import Pairs, pairs_within
 
+_AT_ONCE = 1 << 24
+"""Pairs of agents that are compared at once: bounds the memory."""
+
+
+def agent_contacts(path: Tensor, present: Tensor, radius: Tensor) -> Tensor:
+    """Return which agents touch another one at each point of their paths (N, B, A) bool.
+
+    Args:
+        path: Points (2, N, B, A), metres.
+        present: Which agents are there (B, A) bool.
+        radius: Of their bodies (B, A), metres.
+    """
+    both = radius.unsqueeze(1) + radius.unsqueeze(2)
+    valid = present.unsqueeze(1) & present.unsqueeze(2)
+    valid = valid & ~torch.eye(radius.shape[1], dtype=torch.bool, device=radius.device)
+    least = torch.where(valid, both * both, -1.0)
+    parts = path.split(max(1, _AT_ONCE // max(1, least.numel())), dim=1)
+    return torch.cat([_touching(part, least) for part in parts])
+
+
+def _touching(path: Tensor, least: Tensor) -> Tensor:
+    x, y = path.unsqueeze(-1) - path.unsqueeze(-2)
+    return (torch.addcmul(x * x, y, y) < least).any(-1)
+
 
 def farthest(path: Tensor, origin: Tensor) -> Tensor:
     """Return a bound (...) on how far anybody gets from ``origin`` (2, ...) on ``path`` (2, N, ...)."""
     return torch.hypot(*(path - origin.unsqueeze(1)).abs_().amax(1))
 
 
-def near_pairs(start: Tensor, present: Tensor, far: Tensor, within: float) -> Pairs:
+def near_pairs(start: Tensor, present: Tensor, far: Tensor, within: Tensor) -> Pairs:
     """Return the pairs that can come closer than ``within`` when nobody goes farther than ``far``.
 
     Args:
         start: Where everybody is, or any other point (B, A, 2).
         present: Who takes part (B, A) bool.
         far: How far from it each person gets at most (B, A), metres.
-        within: Metres between centres.
+        within: What each adds to the distance between centres (B, A), metres.
     """
-    return pairs_within(start, present, far + within / 2)
+    return pairs_within(start, present, far + within)

@@ -1,0 +1,223 @@
+"""The only place where time passes: `step` takes scenes through one decision.
+
+The environment, the warm start, imitation, replays and the stepping controller call it, with or without
+gradients, on any device. It has no loop over scenes or agents and reads nothing back to the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.maps.guidance import Guidance
+from pedzoo.sim.arrival import deadline, planned
+from pedzoo.sim.dynamics import blended, driven, limited
+from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.script import Script
+from pedzoo.sim.state import State
+from pedzoo.sim.worlds.base import World
+from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
+
+CONTACT_COST = 1.0
+"""Metres of progress that a decision with a contact costs in the reward."""
+
+_ROUNDING = 1e-3
+"""Seconds: clocks are sums of decisions."""
+
+_FACES = 0.05
+"""m/s: slower people keep the heading that they have."""
+
+
+class Events(NamedTuple):
+    """What happened in one decision of S trace points.
+
+    Attributes:
+        trace: Positions every 0.1 s (B, A, S, 2), metres.
+        agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
+        wall_contact: A wall was (B, A, S) bool.
+        reached: Goals reached until then (B, A, S) long.
+        reward: (B, A).
+        terminated: All agents have reached all goals (B,) bool.
+        truncated: No other agent can in time, or the policy failed (B,) bool.
+    """
+
+    trace: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    reached: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What holds for all scenes of a simulation.
+
+    Attributes:
+        guide: Says where agents are told to walk.
+        ticks: S, trace points of 0.1 s in one decision.
+        substeps: M, sub-steps of every 0.1 s.
+        goals: Goals that an agent has to reach.
+        leave: An agent that has reached them all leaves the scene.
+        keep_goal: An agent without a later goal keeps the one that it has reached; else it has none, and
+            stands.
+        wheels: Some bodies have wheels or a limited acceleration.
+        script: Plays recorded people back; None for none.
+    """
+
+    guide: Callable[[State], Guidance]
+    ticks: int
+    substeps: int
+    goals: int = 1
+    leave: bool = True
+    keep_goal: bool = False
+    wheels: bool = False
+    script: Script | None = None
+
+
+def rules_of(scenario: Scenario, ticks: int, substeps: int) -> Rules:
+    """Return the rules of a prepared scenario for decisions of S ``ticks``."""
+    leave = scenario.finished == "leave"
+    return Rules(partial(_guided, scenario), ticks, substeps, scenario.goals, leave, script=scenario.script)
+
+
+def _guided(scenario: Scenario, state: State) -> Guidance:
+    """Return what the scenario's planner says to everybody."""
+    return scenario.planner.guide_scenes(
+        state.position,
+        torch.where(state.mask, state.goal_id, -1),
+        state.row,
+        state.pose,
+        state.pref_speed,
+        AHEAD_SECONDS,
+        scenario.fastest,
+    )
+
+
+def step(state: State, commands: Tensor, physics: World, rules: Rules) -> tuple[State, Guidance, Events]:
+    """Return what comes of a decision.
+
+    A scene in which the command of a controlled agent is not finite stays as it is and is truncated. Agents
+    without a goal stand.
+
+    Args:
+        state: The scenes.
+        commands: Velocities (B, A, 2), m/s; for wheels as `pedzoo.sim.dynamics.driven` says. Those of agents
+            that no policy moves do not matter.
+        physics: Moves the bodies.
+        rules: Of the scenes.
+    """
+    finite = commands.isfinite().all(-1) | ~state.controlled
+    failed = state.failed | ~finite.all(1)
+    running = ~failed.unsqueeze(1)
+    moving = state.controlled & running
+    walking = moving & (state.goal_id >= 0)
+    command = torch.where(walking.unsqueeze(-1), commands, 0.0).clamp(-1e6, 1e6).movedim(-1, 0)
+    if rules.wheels:
+        holonomic = blended(state.velocity.movedim(-1, 0), limited(command, state.top_speed), rules.ticks)
+        velocity, heading, turn_rate = driven(state, command, limited(holonomic, state.top_speed))
+    else:
+        command = limited(command, state.top_speed)
+        velocity = limited(blended(state.velocity.movedim(-1, 0), command, rules.ticks), state.top_speed)
+        heading, turn_rate = state.heading, state.turn_rate
+    script = rules.script
+    played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
+    motion = physics.advance(state, velocity, moving, rules.substeps, played)
+    hits = motion.reached
+    hit = hits[..., -1]
+    after, taken_over = _arrived(state, hits, motion.trace, failed, rules)
+    if not rules.wheels:
+        faces = after.velocity.square().sum(-1) > _FACES**2
+        heading = torch.where(faces, torch.atan2(after.velocity[..., 1], after.velocity[..., 0]), heading)
+    after = after._replace(heading=heading, turn_rate=turn_rate)
+
+    guidance = rules.guide(after)
+    # an agent that has squeezed into a corner that no planned way leads out of is as far as before
+    way = torch.where(guidance.distance.isfinite(), guidance.distance, after.way)
+    progress = state.way - torch.where(hit, 0.0, way)
+    reached = state.reached.unsqueeze(-1) + hits
+    done = reached[..., -1] >= rules.goals
+    if script is None:
+        until = torch.where(
+            hit | taken_over, deadline(after.clock, way.detach(), after.pref_speed), after.deadline
+        )
+        ended = (done | ~state.mask).all(1)
+        settled = (done | after.late | ~state.mask).all(1) | failed
+    else:
+        until, ended, settled = after.deadline, script.over(after), failed
+        # an agent that has taken the slot of another one has another way
+        progress = torch.where(hit | (after.person == state.person), progress, 0.0)
+    terminated = ended & ~failed
+    set_out = taken_over if script is not None else (hit & (after.goal_id >= 0)) | taken_over
+    after = after._replace(
+        way=way,
+        planned=after.planned + torch.where(set_out, planned(way), 0.0),
+        goal_point=guidance.goal_point,
+        deadline=until,
+    )
+    touched = (motion.agent_contact | motion.wall_contact).any(-1)
+    reward = torch.where(moving, progress - CONTACT_COST * touched, 0.0)
+    events = Events(
+        motion.trace,
+        motion.agent_contact,
+        motion.wall_contact,
+        reached,
+        reward,
+        terminated,
+        settled & ~terminated,
+    )
+    return after, guidance, events
+
+
+def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: Rules) -> tuple[State, Tensor]:
+    """Return the state at the end of a decision, and which agents set out or are taken over (B, A) bool.
+
+    Args:
+        state: At its beginning.
+        hits: Which agents have reached their goal until each trace point (B, A, S) bool.
+        trace: (B, A, S, 2).
+        failed: Scenes (B,) bool.
+        rules: Of the scenes.
+    """
+    hit = hits[..., -1]
+    clock = state.clock + rules.ticks * TRACE_SECONDS
+    number = (state.drawn % state.later_goals.shape[2]).unsqueeze(2)
+    later = state.later_goals.gather(2, number)[..., 0]
+    renew = hit & (later >= 0) if rules.keep_goal else hit
+    reached = state.reached + hit
+    late = state.late | (_overdue(state, clock, hits, rules.goals) & state.controlled)
+    waits = state.mask & ~state.controlled & (state.stands > 0)
+    sets_out = waits & (clock.unsqueeze(1) + _ROUNDING >= state.stands)
+    mask, controlled = state.mask, state.controlled | sets_out
+    if rules.leave:
+        stays = reached < rules.goals
+        mask, controlled = mask & stays, controlled & stays
+    past = torch.cat((state.past[:, :, rules.ticks :], trace), dim=2)
+    after = state._replace(
+        clock=clock,
+        failed=failed,
+        mask=mask,
+        controlled=controlled,
+        person=torch.where(mask, state.person, -1),
+        past=past,
+        velocity=(past[:, :, -1] - past[:, :, -2]) / TRACE_SECONDS,
+        goal_id=torch.where(renew, later, state.goal_id),
+        drawn=state.drawn + hit,
+        reached=reached,
+        late=late,
+    )
+    return (after, sets_out) if rules.script is None else rules.script.cue(state, after, rules.ticks)
+
+
+def _overdue(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
+    """Return whose time for the goal is up (B, A) bool; a goal reached in time on the trace counts."""
+    when = TRACE_SECONDS * torch.arange(1, hits.shape[2] + 1, device=clock.device)
+    when = state.clock[:, None, None] + when
+    in_time = (hits & (when <= state.deadline.unsqueeze(-1) + _ROUNDING)).any(-1)
+    return (clock.unsqueeze(1) > state.deadline + _ROUNDING) & ~in_time & (state.reached < goals)

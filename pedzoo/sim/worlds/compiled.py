@@ -1,0 +1,92 @@
+"""The compiled backend's way in and out: tensors on the CPU become arrays without a copy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.maps.bank import MapBank
+from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
+from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.state import State
+from pedzoo.types import GOAL_RADIUS, TRACE_SECONDS
+
+_NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
+_NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
+
+
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether the compiled loops may take these: float32 on the CPU, and no gradient is asked for."""
+    plain = all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
+    return plain and not (torch.is_grad_enabled() and any(value.requires_grad for value in tensors))
+
+
+def advance_compiled(
+    bank: MapBank,
+    state: State,
+    velocity: Tensor,
+    moving: Tensor,
+    substeps: int,
+    played: Tensor | None,
+    paths: Tensor | None = None,
+) -> Motion:
+    """Return what `World.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given."""
+    scenes, agents = moving.shape
+    ticks = velocity.shape[1]
+    return _run(
+        bank,
+        state.past[:, :, -1],
+        velocity,
+        state.radius,
+        state.mask,
+        moving,
+        torch.empty(0, 0, 0, 0, 2) if played is None else played.float(),
+        state.goal_point,
+        moving & (state.goal_id >= 0),
+        substeps,
+        (scenes, agents, ticks),
+        (state.wall_frame, state.wall_place),
+        paths,
+    )
+
+
+def contacts_compiled(
+    bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
+) -> Contacts:
+    """Return what `World.contacts` does for agents who are present (B, A) bool."""
+    scenes, agents, ticks, substeps = path.shape[:4]
+    nothing = torch.zeros(scenes, agents, dtype=torch.bool)
+    start = path[:, :, 0, 0]
+    velocity = path.new_zeros(2, ticks, scenes, agents)
+    found = _run(
+        bank, start, velocity, radius, present, nothing, path, start, nothing, substeps,
+        (scenes, agents, ticks), (frame, place),
+    )  # fmt: skip
+    return Contacts(found.agent_contact, found.wall_contact)
+
+
+def _run(
+    bank: MapBank, position: Tensor, velocity: Tensor, radius: Tensor, present: Tensor, moving: Tensor,
+    played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, shape: tuple[int, int, int],
+    walls: tuple[Tensor, Tensor], paths: Tensor | None = None,
+) -> Motion:  # fmt: skip
+    from pedzoo.sim.worlds.compiled_loops import advance
+
+    tables = bank.wall_arrays
+    trace = torch.empty(*shape, 2)
+    agent, wall, reached = torch.empty(3, *shape, dtype=torch.bool)
+    arrays: list[Any] = [
+        value.detach().numpy()
+        for value in (position, velocity, radius, present, moving, played, goal, wanted)
+    ]
+    frames, places = (part.numpy() for part in walls) if bank.grids else _NO_FRAMES
+    advance(
+        *arrays, GOAL_RADIUS**2, substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
+        frames, places, *tables,
+        trace.numpy(), agent.numpy(), wall.numpy(), reached.numpy(),
+        _NO_PATHS if paths is None else paths.numpy(),
+    )  # fmt: skip
+    return Motion(trace, agent, wall, reached)
