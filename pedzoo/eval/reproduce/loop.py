@@ -111,9 +111,7 @@ class Loop(Walked):
         return found
 
     def _given(self) -> str:
-        plans = {unit.case.shares: unit.case for unit in self.evaluation.units if "map" in unit.case.case}
-        given = [case.scenario for case in plans.values() if case.case["map"] not in ("drawn", "offices")]
-        found = [match[1] for text in given if (match := re.search(r"map=(\[[^]]*\]|[^,]*)", text))]
+        found = self.evaluation.request.maps
         return f", and those that were given: {', '.join(found)}" if found else ""
 
     def _trained(self) -> list[str]:
