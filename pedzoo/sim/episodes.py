@@ -14,10 +14,13 @@ from pedzoo.maps.guidance import Look
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import arrived, deadline, planned, renewed
-from pedzoo.sim.scenario import Layout, Scenario
+from pedzoo.sim.scenario import LEAST_WAY, Layout, Scenario
 from pedzoo.sim.script import Opening
 from pedzoo.sim.state import PAST_LEN, State
 from pedzoo.types import TRACE_SECONDS
+
+TRIES = 8
+"""Goals that are drawn at most for a person who begins near one."""
 
 
 class Episodes:
@@ -61,7 +64,10 @@ class Episodes:
         else:
             past, goal, drawn = self._rolled(key, layout, pose)
         position = past[:, :, -1]
-        look = self._look(position, goal, layout, pose)
+        if layout.opening is None:
+            look, goal, drawn = self._apart(key, layout, pose, position, goal, drawn)
+        else:
+            look = self._look(position, goal, layout, pose)
         way = look.distance.view_as(layout.pref_speed)
         stands = torch.zeros_like(way) if layout.stand is None else layout.stand
         cut_off = ((opening.controlled | (stands > 0)) & way.isinf()).nonzero()
@@ -104,6 +110,24 @@ class Episodes:
             planned=torch.where(opening.controlled, planned(way), 0.0),
             stands=stands,
         )
+
+    def _apart(
+        self, key: Tensor, layout: Layout, pose: Tensor, position: Tensor, goal: Tensor, drawn: Tensor
+    ) -> tuple[Look, Tensor, Tensor]:
+        """Return what people see of their goals, the goals and how many were drawn (B, A).
+
+        A goal that is nearer than `LEAST_WAY` is replaced, unless the scenario has no other one.
+        """
+        look = self._look(position, goal, layout, pose)
+        for _ in range(TRIES):
+            near = layout.mask & (goal >= 0) & (look.distance.view_as(goal) < LEAST_WAY)
+            fresh, _ = renewed(self._scenario, key, goal, drawn, near)
+            near = near & (fresh >= 0)
+            if not near.any():
+                break
+            goal, drawn = torch.where(near, fresh, goal), drawn + near
+            look = self._look(position, goal, layout, pose)
+        return look, goal, drawn
 
     def _rolled(self, key: Tensor, layout: Layout, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return the past (B, A, 29, 2), and the goals and how many were drawn (B, A) at its end."""

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 SLOWEST = 0.3
 """m/s: nobody likes to walk slower."""
 
+LEAST_WAY = 1.0
+"""Metres of way to the first goal where an episode begins: whoever is nearer gets the next goal instead."""
+
 WARM_SECONDS = 7 * STEP_SECONDS
 """Duration of the warm start: with the start itself it fills the 8 observed steps."""
 
