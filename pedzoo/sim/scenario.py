@@ -119,6 +119,8 @@ class Scenario(ABC):
     def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
         """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
 
+        Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
+
         Args:
             draws: One entry per person: that of their scene.
             agent: Who they are in it (P,) long.
