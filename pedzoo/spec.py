@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Mapping
 from typing import Any, NamedTuple, get_type_hints
 
 from pedzoo.errors import UserError, unknown
@@ -14,13 +15,20 @@ _ADDRESS = re.compile(r"(hf|https?)://[^/:]*(:\d+(?=/))?[^:]*")
 
 
 class Spec(NamedTuple):
+    """A name and its settings as values, which may hold any sign: a path may have commas and colons."""
+
+    name: str
+    settings: Mapping[str, Any]
+
+
+class Written(NamedTuple):
     """A name and the settings that were written behind it, as text."""
 
     name: str
-    settings: dict[str, str]
+    settings: Mapping[str, str]
 
 
-def parse(text: str) -> Spec:
+def parse(text: str) -> Written:
     """Return the parts of ``name``, ``name:key=value,key=[a,b]`` or ``path/to/file.py:Class:key=value``.
 
     A name may be an address: ``hf://owner/repo:key=value``.
@@ -42,37 +50,39 @@ def parse(text: str) -> Spec:
         if key.strip() in settings:
             raise UserError(f"{text!r}: {key.strip()!r} is given twice")
         settings[key.strip()] = value.strip()
-    return Spec(name, settings)
+    return Written(name, settings)
 
 
-def build(registry: Registry, text: str, base: type, **given: Any) -> Any:
-    """Return an instance of what ``text`` names, every setting checked for its type.
+def build(registry: Registry, what: str | Spec, base: type, **given: Any) -> Any:
+    """Return an instance of what is named, every setting checked for its type.
 
     Args:
         registry: Where the name is looked up.
-        text: As `parse` takes it.
+        what: A text as `parse` takes it, or a name with values.
         base: The class that it must be a subclass of.
-        given: Arguments from elsewhere; those in the text count more.
+        given: Arguments from elsewhere; the settings of ``what`` count more.
 
     Raises:
         UserError: An unknown name or setting, or a value of the wrong type.
     """
-    name, settings = parse(text)
-    cls = registry.get(name)
+    spec = parse(what) if isinstance(what, str) else what
+    cls = registry.get(spec.name)
     if not issubclass(cls, base):
-        raise UserError(f"{name!r} is no {registry.kind}: expected a subclass of {base.__qualname__}")
-    return make(cls, registry.kind, name, settings, **given)
+        raise UserError(f"{spec.name!r} is no {registry.kind}: expected a subclass of {base.__qualname__}")
+    return make(cls, registry.kind, spec, **given)
 
 
-def make(cls: type, kind: str, name: str, settings: dict[str, str], **given: Any) -> Any:
-    """Return ``cls`` built from settings written as text and from values; errors as in `build`."""
+def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
+    """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
+    name, settings = spec
     known = [item for item in inspect.signature(cls).parameters]
+    read = _checked if isinstance(spec, Spec) else _value
     hints = get_type_hints(cls.__init__)
     arguments = {key: value for key, value in given.items() if key in known}
     for key, value in settings.items():
         if key not in known:
             raise unknown(f"setting of {kind} {name}", key, known)
-        arguments[key] = _value(f"{name}:{key}", value, hints.get(key, str))
+        arguments[key] = read(f"{name}:{key}", value, hints.get(key, str))
     try:
         inspect.signature(cls).bind(**arguments)
     except TypeError as error:
@@ -92,13 +102,27 @@ def _value(where: str, text: str, hint: Any) -> Any:
     try:
         return parser.parse_args([f"--value={text}"]).value
     except ArgumentError as error:
-        expected = hint.__name__ if isinstance(hint, type) else _short(hint)
-        raise UserError(f"{where}={text}: expected {expected}") from error
+        raise UserError(f"{where}={text}: expected {_short(hint)}") from error
+
+
+def _checked(where: str, value: Any, hint: Any) -> Any:
+    """Return a value of the type ``hint``; the parts of a text mean nothing."""
+    from argparse import ArgumentError
+
+    from jsonargparse import ArgumentParser
+
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_argument("--value", type=list[hint])  # a text that stands alone would be read as YAML
+    try:
+        return parser.parse_object({"value": [value]}).value[0]
+    except ArgumentError as error:
+        raise UserError(f"{where}={value!r}: expected {_short(hint)}") from error
 
 
 def _short(hint: Any) -> str:
     """Return a type as people write it: without the modules of its parts."""
-    return str(hint).replace("typing.", "").replace("collections.abc.", "")
+    name = hint.__name__ if isinstance(hint, type) else str(hint)
+    return name.replace("typing.", "").replace("collections.abc.", "")
 
 
 def split(text: str) -> list[str]:

@@ -238,6 +238,46 @@ def two_episodes_with_door() -> Rollout:
     return made(path, gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 0.85], dtype=torch.float64).expand(2, 5))
 
 
+def hasty() -> Rollout:
+    """Return an episode of 4 s: one person walks 4.5 m for a way of 3 m, another one 0.1 m for 4 mm."""
+    far, near = straight(1.5, 40), straight(1.0, 40, (9.0, 0.0))
+    return made(
+        torch.stack((far, near)).unsqueeze(0),
+        reached=(torch.arange(40) >= torch.tensor([[29], [0]])).long().unsqueeze(0),
+        planned=torch.tensor([3.0, 0.004]).double().view(1, 2, 1).expand(1, 2, 40),
+        pref_speed=torch.tensor([[1.5, 1.0]]).double(),
+    )
+
+
+def test_ratios_of_times_and_ways_are_ratios_of_sums() -> None:
+    """By hand: 3 s and 0.1 s for 2 s and 4 ms; 4.5 m and 0.1 m for 3 m and 4 mm."""
+    walked = hasty()
+    found = metrics(walked)
+    assert found["time_ratio"] == pytest.approx(3.1 / 2.004)
+    assert found["path_ratio"] == pytest.approx(4.6 / 3.004)
+    ratios = closed_loop(joined([walked, walked]), 0.4)
+    assert ratios["time_ratio"].above.tolist() == pytest.approx([3.1, 3.1])
+    assert ratios["time_ratio"].below.tolist() == pytest.approx([2.004, 2.004])
+    assert time_ratios(walked)[0].tolist() == [pytest.approx([1.5, 25.0])]
+    late = replace(walked, late=torch.tensor([[True, False]]))
+    assert metrics(late)["time_ratio"] == pytest.approx(0.1 / 0.004)
+    assert not {"time_ratio", "path_ratio"} & set(metrics(replace(late, planned=late.planned * 0.0)))
+
+
+def test_the_way_ratio_of_a_replay_is_a_ratio_of_sums() -> None:
+    """Two people in one slot, one after the other: 19 steps of 0.1 m for 1 m, and 18 of 0.3 m for 5 m."""
+    path = torch.cat((straight(1.0, 20), straight(3.0, 20, (30.0, 0.0))[1:])).view(1, 1, 41, 2)
+    turn = torch.arange(40) >= 20
+    walked = made(
+        path,
+        person=turn.long().view(1, 1, 40),
+        reached=(torch.arange(40) % 20 >= 18).long().view(1, 1, 40),
+        planned=torch.where(turn, 5.0, 1.0).double().view(1, 1, 40),
+    )
+    assert walked.replayed
+    assert metrics(walked)["path_ratio"] == pytest.approx((1.9 + 5.4) / (1 + 5))
+
+
 def test_a_frozen_crowd_is_deadlocked_and_gets_nowhere() -> None:
     frozen = two_episodes_with_door()
     found = metrics(replace(frozen, goal=frozen.goal + 5.0, late=~frozen.late))

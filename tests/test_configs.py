@@ -42,7 +42,7 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
         yaml.safe_load((shipped("configs") / "closed_loop" / f"{name}.yaml").read_text())
         for name in ("sgan_goal_map", "sgan_goal")
     )
-    plan = {"map": "rings", "map_dim": 24, "map_dropout": 0.5}
+    plan = {"map": "rings", "map_dim": 24}
     other["model"]["init_args"]["generator"]["init_args"] |= plan
     assert one | {"weights": ""} == other | {"weights": ""}
     assert all(make_scenario(name) for name in one["rollout"]["scenarios"])

@@ -25,11 +25,13 @@ from pedzoo.eval.fundamental import plot_density_speed
 from pedzoo.eval.journal import Journal
 from pedzoo.eval.results import Shown, cell, markdown, pages
 from pedzoo.eval.suite import Request
-from pedzoo.eval.suites.goals import CELLS
+from pedzoo.eval.suites.goals import CELLS, POOL
 from pedzoo.eval.summary import mean_interval, summary
-from pedzoo.eval.units import digest
+from pedzoo.eval.units import digest, work
+from pedzoo.maps.library import flat
 from pedzoo.models.card import write_card
 from pedzoo.registry import SUITES
+from pedzoo.spec import Spec
 
 SMALL = '''
 from pedzoo.eval.suite import Case, Suite
@@ -215,10 +217,44 @@ def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
     assert len(goals) == 2 * len(CELLS) and {case.case["map"] for case in goals} == {"drawn", "flat"}
     both = by_name["goals"].cases(Request(maps=("flat", "office.3")))
     assert len(both) == 2 * len(CELLS) and both[-1].case["map"] == "given"
-    assert "map=[flat,office.3]" in both[-1].scenario
+    assert both[-1].scenario == Spec(
+        "goals", {"map": ["flat", "office.3"], "people": 5, "goals": 3, "pool": POOL}
+    )
     assert [(int(case.case["people"]), int(case.case["goals"])) for case in goals[:5]] == list(CELLS)
     assert len(by_name["cards"].cases(Request())) == 8
     assert all(case.world == "grid" for case in by_name["cards"].cases(Request(world="grid")))
+
+
+ODD = "a,b=[c:d,people=1"
+"""A folder that would mean something else in a text of settings."""
+
+
+@pytest.mark.parametrize("suite", ["goals", "table2"])
+def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
+    file = tmp_path / ODD / "plan.yaml"
+    file.parent.mkdir()
+    flat().save(file)
+    evaluation = Evaluation(["go_to_goal"], [suite], Request(1, True, "grid", (str(file),)))
+    unit = next(unit for unit in evaluation.units if unit.case.case["map"] == "plan")
+    (row,) = work(unit)
+    assert row["n"] == 1 and len(row["per_agent"]) == 2
+
+
+def test_recordings_may_have_any_root(shared: Path, tmp_path: Path) -> None:
+    (tmp_path / ODD).symlink_to(shared / "data")
+    request = Request(quick=True, root=str(tmp_path / ODD / "eth_ucy"))
+    evaluation = Evaluation(["go_to_goal"], ["replay"], request)
+    unit = next(unit for unit in evaluation.units if unit.case.name == "eth all")
+    (row,) = work(unit)
+    assert row["n"] > 0 and row["case"]["fold"] == "eth"
+    again = Evaluation(["go_to_goal"], ["replay"], request)
+    assert digest(again.units[evaluation.units.index(unit)]) == digest(unit)
+
+
+def test_policies_that_are_no_list_of_names_are_refused() -> None:
+    for policies in ([["orca", "go_to_goal"]], [None], 3):
+        with pytest.raises(UserError, match=r"policies.*\['orca', 'go_to_goal'\]"):
+            pedzoo.evaluate(policies, ["cards"])  # pyright: ignore[reportArgumentType]
 
 
 def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPatch) -> None:

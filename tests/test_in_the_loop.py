@@ -167,10 +167,70 @@ def test_a_discriminator_of_walks_is_trained_beside_the_model() -> None:
     assert {"train/imitation/adversarial", "train/imitation/discriminator"} <= set(trainer.callback_metrics)
 
 
-def test_dropout_of_walls_is_off() -> None:
-    model = SGAN(goal_dim=4, goal_protocol="window_end", map="rings", map_dropout=0.5)
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_dropout_is_what_the_generator_says(share: float) -> None:
+    model = SGAN(goal_dim=4, goal_protocol="window_end", map="rings", map_dropout=share)
     trained = module(model)
-    assert all(part.p == 0 for part in trained.modules() if isinstance(part, nn.Dropout))
+    found = [part.p for part in trained.modules() if isinstance(part, nn.Dropout)]
+    assert found == [trained.generator.config["map_dropout"]] == [share]
+
+
+def test_every_tensor_is_registered_once() -> None:
+    trained = module()
+    places = [value.data_ptr() for value in trained.state_dict().values()]
+    assert len(places) == len(set(places))
+    trained.double()
+    assert next(trained.walker.model.parameters()).dtype == torch.float64
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_run_saves_the_dropout_that_it_ran_with(named: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The config decides, not the weights, also where the weights name their config themselves."""
+    weights = "sgan_goal_map.zara1" if named else "sgan_goal_map.indoor"
+    assert pedzoo.load(weights).config["map_dropout"] == 0.5
+    ran: list[float] = []
+
+    def step(self: LoopModule, *_: Any) -> Tensor:
+        ran.extend(part.p for part in self.modules() if isinstance(part, nn.Dropout))
+        return torch.stack([parameter.sum() for parameter in self.generator.parameters()]).sum()
+
+    monkeypatch.setattr(LoopModule, "training_step", step)
+    config = ["--config", CONFIG] if named else []
+    assert main(["fit", *config, "--weights", weights, *QUICK, *STILL, "--trainer.max_epochs", "1"]) == 0
+    (run,) = Path().glob("runs/*/*")
+    saved = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]["init_args"]
+    kept = pedzoo.load(str(run / "checkpoints" / "last.ckpt"))
+    assert {saved["map_dropout"], kept.config["map_dropout"], *ran} == {0.0}
+
+
+def as_earlier(run: Path) -> None:
+    """Rewrite a run as earlier versions wrote it: the generator twice, and a dropout that was not used."""
+    file = run / "checkpoints" / "last.ckpt"
+    checkpoint = torch.load(file, weights_only=True)
+    own = checkpoint["state_dict"]
+    copies = {key.replace("generator.", "walker.model.", 1): own[key] for key in own if "generator." in key}
+    checkpoint["state_dict"] = own | copies
+    checkpoint["pedzoo"]["init"]["map_dropout"] = 0.5
+    torch.save(checkpoint, file)
+    written = run / "config.yaml"
+    settings = yaml.safe_load(written.read_text())
+    settings["model"]["init_args"]["generator"]["init_args"]["map_dropout"] = 0.5
+    written.write_text(yaml.safe_dump(settings))
+
+
+def test_runs_of_earlier_versions_go_on_as_they_began() -> None:
+    run = fit("sgan_goal_map.zara1", *STILL)
+    whole = fit("sgan_goal_map.zara1", *STILL, epochs=2)
+    as_earlier(run)
+    file = str(run / "checkpoints" / "last.ckpt")
+    assert pedzoo.load(file).config["map_dropout"] == 0.5
+    begun = fit(file, *STILL)
+    assert yaml.safe_load((begun / "config.yaml").read_text())["weights"] == file
+    assert main(["fit", "--resume", str(run), "--trainer.max_epochs", "2", "--model.final_lr", "0.02"]) == 0
+    one, two = (torch.load(r / "checkpoints" / "last.ckpt", weights_only=True) for r in (run, whole))
+    assert one["state_dict"].keys() == two["state_dict"].keys() and one["epoch"] == two["epoch"] == 1
+    settings = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]
+    assert settings["init_args"]["map_dropout"] == 0 == one["pedzoo"]["init"]["map_dropout"]
 
 
 def leaves(tree: Any) -> Iterator[Any]:
@@ -202,9 +262,10 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     config = yaml.safe_load((run / "config.yaml").read_text())
     before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
     generator = config["model"]["init_args"]["generator"]
-    held = {"safety": True, "pace": True} if "safety" in before.config else {}
+    held = {"safety": True, "pace": True, "map_dropout": 0.0}
+    held = {key: value for key, value in held.items() if key in before.config}
     assert generator["init_args"] == before.config | held == after.config
-    assert after.walking_safety is after.walking_pace is bool(held)
+    assert after.walking_safety is after.walking_pace is ("safety" in held)
     assert not before.walking_safety and not before.walking_pace
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)

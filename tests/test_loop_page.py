@@ -175,7 +175,7 @@ def test_page_says_what_is_met_and_what_is_missing() -> None:
     assert loop.pages({"summary": []}) == []
     assert f"walked {DRAWS} times" in " ".join(loop.notes()) and "office.2" in loop.notes()[1]
     given = Loop(models=["go_to_goal"], request=Request(quick=True, maps=("flat", "office.7")))
-    assert "those that were given: [flat,office.7]" in given.notes()[1]
+    assert "those that were given: flat, office.7" in given.notes()[1]
 
 
 def test_forecasts_stand_beside_those_of_the_weights_before(

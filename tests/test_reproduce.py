@@ -24,6 +24,7 @@ from pedzoo.eval.results import Page
 from pedzoo.eval.suite import Request
 from pedzoo.metrics.outcome import OUTCOMES
 from pedzoo.models.zoo import list_models
+from pedzoo.spec import Spec
 
 VERSIONS = {"pedzoo": "1", "torch": "2", "commit": "abc"}
 
@@ -217,17 +218,16 @@ def test_table_2_has_the_papers_cells_in_both_units() -> None:
     ]
     assert per_goal[1][1] == "75 (75%)\n19 (19%)"
     assert table.printed()["total_steps"]["3/5"] == 280
-    assert "apartment.0,apartment.1,apartment.2" in table.notes()[0]
+    assert "apartment.0, apartment.1, apartment.2" in table.notes()[0]
 
 
 def test_floor_plans_that_are_given_take_the_place_of_drawn_ones() -> None:
     units = Table2(models=["go_to_goal"], request=Request(maps=("flat",), quick=True)).evaluation.units
     assert {unit.case.case["map"] for unit in units} == {"flat"}
-    assert all("map=flat," in unit.case.scenario and unit.case.episodes == 2 for unit in units)
-    assert {unit.case.scenario.partition("speed=")[2] for unit in units} == {
-        "1.3,speed_std=0.2",
-        "0.5,speed_std=0.0",
-    }
+    settings = [unit.case.scenario.settings for unit in units if isinstance(unit.case.scenario, Spec)]
+    assert len(settings) == len(units) and all(unit.case.episodes == 2 for unit in units)
+    assert all(given["map"] == ["flat"] for given in settings)
+    assert {(given["speed"], given["speed_std"]) for given in settings} == {(1.3, 0.2), (0.5, 0.0)}
 
 
 def test_outcomes_that_are_not_rare_are_told() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -19,8 +19,9 @@ from pedzoo.models.zoo import baselines, list_models, load, save_weights
 from pedzoo.registry import POLICIES, SCENARIOS
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import load_policy
+from pedzoo.sim.scenario import LEAST_WAY
 from pedzoo.sim.scenarios.goals import Goals
-from pedzoo.types import BODY_RADIUS
+from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
 EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models("*.eth_ucy")])
@@ -43,6 +44,43 @@ def test_scenes_are_sound(name: str) -> None:
     assert (state.goal_id[state.mask] >= 0).all()
     assert float(state.pref_speed.max()) <= env.scenario.fastest + 1e-6
     assert state.mask.any(1).all()
+
+
+@EVERY_SCENARIO
+def test_nobody_starts_on_a_goal(name: str) -> None:
+    """Over 300 scenes. Recorded people may: of them those who stay are not controlled."""
+    env = make_env(name, num_envs=300, seed=1)
+    env.reset()
+    if env.scenario.script is None:
+        assert float(env.state.way[env.state.mask].min()) >= LEAST_WAY > 2 * GOAL_RADIUS
+
+
+@pytest.mark.parametrize("warm_start", ["orca", "static"])
+@pytest.mark.parametrize("scenario", ["goals:map=apartment.0,people=5,pool=8", "goals:people=3,pool=2"])
+def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Literal["orca", "static"]) -> None:
+    """In some of 300 scenes the warm start ends near the first goal; each is the same alone."""
+    env = make_env(scenario, num_envs=300, seed=2, warm_start=warm_start)
+    env.reset()
+    state = env.state
+    assert float(state.way.min()) >= LEAST_WAY
+    assert bool((state.drawn > 0).any()) == (warm_start == "orca")
+    assert (state.reached == 0).all()
+    for episode in (0, *state.drawn.any(1).nonzero()[:3, 0].tolist()):
+        alone = make_env(env.scenario, 1, seed=2, first_episode=episode, warm_start=warm_start)
+        alone.reset()
+        for key in ("goal_id", "drawn", "goal_point", "way"):
+            assert torch.equal(getattr(alone.state, key)[0], getattr(state, key)[episode])
+
+
+def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> None:
+    """Whoever starts on the only goal there is arrives at once, and the episode begins all the same."""
+    (tmp_path / "mine.py").write_text(
+        "import torch\nfrom pedzoo.sim.scenarios.goals import Goals\n\n\nclass One(Goals):\n"
+        "    def next_goal(self, draws, agent, number, last):\n        return torch.full_like(last, -1)\n"
+    )
+    env = make_env(f"{tmp_path}/mine.py:One:people=3,pool=4", num_envs=200)
+    env.reset()
+    assert (env.state.goal_id >= 0).all() and float(env.state.way.min()) < LEAST_WAY
 
 
 @EVERY_SCENARIO

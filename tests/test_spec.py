@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,7 @@ from pedzoo.registry import POLICIES, SCENARIOS
 from pedzoo.sim.policies.orca import Orca
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
-from pedzoo.spec import build, parse
+from pedzoo.spec import Spec, build, parse
 
 
 def test_parts() -> None:
@@ -31,6 +32,30 @@ def test_values_have_their_types() -> None:
     assert (policy.settings.radius, policy.settings.max_neighbors) == (0.3, None)
     scenario = build(SCENARIOS, "goals:people=[2,5],goals=2", Scenario)
     assert (scenario.fewest, scenario.people, scenario.goals) == (2, 5, 2)
+
+
+@pytest.mark.parametrize(
+    "path", ["a,b/plan.yaml", "a:b", "[a].yaml", "a=b,people=9", "{a: b}", "null", "a: b # c", "'a'"]
+)
+def test_typed_values_hold_any_text(path: str) -> None:
+    one = build(SCENARIOS, Spec("goals", {"map": path, "people": (2, 5), "speed": 1}), Scenario)
+    assert (one.files, one.fewest, one.people, one.speed) == ([path], 2, 5, 1.0)
+    several = build(SCENARIOS, Spec("goals", {"map": [path, "flat"]}), Scenario)
+    assert several.files == [path, "flat"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"pool": "many"}, "goals:pool='many': expected int"),
+        ({"pool": 2.5}, "goals:pool=2.5: expected int"),
+        ({"map": 3}, r"goals:map=3: expected str \| list\[str\]"),
+        ({"poll": 3}, "did you mean 'pool'"),
+    ],
+)
+def test_typed_values_are_checked(settings: dict[str, Any], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        build(SCENARIOS, Spec("goals", settings), Scenario)
 
 
 @pytest.mark.parametrize(

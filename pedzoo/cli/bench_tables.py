@@ -7,56 +7,53 @@ from itertools import groupby
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from pedzoo.bench.compare import Comparison, title
 from pedzoo.bench.figures import Measured, Row
+from pedzoo.cli.console import plain_console
 
 
 def print_bench(report: dict[str, Any]) -> None:
     """Print a report of `pedzoo.bench.run.Run`: one table per benchmark, then where it was measured."""
-    console = _console()
+    console = plain_console()
     rows = [Row.from_json(row) for row in report["rows"]]
     for section, found in groupby(rows, lambda row: row.section):
         _print_section(console, section, list(found))
     for section, why in report["skipped"].items():
-        console.print(f"{section}: skipped: {why}", highlight=False, markup=False)
+        console.print(f"{section}: skipped: {why}")
     for part in ("protocol", "machine", "versions"):
         facts = ", ".join(f"{key} {value}" for key, value in report[part].items() if value not in ([], None))
-        console.print(f"{part}: {facts}", highlight=False, markup=False)
+        console.print(f"{part}: {facts}")
     busy = max(report["machine"][key] or 0.0 for key in ("load_before", "load_after"))
     if busy > report["protocol"]["threads"] + 0.5:
-        console.print(
-            f"the machine was busy (load {busy:g}): trust the ratios, not the speeds", highlight=False
-        )
+        console.print(f"the machine was busy (load {busy:g}): trust the ratios, not the speeds")
     verdicts = [(row, verdict) for row in rows for verdict in row.bars]
     judged = [verdict.ok for _, verdict in verdicts if verdict.ok is not None]
     total = f"{sum(judged)} of {len(judged)} bars met" if judged else "no bars judged"
-    console.print(f"\n{total}", highlight=False)
+    console.print(f"\n{total}")
     for row, verdict in verdicts:
         if not verdict.ok:
             why = f": {verdict.why}" if verdict.why else ""
-            console.print(f"  {title(row)}: {verdict}{why}", highlight=False, markup=False)
+            console.print(f"  {title(row)}: {verdict}{why}")
 
 
 def print_comparison(comparison: Comparison, file: str) -> None:
     """Print every figure of two runs, and mark those that have changed beyond noise."""
-    console = _console()
+    console = plain_console()
     for warning in comparison.warnings:
-        console.print(f"warning: {warning}", highlight=False, markup=False)
+        console.print(f"warning: {warning}")
     table = Table("figure", "metric", "old", "new", "new / old", "", title=f"since {file}")
     for change in comparison.changes:
         values = text(change.old), text(change.new), f"{change.ratio:.3g}", change.mark
-        table.add_row(escape(title(change.row)), change.metric, *values)
+        table.add_row(title(change.row), change.metric, *values)
     console.print(table)
     for name, titles in (("only then", comparison.gone), ("only now", comparison.added)):
         if titles:
-            console.print(f"{name}: {'; '.join(titles)}", highlight=False, markup=False)
+            console.print(f"{name}: {'; '.join(titles)}")
     marked = [change for change in comparison.changes if change.mark]
     console.print(
-        f"{len(marked)} of {len(comparison.changes)} figures changed beyond noise: by 5 %, quartiles apart",
-        highlight=False,
+        f"{len(marked)} of {len(comparison.changes)} figures changed beyond noise: by 5 %, quartiles apart"
     )
 
 
@@ -84,16 +81,14 @@ def _print_section(console: Console, section: str, rows: Sequence[Row]) -> None:
         for row in block:
             values = [text(row.metrics[metric]) if metric in row.metrics else "" for metric in metrics]
             bars = ["\n".join(map(str, row.bars))] if _barred(rows) else []
-            table.add_row(
-                escape(row.name), *(escape(str(row.case.get(key, ""))) for key in cases), *values, *bars
-            )
+            table.add_row(row.name, *(str(row.case.get(key, "")) for key in cases), *values, *bars)
         table.add_section()
     console.print(table)
     notes = {
         note: [row.name for row in rows if row.note == note] for note in (row.note for row in rows) if note
     }
     for note, names in notes.items():
-        console.print(f"  {', '.join(dict.fromkeys(names))}: {note}", highlight=False, markup=False)
+        console.print(f"  {', '.join(dict.fromkeys(names))}: {note}")
     console.print()
 
 
@@ -113,8 +108,3 @@ def _broken(metric: str) -> str:
             lines.append("")
         lines[-1] += f"{part}_"
     return "\n".join(lines)[:-1]
-
-
-def _console() -> Console:
-    console = Console()
-    return console if console.is_terminal else Console(width=200)  # a file has no width that must be kept

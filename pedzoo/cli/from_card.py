@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -40,18 +40,24 @@ def redo(names: Sequence[str], root: str | None, workers: int, json: str | None)
         with progress_bar() as progress:
             found = again(card, name, root, workers, progress)
         numbers = [number for one in found if one.now for number in compare(one.before, one.now)]
+        rows += _rows(name, found, numbers)
+        if json and json != "-":
+            write_json(json, _report(cards, rows))
         if numbers:
             print_tables([_page(name, numbers)])
         for one in found:
             _tell(one)
         print(_summed_up(name, numbers))
-        rows += _rows(name, found, numbers)
         agree = agree and bool(numbers) and all(number.same is not False for number in numbers)
-    if json:
-        seeds = sorted({seed for card in cards.values() for one in card.evaluations for seed in one["seeds"]})
-        content = {"protocol": {"from_card": list(cards)}, "seeds": seeds, "versions": versions()}
-        write_json(json, {"command": "evaluate", **content, "rows": rows})
+    if json == "-":
+        write_json(json, _report(cards, rows))
     return int(not agree)
+
+
+def _report(cards: Mapping[str, ModelCard], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    seeds = sorted({seed for card in cards.values() for one in card.evaluations for seed in one["seeds"]})
+    content = {"protocol": {"from_card": list(cards)}, "seeds": seeds, "versions": versions()}
+    return {"command": "evaluate", **content, "rows": list(rows)}
 
 
 def _card(name: str) -> ModelCard:

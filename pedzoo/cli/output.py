@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +64,24 @@ def write_text(file: str | Path, text: str) -> None:
         raise UserError(f"cannot write {str(file)!r}: {error.strerror}") from error
 
 
+def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[], None]) -> None:
+    """Write a report and print it: what took long to find is in the file before anything is printed.
+
+    Args:
+        report: What `write_json` takes.
+        file: Where to; ``-`` for the terminal, after what is printed; None for nowhere.
+        show: Prints it.
+
+    Raises:
+        UserError: The file cannot be written.
+    """
+    if file and file != "-":
+        write_json(file, report)
+    show()
+    if file == "-":
+        write_json(file, report)
+
+
 def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> None:
     """Print the rows of a report under their protocol, in as many tables as the terminal's width needs.
 
@@ -71,13 +89,14 @@ def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> N
         report: With metrics in every row.
         only: The metrics that are shown, in this order; None for all.
     """
+    from pedzoo.cli.console import plain_console
     from pedzoo.eval.results import Page
 
     rows = report["rows"]
     known = dict.fromkeys(name for row in rows for name in row["metrics"])
     metrics = [name for name in only if name in known] if only else list(known)
-    console = _console()
-    console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()), highlight=False)
+    console = plain_console()
+    console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()))
     body = [
         [_label(row), str(row["n"])]
         + [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in metrics]
@@ -91,26 +110,22 @@ def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
 
     Where the terminal is narrow an interval is written below its number.
     """
+    from pedzoo.cli.console import plain_console
     from pedzoo.eval.results import pages, said
 
-    console = _console()
+    console = plain_console()
     for line in [said(report, shown), *(f"note: {note}" for note in report["notes"])]:
-        console.print(line, highlight=False, markup=False)
+        console.print(line)
     print_tables(pages(report, shown))
 
 
 def print_tables(pages: Iterable[Page]) -> None:
     """Print tables, in as many parts as the terminal's width needs."""
-    console = _console()
+    from pedzoo.cli.console import plain_console
+
+    console = plain_console()
     for page in pages:
         _print_page(console, page)
-
-
-def _console() -> Console:
-    from rich.console import Console
-
-    console = Console()
-    return console if console.is_terminal else Console(width=200)  # a file has no width that must be kept
 
 
 _NARROW = 120
@@ -127,7 +142,7 @@ def _print_page(console: Console, page: Page) -> None:
     heads = [_head(head, cell) for head, cell in zip(page.head, cells, strict=True)]
     widths = [max(_width(head), cell) + 3 for head, cell in zip(heads, cells, strict=True)]
     if page.title:
-        console.print(f"\n{page.title}", style="bold", highlight=False, markup=False)
+        console.print(f"\n{page.title}", style="bold")
     for part in _parted(list(columns), widths, console.width - sum(widths[i] for i in names) - 1):
         table = Table(show_lines=any("\n" in cell for row in rows for cell in row))
         for i in (*names, *part):

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from pedzoo.cli.console import plain_console
 
 if TYPE_CHECKING:
     from pedzoo.eval.clock import Step
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Yield a function ``(name, done, total)`` that draws one bar per name while the block runs."""
     tasks: dict[str, TaskID] = {}
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+    console = plain_console(stderr=True)
+    share = TextColumn("{task.percentage:>3.0f} %")
+    columns = _text(), BarColumn(), share, TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
 
         def update(name: str, done: int, total: int) -> None:
             if name not in tasks:
@@ -31,8 +34,8 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 @contextmanager
 def overall_bar() -> Iterator[Callable[[Step], None]]:
     """Yield a function that draws one bar for a whole evaluation; without a terminal, a line per part."""
-    console = Console(stderr=True)
-    columns = TextColumn("{task.percentage:>3.0f} %"), BarColumn(30), TextColumn("{task.description}")
+    console = plain_console(stderr=True)
+    columns = TextColumn("{task.percentage:>3.0f} %"), BarColumn(30), _text()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         task = bars.add_task("", total=1.0)
 
@@ -42,11 +45,14 @@ def overall_bar() -> Iterator[Callable[[Step], None]]:
             bars.update(task, completed=step.done, description=f"{parts}  {step.label}")
             if not console.is_terminal and step.seconds is not None:
                 spent = duration(step.seconds)
-                console.print(
-                    f"{parts}  {step.label} ({spent})", highlight=False, markup=False, soft_wrap=True
-                )
+                console.print(f"{parts}  {step.label} ({spent})", soft_wrap=True)
 
         yield update
+
+
+def _text() -> TextColumn:
+    """Return the column of what is going on, which has names in it."""
+    return TextColumn("{task.description}", markup=False)
 
 
 def duration(seconds: float) -> str:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pedzoo.cli.parsing import given
 from pedzoo.errors import UserError
-from pedzoo.train.fine_tuning import architecture_options, options_of
+from pedzoo.train.fine_tuning import architecture_options, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
 
 Command = Literal["fit", "validate", "test"]
@@ -29,7 +29,7 @@ def expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | No
         raise UserError(f"--weights begins a training and {other} goes on with one: give one of them")
     if folder := named.get("--resume"):
         run = RunFolder.resume(folder)
-        return ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last), *argv], run
+        return [*options_to_continue(run), *argv], run
     configured = given(argv, "--config") or given(argv, "-c")
     if weights := named.get("--weights"):
         if configured:

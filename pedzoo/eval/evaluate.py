@@ -34,7 +34,7 @@ def evaluate(
     deterministic: bool = False,
     world: WorldName | None = None,
     maps: Sequence[str | Path] = (),
-    root: str | None = None,
+    root: str | Path | None = None,
     rollouts: int | None = None,
     workers: int = 1,
     backend: Backend = "processes",
@@ -68,7 +68,8 @@ def evaluate(
         UserError: An unknown name, or a setting that cannot be, before anything has walked.
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
-    request = Request(episodes, quick, world, tuple(map(str, plans)), root, rollouts)
+    folder = None if root is None else str(root)
+    request = Request(episodes, quick, world, tuple(map(str, plans)), folder, rollouts)
     evaluation = Evaluation(policies, suites, request, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -78,6 +79,7 @@ class Evaluation:
     """All parts of an evaluation, and the rows of those that are done.
 
     Attributes:
+        request: What suites differ by.
         units: All of them, in the order of the report.
         resumed: How many were found in the file of finished ones.
         others: How many in that file are of other units, weights, files or code.
@@ -106,9 +108,9 @@ class Evaluation:
         Raises:
             UserError: As of `evaluate`.
         """
-        self._request = request or Request()
+        self.request = request or Request()
         for key in ("episodes", "rollouts"):
-            number = getattr(self._request, key)
+            number = getattr(self.request, key)
             if number is not None and number < 1:
                 raise UserError(f"{key} {number}: expected at least 1")
         self._policies = check_names("policies", policies)
@@ -117,12 +119,12 @@ class Evaluation:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
         self._suites = [_suite(name) for name in check_names("suites", suites)]
-        _check_use(self._request, self._suites)
+        _check_use(self.request, self._suites)
         for policy in self._policies:
             load_policy(policy)
         self.units: list[Unit] = []
         for suite in self._suites:
-            for case in suite.cases(self._request):
+            for case in suite.cases(self.request):
                 _check_world(case.world)
                 self.units += suite.units(case, self._policies, self._seeds, deterministic)
         self._digests = [digest(unit) for unit in self.units]
@@ -166,7 +168,7 @@ class Evaluation:
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds, notes, summary and rows of all that is done."""
         rows = [row for number in sorted(self._rows) for row in self._rows[number]]
-        asked = self._request
+        asked = self.request
         protocol = {
             "suites": [suite.name for suite in self._suites],
             **asked._asdict(),

@@ -38,10 +38,11 @@ LEGEND = {
     "failed": "share of episodes in which the policy gave no number",
     "agent_contacts_per_min": "touches of others per minute that a person walks; one that lasts counts once",
     "wall_contacts_per_min": "touches of walls, likewise",
-    "time_ratio": "time that people need, divided by that of the planner's way at the speed they like",
-    "time_ratio_median": "the median of that over people; in a replay of the time until the exit to the real "
-    "one",
-    "path_ratio": "way that people walk, divided by the planner's",
+    "time_ratio": "time that all people who arrive need, divided by the time of free walking: the planner's "
+    "ways at the speeds they like",
+    "time_ratio_median": "the median over people of each one's time by that of free walking; in a replay of "
+    "the time until the exit to the real one",
+    "path_ratio": "way that all people who arrive walk, divided by the planner's ways",
     "least_distance_m": "distance between centres of an episode's nearest two",
     "outcome_blocked": "share of episodes in which not both arrive and one of them is deadlocked",
     "outcome_lost": "in which not both arrive, though nobody stands still",

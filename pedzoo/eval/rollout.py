@@ -19,6 +19,7 @@ from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 from pedzoo.sim.traces import rollout_of
+from pedzoo.spec import Spec
 
 AT_ONCE = {"grid": 64, "bullet": 64}
 """Scenes run together: the price of a decision grows slowly with them, and so does the memory."""
@@ -28,7 +29,7 @@ Progress = Callable[[str, int, int], None]
 
 def rollout(
     policy: str,
-    scenario: str,
+    scenario: str | Spec,
     world: str = "bullet",
     episodes: int = 20,
     seed: int = 0,
@@ -59,7 +60,7 @@ def rollout(
 
 
 def prepare(
-    policy: str, scenario: str | Scenario, world: str, episodes: int, seed: int = 0, **settings: Any
+    policy: str, scenario: str | Spec | Scenario, world: str, episodes: int, seed: int = 0, **settings: Any
 ) -> tuple[Policy | Walker, PedestrianEnv]:
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if episodes < 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from pedzoo.errors import UserError
@@ -12,11 +12,14 @@ from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.spec import Spec
 
 WorldName = Literal["grid", "bullet"]
 
 QUICK = 10
 """A quick run has one in so many episodes."""
+
+_EXAMPLES = {"policies": "['orca', 'go_to_goal']", "suites": "['door', 'goals']"}
 
 Tell = Callable[[float], None]
 """Called with the share of a unit that is done."""
@@ -52,7 +55,7 @@ class Case(NamedTuple):
     Attributes:
         suite: Its name.
         name: What tables call it.
-        scenario: With settings.
+        scenario: With settings: a text, or a name and values where one of them is given by a user.
         world: ``bullet`` or ``grid``.
         episodes: Of every seed.
         case: What tells its rows from others.
@@ -64,7 +67,7 @@ class Case(NamedTuple):
 
     suite: str
     name: str
-    scenario: str
+    scenario: str | Spec
     world: str
     episodes: int
     case: dict[str, str]
@@ -194,8 +197,15 @@ def check_names(what: str, given: Sequence[str]) -> list[str]:
     """Return ``given`` without repetitions; a single name need not be in a list.
 
     Raises:
-        UserError: There is nothing.
+        UserError: There is nothing, or something that is no text.
     """
-    if not given:
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, Iterable):
+        raise UserError(f"{what} {given!r}: expected a name, or a list of names, as {_EXAMPLES[what]}")
+    names = list(names)
+    if not names:
         raise UserError(f"no {what}: expected at least one")
-    return [given] if isinstance(given, str) else list(dict.fromkeys(given))
+    for name in names:
+        if not isinstance(name, str):
+            raise UserError(f"{what}: {name!r} is no name: expected one list of names, as {_EXAMPLES[what]}")
+    return list(dict.fromkeys(names))

@@ -13,7 +13,7 @@ from pedzoo.eval.suite import Tell, Unit
 from pedzoo.fetch import sha256_of
 from pedzoo.models.store import find
 from pedzoo.registry import SUITES
-from pedzoo.spec import parse
+from pedzoo.spec import Spec, parse
 from pedzoo.versions import versions
 
 _MATTER = (".py", ".csv", ".yaml", ".png")
@@ -64,9 +64,9 @@ def _model_sum(policy: str) -> str:
     return entry.card.sha256 if entry else _file_sum(policy)
 
 
-def _file_sum(text: str) -> str:
+def _file_sum(what: str | Spec) -> str:
     """Return the sha256 of the file that a name with settings stands for, nothing where there is none."""
-    name = parse(text).name
+    name = parse(what).name if isinstance(what, str) else what.name
     path = Path(name.rpartition(":")[0] if ".py:" in name else name)
     return sha256_of(path) if path.is_file() else ""
 

@@ -9,7 +9,7 @@ from torchmetrics import Metric
 from pedzoo.metrics import door, navigation, safety, smoothness
 from pedzoo.metrics.intervals import Interval, bootstrap_quantile
 from pedzoo.metrics.quantiles import quantiles
-from pedzoo.metrics.ratios import Ratio, finite, mean, ratio, share
+from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.runs import Runs
 from pedzoo.types import STEP_SECONDS
@@ -59,9 +59,10 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
       most; ``goals_parity``: fewest by most, mean over episodes in which anybody reached a goal.
     * ``time_s``: when the last person arrives, mean over episodes in which all do in time; ``decisions``:
       that in steps of the policy.
-    * ``path_ratio``, ``time_ratio``: way by planned way, and time by that of the planned way at one's
-      preferred speed, means over people who arrive; ``spl``, ``stl``: see `weighted`, means over people. Who
-      decides rarely walks on after a goal before hearing of the next one, which counts as walked.
+    * ``path_ratio``, ``time_ratio``: ratios of sums over people who arrive: all their ways by all planned
+      ways, and all their times by the times of free walking, each person's planned way at their preferred
+      speed. So a short way counts little. ``spl``, ``stl``: see `weighted`, means over people. A policy that
+      decides rarely walks on after a goal before it hears of the next one: that counts as walked.
     * ``personal_space_igibson``: mean over people, see `compliance_igibson`.
     * At a door: see `pedzoo.metrics.door`; ``symmetry_m`` until the first of the two arrives. Means over
       episodes in which they are known; ``faster_first`` is a share of these, ``specific_flow_per_m_s`` all
@@ -94,8 +95,7 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
     time = navigation.episode_seconds(seconds, arrived, mask)
     walked = navigation.walked_metres(rollout.path, scored, reached, goals)
     planned = navigation.planned_metres(rollout.planned, reached, goals)
-    needed = planned / rollout.pref_speed
-    slower, compared = time_ratios(rollout)
+    needed, taken = planned / rollout.pref_speed, seconds - rollout.stood
     fewest, most = navigation.fewest_goals(reached, mask), navigation.most_goals(reached, mask)
     stuck = navigation.deadlocked(rollout.trace, rollout.goal, scored)
     everybody = (arrived | ~mask).all(1) & ~rollout.failed
@@ -111,10 +111,10 @@ def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str,
         "goals_parity": mean(fewest.double() / most.clamp_min(1), most > 0),
         "time_s": finite(time),
         "decisions": finite((time / decision_dt - 1e-6).ceil()),
-        "time_ratio": mean(slower, compared),
-        "path_ratio": mean(walked / planned, compared),
+        "time_ratio": of_sums(taken, needed, arrived),
+        "path_ratio": of_sums(walked, planned, arrived),
         "spl": ratio(navigation.weighted(arrived, planned, walked), mask),
-        "stl": ratio(navigation.weighted(arrived, needed, seconds - rollout.stood), mask),
+        "stl": ratio(navigation.weighted(arrived, needed, taken), mask),
     }
 
 
@@ -157,7 +157,7 @@ def _leaving(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
         "success": share(arrived, there),
         "failed": share(rollout.failed),
         "deadlock": share(runs.any(navigation.stuck(rollout.trace, rollout.goal, scored)), there),
-        "path_ratio": mean(walked / planned, arrived & (planned > 0)),
+        "path_ratio": of_sums(walked, planned, arrived),
         "spl": ratio(navigation.weighted(arrived, planned, walked), there),
     }
 

@@ -43,6 +43,11 @@ def mean(value: Tensor, known: Tensor) -> Ratio:
     return ratio(value.where(known, 0), known)
 
 
+def of_sums(above: Tensor, below: Tensor, known: Tensor) -> Ratio:
+    """Return the sum of one quantity by the sum of another, both of what is ``known``, all (E, ...)."""
+    return ratio(above.where(known, 0), below.where(known, 0))
+
+
 def finite(value: Tensor) -> Ratio:
     """Return the mean of the finite values (E, ...)."""
     return mean(value, value.isfinite())

@@ -15,11 +15,14 @@ from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import kernel
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
-from pedzoo.sim.scenario import Layout, Scenario
+from pedzoo.sim.scenario import LEAST_WAY, Layout, Scenario
 from pedzoo.sim.script import Opening
 from pedzoo.sim.state import PAST_LEN, State
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
+
+TRIES = 8
+"""Goals that are drawn at most for a person who begins near one."""
 
 
 class Episodes:
@@ -60,6 +63,8 @@ class Episodes:
         if not recorded and self._warm_start == "orca":
             state = warm.rolled(state, self._physics, self._rules, self._walls)
         guidance = self._rules.guide(state)
+        if layout.opening is None:
+            state, guidance = self._apart(state, guidance)
         way = guidance.distance
         cut_off = ((opening.controlled | (state.stands > 0)) & way.isinf()).nonzero()
         if len(cut_off):
@@ -78,6 +83,18 @@ class Episodes:
             way=way,
             planned=torch.where(opening.controlled, planned(way), 0.0),
         )
+
+    def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
+        """Return the state in which no goal is nearer than `LEAST_WAY`, if there is another one; its guidance."""
+        for _ in range(TRIES):
+            near = state.mask & (state.goal_id >= 0) & (guidance.distance < LEAST_WAY)
+            near = near & (state.next_goal >= 0)
+            if not near.any():
+                break
+            goal = torch.where(near, state.next_goal, state.goal_id)
+            state = state._replace(goal_id=goal, drawn=state.drawn + near)
+            guidance = self._rules.guide(state)
+        return state, guidance
 
     def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""

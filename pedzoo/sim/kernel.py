@@ -187,8 +187,7 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
     """
     hit = hits[..., -1]
     clock = state.clock + rules.ticks * TRACE_SECONDS
-    number = (state.drawn % state.later_goals.shape[2]).unsqueeze(2)
-    later = state.later_goals.gather(2, number)[..., 0]
+    later = state.next_goal
     renew = hit & (later >= 0) if rules.keep_goal else hit
     reached = state.reached + hit
     late = state.late | (_overdue(state, clock, hits, rules.goals) & state.controlled)

@@ -10,7 +10,7 @@ from pedzoo.registry import SCENARIOS
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.worlds.base import World
-from pedzoo.spec import build
+from pedzoo.spec import Spec, build
 from pedzoo.types import BODY_RADIUS
 
 WORLDS = {"grid": "pedzoo.sim.worlds.grid:GridWorld", "bullet": "pedzoo.sim.worlds.bullet:BulletWorld"}
@@ -20,7 +20,7 @@ CLEARANCE = 0.25
 
 
 def make_env(
-    scenario: str | Scenario,
+    scenario: str | Spec | Scenario,
     num_envs: int = 1,
     world: Literal["grid", "bullet"] = "grid",
     clearance: float = CLEARANCE,
@@ -31,7 +31,8 @@ def make_env(
 
     Args:
         scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``file.py:Class``
-            with settings, or an instance, which environments of the same clearance may share.
+            with settings, ``Spec("goals", {"map": path})``, or an instance, which environments of the
+            same clearance may share.
         num_envs: Scenes that are run at once.
         world: ``grid`` (torch, batched) or ``bullet`` (pybullet).
         clearance: Metres that planned ways keep from walls.
@@ -47,9 +48,9 @@ def make_env(
     return PedestrianEnv(made, watching, num_envs, body_radius=body_radius, **settings)
 
 
-def make_scenario(scenario: str | Scenario) -> Scenario:
+def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
     """Return the scenario of a name with settings; errors as of `pedzoo.spec.build`."""
-    return build(SCENARIOS, scenario, Scenario) if isinstance(scenario, str) else scenario
+    return scenario if isinstance(scenario, Scenario) else build(SCENARIOS, scenario, Scenario)
 
 
 def make_world(name: str, scenario: Scenario, body_radius: float) -> World:

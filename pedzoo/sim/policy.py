@@ -54,4 +54,4 @@ def load_policy(name: str) -> Policy | Walker:
         return build(POLICIES, name, Policy)
     if not (is_file(spec.name) or spec.name in MODELS.names() or find(spec.name)):
         raise unknown("policy", spec.name, [*POLICIES.names(), *list_models(), *baselines()])
-    return make(Walker, "walker", spec.name, spec.settings, model=load(spec.name))
+    return make(Walker, "walker", spec, model=load(spec.name))

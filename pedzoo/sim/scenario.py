@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 SLOWEST = 0.3
 """m/s: nobody likes to walk slower."""
 
+LEAST_WAY = 1.0
+"""Metres of way to the first goal where an episode begins: whoever is nearer gets the next goal instead."""
+
 WARM_SECONDS = 7 * STEP_SECONDS
 """Duration of the warm start: with the start itself it fills the 8 observed steps."""
 
@@ -121,6 +124,8 @@ class Scenario(ABC):
 
     def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
         """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
+
+        Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
 
         Args:
             draws: One entry per person: that of their scene.

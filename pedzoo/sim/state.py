@@ -118,6 +118,12 @@ class State(NamedTuple):
         """Which agents walk by a policy now (B, A) bool: those with a goal; others stand."""
         return self.controlled & (self.goal_id >= 0)
 
+    @property
+    def next_goal(self) -> Tensor:
+        """The goals after the present ones (B, A) long, -1 for none."""
+        number = (self.drawn % self.later_goals.shape[2]).unsqueeze(2)
+        return self.later_goals.gather(2, number)[..., 0]
+
     def rows(self, index: Tensor) -> State:
         """Return some of the scenes."""
         return State(*(value[index] for value in self))

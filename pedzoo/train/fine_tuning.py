@@ -11,13 +11,14 @@ import yaml
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.errors import UserError
 from pedzoo.models.saved import saved_config
-from pedzoo.models.zoo import build, config_of, load
+from pedzoo.models.zoo import build, config_of, load, read_checkpoint
 from pedzoo.paths import config_names, find_config
 from pedzoo.registry import MODELS
-from pedzoo.train.module import LOSSES, ForecastModule, differences
+from pedzoo.train.module import LOSSES, ForecastModule, copied_keys, differences
+from pedzoo.train.run import RunFolder
 
-WALKING = ("safety", "pace")
-"""Options of an architecture that a config decides, with whatever weights it begins: how a model walks."""
+OF_CONFIG = ("safety", "pace", "map_dropout")
+"""Options of an architecture that a config decides, whatever weights it begins with: how a model walks."""
 
 
 def start_from(module: ForecastModule, weights: str) -> None:
@@ -34,7 +35,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
         UserError: No such weights, or they are of another architecture.
     """
     model = load(weights)
-    free = LOSSES | {"goal_protocol", "noise", *WALKING}
+    free = LOSSES | {"goal_protocol", "noise", *OF_CONFIG}
     if changed := differences(config_of(model), config_of(module.generator), free):
         raise UserError(
             f"--weights {weights} are of another architecture ({'; '.join(changed)}): "
@@ -63,14 +64,29 @@ def options_of(weights: str) -> list[str]:
             f"--weights {weights} do not say with which shipped config they were trained "
             f"(they say {name}): add --config NAME ({', '.join(config_names())}) or a file"
         )
-    return ["--config", name, *_architecture(config)]
+    return ["--config", name, *(architecture_options(weights, name) or _architecture(config))]
+
+
+def options_to_continue(run: RunFolder) -> list[str]:
+    """Return the options of ``pedzoo fit`` that go on with a run.
+
+    Earlier versions trained in the loop without dropout, whatever the config said: such a run goes on so.
+
+    Raises:
+        UserError: Its checkpoint cannot be read.
+    """
+    options = ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last)]
+    checkpoint = read_checkpoint(run.last)
+    if copied_keys(checkpoint) and checkpoint["pedzoo"]["init"].get("map_dropout"):
+        options += ["--model.generator.map_dropout", "0"]
+    return options
 
 
 def architecture_options(weights: str, config: str) -> list[str]:
     """Return what a training that begins with weights does otherwise than its ``config`` says, as options.
 
     A config with ``weights``, such as those in ``closed_loop``, is for any generator: it takes architecture
-    and data of whatever weights it is given. To other configs weights have to fit.
+    and data of whatever weights it is given, but for `OF_CONFIG`. To other configs weights have to fit.
 
     Args:
         weights: What `pedzoo.load` accepts.
@@ -81,15 +97,15 @@ def architecture_options(weights: str, config: str) -> list[str]:
         return []
     generator = settings["model"]["init_args"]["generator"].get("init_args", {})
     return _architecture(
-        saved_config(weights), **{key: generator[key] for key in WALKING if key in generator}
+        saved_config(weights), **{key: generator[key] for key in OF_CONFIG if key in generator}
     )
 
 
-def _architecture(config: dict[str, Any], **walking: Any) -> list[str]:
+def _architecture(config: dict[str, Any], **decided: Any) -> list[str]:
     cls = MODELS.get(config["architecture"])
     # all options, also those that weights of an earlier version do not know: a config may set them
     options = build(config).config
-    options |= {key: value for key, value in walking.items() if key in options}
+    options |= {key: value for key, value in decided.items() if key in options}
     model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]

@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim import Optimizer
 
 from pedzoo.errors import UserError
@@ -20,7 +20,7 @@ from pedzoo.models.walker import Walker
 from pedzoo.train.imitation import Imitation
 from pedzoo.train.loop_losses import LoopLosses
 from pedzoo.train.mixture import Course, Mixture
-from pedzoo.train.module import ForecastModule
+from pedzoo.train.module import ForecastModule, copied_keys
 from pedzoo.train.segments import unrolled
 
 
@@ -68,12 +68,28 @@ class LoopModule(ForecastModule):
             )
         self.walking, self.imitation = walking, imitation
         self.steps, self.keep, self.forecast_weight, self.lenient = steps, keep, forecast_weight, lenient
-        for part in generator.modules():
-            if isinstance(part, nn.Dropout):
-                part.p = 0.0  # who learns to walk without seeing walls now and then stays away from all doors
-        self.walker = Walker(generator)
+        self._walker = (Walker(generator),)  # in a tuple: its parameters are registered already
         self.mixture = Mixture(courses, self.seed)
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+
+    @property
+    def walker(self) -> Walker:
+        """The generator as a policy."""
+        return self._walker[0]
+
+    def check(self, checkpoint: dict[str, Any]) -> None:
+        """Check a checkpoint as `ForecastModule.check` does.
+
+        Earlier versions wrote the generator twice. The copies are removed from ``checkpoint``.
+
+        Raises:
+            UserError: As there.
+        """
+        if copies := copied_keys(checkpoint):
+            checkpoint["state_dict"] = {
+                key: value for key, value in checkpoint["state_dict"].items() if key not in copies
+            }
+        super().check(checkpoint)
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam, of a discriminator too; `set_lr` sets its learning rate at every iteration."""

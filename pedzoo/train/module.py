@@ -162,6 +162,11 @@ class ForecastModule(L.LightningModule):
             )
 
 
+def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
+    """Return the keys under which earlier trainings in the loop wrote their generator a second time."""
+    return {key for key in checkpoint.get("state_dict", ()) if key.startswith("walker.model.")}
+
+
 LOSSES = frozenset(
     {"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "kl_weight", "map_dropout"}
 )

@@ -61,7 +61,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.bench.run import Run
     from pedzoo.bench.section import Settings
     from pedzoo.cli.bench_tables import line, print_bench, print_comparison
-    from pedzoo.cli.output import check_outputs, write_json
+    from pedzoo.cli.output import check_outputs, write_and_print
     from pedzoo.errors import UserError
 
     if options.device != "cpu":
@@ -85,9 +85,7 @@ def run(argv: list[str]) -> int:
 
     def finish(**more: bool) -> None:
         report = measuring.report() | more
-        print_bench(report)
-        if options.json:
-            write_json(options.json, report)
+        write_and_print(report, options.json, lambda: print_bench(report))
         if old is not None:
             print_comparison(compare(old, report), options.compare)
 

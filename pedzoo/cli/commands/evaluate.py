@@ -14,7 +14,7 @@ def run(argv: list[str]) -> int:
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import PositiveInt
 
-    from pedzoo.cli.output import check_outputs, print_pages, write_json, write_text
+    from pedzoo.cli.output import check_outputs, print_pages, write_and_print, write_text
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse, whole_numbers
     from pedzoo.cli.progress import overall_bar
     from pedzoo.errors import UserError
@@ -133,14 +133,16 @@ def run(argv: list[str]) -> int:
 
     def tell(**more: bool) -> None:
         report = {"command": "evaluate", **evaluation.report(), "versions": versions(), **more}
-        print_pages(report, evaluation.shown)
-        if options.json:
-            write_json(options.json, report)
-        if options.markdown and not more:  # a page of half the parts would stand in the place of a whole one
-            command = ["pedzoo", "evaluate", *argv]
-            write_text(options.markdown, markdown(report, evaluation.shown, command))
-        if options.plot and not more:
-            plot_density_speed(report["rows"], options.plot)
+
+        def show() -> None:
+            if options.markdown and not more:  # a page of half the parts would take a whole one's place
+                command = ["pedzoo", "evaluate", *argv]
+                write_text(options.markdown, markdown(report, evaluation.shown, command))
+            if options.plot and not more:
+                plot_density_speed(report["rows"], options.plot)
+            print_pages(report, evaluation.shown)
+
+        write_and_print(report, options.json, show)
 
     try:
         with overall_bar() as progress:

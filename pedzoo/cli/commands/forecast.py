@@ -13,7 +13,7 @@ def run(argv: list[str]) -> int:
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import NonNegativeInt
 
-    from pedzoo.cli.output import check_outputs, print_report, write_json
+    from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.data.datamodule import TrajectoryDataModule
@@ -44,7 +44,5 @@ def run(argv: list[str]) -> int:
     with progress_bar() as progress:
         report = forecast(options.models, data, options.samples, options.seed, options.split, progress)
     report = {"command": "forecast", **report, "versions": versions()}
-    print_report(report)
-    if options.json:
-        write_json(options.json, report)
+    write_and_print(report, options.json, lambda: print_report(report))
     return 0

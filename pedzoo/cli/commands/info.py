@@ -55,33 +55,27 @@ def _card(name: str) -> ModelCard:
 
 
 def _print(card: ModelCard) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-
+    from pedzoo.cli.console import plain_console
     from pedzoo.eval.results import Page
 
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 110
-    console.print(card.name, style="bold", markup=False)
+    console = plain_console(width=110)
+    console.print(card.name, style="bold")
     for title, facts in sections(card).items():
         _print_facts(console, title, facts)
     if not card.evaluations:
         console.print("\nResults: not measured yet")
     for found in results(card):
-        console.print(f"\n{found.said}", markup=False)
-        rows = [[escape(cell) for cell in row] for row in found.rows]
-        print_tables([Page("", [escape(cell) for cell in found.head], rows, 1)])
+        console.print(f"\n{found.said}")
+        print_tables([Page("", found.head, found.rows, 1)])
 
 
 def _print_facts(console: Any, title: str, facts: Mapping[str, str]) -> None:
     from rich.table import Table
-    from rich.text import Text
 
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for key, value in facts.items():
-        table.add_row(Text(f"  {key}"), Text(value))
-    console.print(f"\n{title}", style="bold", markup=False)
+        table.add_row(f"  {key}", value)
+    console.print(f"\n{title}", style="bold")
     console.print(table)

@@ -6,7 +6,7 @@ from fnmatch import fnmatch
 from typing import Any
 
 from pedzoo.cli.arguments import Arguments
-from pedzoo.cli.output import check_outputs, print_tables, write_json
+from pedzoo.cli.output import check_outputs, print_tables, write_and_print
 from pedzoo.errors import UserError
 from pedzoo.models.card import ModelCard
 from pedzoo.models.store import find, names
@@ -49,9 +49,8 @@ def run(argv: list[str]) -> int:
         if fnmatch(name, options.pattern)
     ]
     weights = [_row(name) for name in names() if fnmatch(name, options.pattern)]
-    _print(architectures, weights)
-    if options.json:
-        write_json(options.json, {"command": "models", "architectures": architectures, "weights": weights})
+    report = {"command": "models", "architectures": architectures, "weights": weights}
+    write_and_print(report, options.json, lambda: _print(architectures, weights))
     return 0
 
 

@@ -73,14 +73,14 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP. What was interrupted goes on 
 
     def tell(**more: bool) -> None:
         report = {"command": "reproduce", **made.report(), "versions": versions(), **more}
+        if not more:
+            write_json(file, report)
+            write_text(page, markdown(made, report, ["pedzoo", "reproduce", *argv], made.draw(folder)))
         for note in report["notes"]:
             print(f"note: {note}")
         print_tables(made.pages(report))
-        if more:
-            return
-        write_json(file, report)
-        write_text(page, markdown(made, report, ["pedzoo", "reproduce", *argv], made.draw(folder)))
-        print(f"page:   {page}\nreport: {file}")
+        if not more:
+            print(f"page:   {page}\nreport: {file}")
 
     try:
         with overall_bar() as progress:

@@ -13,7 +13,7 @@ def run(argv: list[str]) -> int:
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import NonNegativeFloat, PositiveFloat
 
-    from pedzoo.cli.output import check_outputs, print_report, write_json
+    from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.errors import UserError, unknown
@@ -96,9 +96,7 @@ def run(argv: list[str]) -> int:
 
         def tell(**more: bool) -> None:
             report = {"command": "rollout", **comparison.report(), "versions": versions(), **more}
-            print_report(report, options.metrics)
-            if options.json:
-                write_json(options.json, report)
+            write_and_print(report, options.json, lambda: print_report(report, options.metrics))
 
         try:
             with progress_bar() as progress:

@@ -103,7 +103,7 @@ class Loop(Walked):
             *self._trained(),
             "doors of the tests are like those of training; width 1.1, offset -0.4 and seeds are their own",
             "free walking: the planner's way at the preferred speed; time ratios are of people who arrive",
-            f"no slower than {ORCA}: by `time_ratio`, mean over people who arrive, each at their own speed",
+            f"no slower than {ORCA}: by `time_ratio`, all times of those who arrive by those of free walking",
             f"noise: each scene is walked {DRAWS} times, everything but the noise the same; policies without"
             " noise would walk it alike and have no rows. Who walks through others varies, too: see `clean`",
             "cpu: seconds of one thread, all cases of the table",
@@ -111,9 +111,7 @@ class Loop(Walked):
         return found
 
     def _given(self) -> str:
-        plans = {unit.case.shares: unit.case for unit in self.evaluation.units if "map" in unit.case.case}
-        given = [case.scenario for case in plans.values() if case.case["map"] not in ("drawn", "offices")]
-        found = [match[1] for text in given if (match := re.search(r"map=(\[[^]]*\]|[^,]*)", text))]
+        found = self.evaluation.request.maps
         return f", and those that were given: {', '.join(found)}" if found else ""
 
     def _trained(self) -> list[str]:

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from pedzoo.eval.suite import Case, Request, Suite
 from pedzoo.maps.library import load_plan
+from pedzoo.spec import Spec
 
 CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
 """People and goals of Table II."""
@@ -46,13 +47,21 @@ class Goals(Suite):
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)
             table = f"{self.name} {name}"
-            shown = files[0] if len(files) == 1 else f"[{','.join(files)}]"
             for people, goals in CELLS:
-                scenario = f"goals:map={shown},people={people},goals={goals},pool={POOL}"
-                case = {"map": name, "people": str(people), "goals": str(goals)}
-                label = f"{name} {people}/{goals}"
-                effort = people * goals
                 found.append(
-                    Case(self.name, label, scenario, world, episodes, case, inputs, effort, table, name)
+                    Case(
+                        suite=self.name,
+                        name=f"{name} {people}/{goals}",
+                        scenario=Spec(
+                            "goals", {"map": files, "people": people, "goals": goals, "pool": POOL}
+                        ),
+                        world=world,
+                        episodes=episodes,
+                        case={"map": name, "people": str(people), "goals": str(goals)},
+                        inputs=inputs,
+                        effort=people * goals,
+                        table=table,
+                        shares=name,
+                    )
                 )
         return found

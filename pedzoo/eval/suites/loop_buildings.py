@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pedzoo.eval.suite import Case, Request
 from pedzoo.eval.suites.goals import Goals
 from pedzoo.metrics import safety
 from pedzoo.metrics.ratios import Ratio, ratio
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.spec import Spec
 
 CROWDS = {20: 6, 50: 4}
 """People in an office, and episodes of a whole run."""
@@ -45,18 +46,18 @@ class LoopBuildings(Goals):
         Raises:
             UserError: There is no such floor plan.
         """
-        plans = f"[{','.join(OFFICES)}]"
+        settings: dict[str, Any] = {"map": list(OFFICES), "goals": 1, "pool": POOL}
         return super().cases(request) + [
             Case(
                 suite=self.name,
                 name=f"crowd of {people}",
-                scenario=f"goals:map={plans},people={people},goals=1,pool={POOL}",
+                scenario=Spec("goals", settings | {"people": people}),
                 world=request.world or "grid",
                 episodes=request.number(episodes),
                 case={"map": "offices", "people": str(people), "goals": "1"},
                 effort=3.0 * people,
                 table=f"{self.name} crowd of {people}",
-                shares=plans,
+                shares="offices",
             )
             for people, episodes in CROWDS.items()
         ]

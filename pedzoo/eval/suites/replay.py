@@ -21,6 +21,7 @@ from pedzoo.metrics.rollout import Rollout
 from pedzoo.models.walker import Walker
 from pedzoo.sim.policy import load_policy
 from pedzoo.sim.scenarios.replay import Replay as Recorded
+from pedzoo.spec import Spec
 
 EMBEDDED = "embedded"
 """The fold that needs no recordings."""
@@ -80,15 +81,17 @@ class Replay(Suite):
         for fold in _folds(request.root):
             inputs = digest_of(fold, request.root)
             for simulated in self.simulated:
-                settings = [f"fold={fold}", f"simulated={simulated}"]
+                settings: dict[str, Any] = {"fold": fold, "simulated": simulated}
                 share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
                 share = round(share * QUICK_SHARE, 3) if request.quick else share
-                settings += [f"share={share}"] * (share < 1)
-                settings += [f"root={request.root}"] * (request.root is not None and fold != EMBEDDED)
+                if share < 1:
+                    settings["share"] = share
+                if request.root is not None and fold != EMBEDDED:
+                    settings["root"] = request.root
                 case = Case(
                     suite=self.name,
                     name=f"{fold} {simulated}",
-                    scenario=f"replay:{','.join(settings)}",
+                    scenario=Spec("replay", settings),
                     world=request.world or "grid",
                     episodes=request.rollouts or (usual if simulated == "all" else 1),
                     case={"fold": fold, "simulated": simulated},

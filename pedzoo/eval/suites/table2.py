@@ -11,6 +11,7 @@ from pedzoo.maps.library import load_plan
 from pedzoo.metrics import navigation
 from pedzoo.metrics.ratios import Ratio, ratio
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.spec import Spec
 
 DRAWN = tuple(f"apartment.{seed}" for seed in range(3))
 """Floor plans where none is given: every episode draws one of them."""
@@ -42,25 +43,25 @@ class Table2(Suite):
         files = list(request.maps or DRAWN)
         name = "drawn" if not request.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
         inputs = " ".join(load_plan(file).digest for file in files)
-        shown = files[0] if len(files) == 1 else f"[{','.join(files)}]"
         world, episodes = request.world or "bullet", request.number(EPISODES)
         found = []
         for speed, (mean, deviation) in SPEEDS.items():
             for people, goals in CELLS:
-                settings = f"map={shown},people={people},goals={goals},pool={POOL}"
+                cell = {"map": files, "people": people, "goals": goals, "pool": POOL}
+                settings = {**cell, "speed": mean, "speed_std": deviation}
                 case = {"map": name, "speed": speed, "people": str(people), "goals": str(goals)}
                 found.append(
                     Case(
                         suite=self.name,
                         name=f"{speed} m/s {people}/{goals}",
-                        scenario=f"goals:{settings},speed={mean},speed_std={deviation}",
+                        scenario=Spec("goals", settings),
                         world=world,
                         episodes=episodes,
                         case=case,
                         inputs=inputs,
                         effort=people * goals / mean,
                         table=f"{self.name} {speed} m/s",
-                        shares=shown,
+                        shares=", ".join(files),
                     )
                 )
         return found

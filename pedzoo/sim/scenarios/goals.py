@@ -13,13 +13,13 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
-from pedzoo.sim.scenario import Layout, Scenario
+from pedzoo.sim.scenario import LEAST_WAY, Layout, Scenario
 
 SPACING = 0.8
 """Metres between any two starts."""
 
-NEAREST = 2.0
-"""Metres of way to the next goal, at least."""
+NEAREST = 2 * LEAST_WAY
+"""Metres of way to the next goal, at least: also `LEAST_WAY` from whoever is that near to the last one."""
 
 
 MORE = 4

@@ -1,0 +1,98 @@
+"""What commands print and write: any text as it is, and results before anything else can go wrong."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from pedzoo.cli import bench_tables, output, progress
+from pedzoo.cli.console import plain_console
+from pedzoo.cli.main import main
+from pedzoo.cli.output import print_report, print_tables, write_and_print
+from pedzoo.eval.clock import Step
+from pedzoo.eval.results import Page
+from pedzoo.maps.library import flat
+
+ODD = "[/a/b.yaml,[bold]c[/]]:door:"
+"""Rich would fail at it, or draw a door."""
+
+WALK = ["--scenario", "circle:people=2", "--world", "grid", "--episodes", "1"]
+
+
+def test_a_scenario_on_several_files_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flat().save(tmp_path / "a.yaml")
+    scenario, file = f"goals:map=[{tmp_path}/a.yaml,apartment.1],people=2,goals=1,pool=4", tmp_path / "r.json"
+    words = ["rollout", "go_to_goal", "--scenario", scenario, "--world", "grid", "--episodes", "1"]
+    assert main([*words, "--json", str(file)]) == 0
+    assert scenario in capsys.readouterr().out.replace("\n", "")
+    assert json.loads(file.read_text())["protocol"]["scenario"] == scenario
+
+
+def test_tables_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    row = {"name": ODD, "case": {"map": ODD}, "n": 1, "metrics": {"x_m": 1.0}}
+    print_report({"protocol": {"scenario": ODD}, "rows": [row]})
+    assert capsys.readouterr().out.count(ODD) == 3
+    print_tables([Page(ODD, [ODD, ODD], [[ODD, ODD]], 1)])
+    assert capsys.readouterr().out.count(ODD) == 5
+
+
+def test_speeds_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    figure = {"n": {"x_per_s": 1}, "metrics": {"x_per_s": 1.0}, "quartiles": {"x_per_s": [1.0, 1.0]}}
+    row = {"section": "walls", "name": ODD, "case": {"map": ODD}, "bars": [], "note": ODD, **figure}
+    machine = {"load_before": 0.0, "load_after": 0.0, "cpu": ODD}
+    known = {"protocol": {"threads": 1}, "machine": machine, "versions": {}}
+    bench_tables.print_bench({"rows": [row], "skipped": {ODD: ODD}, **known})
+    assert capsys.readouterr().out.count(ODD) == 2 + 2 + 2 + 1
+
+
+def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+
+    def terminal(**_: Any) -> Console:
+        console = plain_console()
+        return Console(file=screen, force_terminal=True, width=150, markup=console._markup, emoji=False)
+
+    monkeypatch.setattr(progress, "plain_console", terminal)
+    with progress.progress_bar() as update:
+        update(ODD, 1, 2)
+    with progress.overall_bar() as tell:
+        tell(Step(f"goals {ODD}", 0.5, 1, 2, None, None))
+    assert screen.getvalue().count(ODD) >= 2
+
+
+@pytest.mark.parametrize(
+    ("words", "printer"),
+    [
+        (["rollout", "go_to_goal", *WALK], "print_report"),
+        (["evaluate", "go_to_goal", "--suite", "cards", "--world", "grid", "--episodes", "1"], "print_pages"),
+        (["forecast", "constant_velocity", "--data.fold", "embedded", "--samples", "1"], "print_report"),
+        (["models", "sgan_goal.zara1"], "print_tables"),
+    ],
+)
+def test_results_are_written_before_they_are_printed(
+    words: list[str], printer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dies(*_: Any) -> None:
+        raise BufferError
+
+    monkeypatch.setattr(
+        f"pedzoo.cli.{'commands.models' if words[0] == 'models' else 'output'}.{printer}", dies
+    )
+    file = tmp_path / "report.json"
+    more = ["--markdown", str(tmp_path / "page.md")] if words[0] == "evaluate" else []
+    with pytest.raises(BufferError):
+        main([*words, "--json", str(file), *more])
+    assert json.loads(file.read_text())["command"] == words[0]
+    assert not more or "go_to_goal" in (tmp_path / "page.md").read_text()
+
+
+def test_a_report_for_the_terminal_comes_last(capsys: pytest.CaptureFixture[str]) -> None:
+    write_and_print({"a": 1}, "-", lambda: print("table"))
+    assert capsys.readouterr().out.startswith("table\n{")
+    write_and_print({"a": 1}, None, lambda: print("table"))
+    assert capsys.readouterr().out == "table\n" and output.check_outputs() is None
