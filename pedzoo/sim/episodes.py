@@ -9,14 +9,14 @@ from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError, unknown
-from pedzoo.geometry import identity_pose
+from pedzoo.geometry import heading_of, identity_pose
 from pedzoo.maps.guidance import Look
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import arrived, deadline, planned, renewed
 from pedzoo.sim.scenario import Layout, Scenario
 from pedzoo.sim.script import Opening
-from pedzoo.sim.state import PAST_LEN, State
+from pedzoo.sim.state import PAST_LEN, TURNS_FROM, State
 from pedzoo.types import TRACE_SECONDS
 
 
@@ -80,6 +80,10 @@ class Episodes:
             way = torch.where(way.isfinite(), way, 0.0)
         clock = way.new_zeros(len(key))
         velocity, until = opening.velocity, opening.deadline
+        if velocity is None:
+            velocity = (position - past[:, :, -2]) / TRACE_SECONDS
+        goes = look.goal_point.view_as(position) - position
+        radius, kind = layout.radius, layout.kind
         return State(
             key=key,
             map_id=layout.map_id,
@@ -92,7 +96,10 @@ class Episodes:
             person=opening.person,
             known=opening.known,
             past=past,
-            velocity=(position - past[:, :, -2]) / TRACE_SECONDS if velocity is None else velocity,
+            velocity=velocity,
+            heading=heading_of(velocity, heading_of(goes), TURNS_FROM),
+            radius=torch.full_like(way, self._body_radius) if radius is None else radius,
+            kind=torch.zeros_like(goal) if kind is None else kind,
             pref_speed=layout.pref_speed,
             goal_id=goal,
             goal_point=look.goal_point.view_as(position),

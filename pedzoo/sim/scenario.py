@@ -40,6 +40,8 @@ class Layout(NamedTuple):
         opening: Who is there in scenes with a script, which always begin as they were recorded.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
             seconds; 0 for who does not. No policy moves them so long. None: nobody.
+        radius: Radii of the bodies (B, A), metres; None for that of the environment.
+        kind: `pedzoo.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
     """
 
     map_id: Tensor
@@ -51,6 +53,8 @@ class Layout(NamedTuple):
     history: Tensor | None = None
     opening: Opening | None = None
     stand: Tensor | None = None
+    radius: Tensor | None = None
+    kind: Tensor | None = None
 
 
 def door_at_origin(width: Tensor) -> Tensor:

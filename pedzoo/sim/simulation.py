@@ -7,13 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import limit_speed
+from pedzoo.geometry import heading_of, limit_speed
 from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.sim.arrival import arrived, deadline, planned, renewed
 from pedzoo.sim.dynamics import walk
 from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.state import State
+from pedzoo.sim.state import TURNS_FROM, State
 from pedzoo.sim.worlds.base import People, World
 from pedzoo.types import AHEAD_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
@@ -124,6 +124,7 @@ class Simulation:
         set_out = (hit & (goal_id >= 0)) | sets_out
         if script is not None:
             after, set_out = script.cue(state, after, self.trace_points)
+        after = after._replace(heading=heading_of(after.velocity, after.heading, TURNS_FROM))
         guidance = self.guide(after)
         # whoever has squeezed into a corner that no planned way leads out of is as far as before
         way = torch.where(guidance.distance.isfinite(), guidance.distance, after.way)

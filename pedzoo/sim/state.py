@@ -16,6 +16,10 @@ PAST_LEN = (OBS_LEN - 1) * TRACE_PER_STEP + 1
 """Trace points that 8 observed steps span."""
 
 
+TURNS_FROM = 0.05
+"""m/s: the body faces where it moves if it is faster; else it keeps its heading."""
+
+
 class State(NamedTuple):
     """B scenes of A people. Never written in place: what a rollout was given stays as it was.
 
@@ -32,6 +36,9 @@ class State(NamedTuple):
         known: For how many of the latest trace points, up to 29, somebody was seen (B, A) long.
         past: Everybody's latest positions every 0.1 s (B, A, 29, 2), oldest first.
         velocity: Over the last 0.1 s (B, A, 2), m/s.
+        heading: Direction in which the body faces (B, A), radians from the x axis.
+        radius: Radius of the body (B, A), metres.
+        kind: `pedzoo.batch.PERSON` or `ROBOT` (B, A) long.
         pref_speed: The speed that people like (B, A), m/s.
         goal_id: The planner's number of everybody's goal (B, A) long, -1 for none.
         goal_point: Where it is (B, A, 2), metres.
@@ -57,6 +64,9 @@ class State(NamedTuple):
     known: Tensor
     past: Tensor
     velocity: Tensor
+    heading: Tensor
+    radius: Tensor
+    kind: Tensor
     pref_speed: Tensor
     goal_id: Tensor
     goal_point: Tensor

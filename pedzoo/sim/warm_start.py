@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from pedzoo.batch import ROBOT
 from pedzoo.errors import UserError
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.planner import Planner
@@ -52,6 +53,10 @@ def rolled(
     velocity: Tensor | None = None
     top_speed = layout.pref_speed * TOP_SPEED_RATIO
     walks = torch.ones_like(layout.mask) if layout.stand is None else layout.stand <= 0
+    radius = None
+    if layout.radius is not None:
+        robot = torch.zeros_like(layout.mask) if layout.kind is None else layout.kind == ROBOT
+        radius = ORCA.radii(layout.radius, robot, layout.mask)
     scenes, agents = goal.shape
     map_id, poses = layout.map_id.repeat_interleave(agents), pose.repeat_interleave(agents, 0)
     surroundings = planner.bank.walls_of_people(layout.map_id, pose, agents)
@@ -61,8 +66,8 @@ def rolled(
         wanted = direction.view(scenes, agents, 2) * (layout.pref_speed * walks).unsqueeze(2)
         if velocity is None:  # people are on their way already
             velocity = wanted
-        near = walls.near(position.flatten(0, 1), map_id, poses, ORCA.wall_reach(top_speed).flatten())
-        action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near)
+        near = walls.near(position.flatten(0, 1), map_id, poses, ORCA.wall_reach(top_speed, radius).flatten())
+        action = orca_velocity(position, velocity, wanted, top_speed, layout.mask, ORCA, near, None, radius)
         action = limit_speed(action, top_speed) * walks.unsqueeze(2)
         steps = TRACE_PER_STEP * substeps
         path = walk(position, action, STEP_SECONDS, steps, surroundings, body_radius)
