@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pedzoo.geometry import nearest_part
 from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.types import BODY_RADIUS
 
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
@@ -80,7 +81,7 @@ class Pairs(NamedTuple):
         share = gives.to(away.dtype)
         mine = share / (share + share.mT).clamp_min(1)
         least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
-        wanted = least + MARGIN
+        wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
         if narrow is not None:
             broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
             broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
@@ -112,7 +113,7 @@ class Pairs(NamedTuple):
 
     def touching(self, step: Tensor) -> Tensor:
         """Return who would run into somebody, and more than now (B, A) bool; both where it takes both."""
-        bound = torch.minimum(self.room, self.least + 0.001) - 1e-4
+        bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
         touch = self._approach(step.unsqueeze(2) - step.unsqueeze(1))[2] < bound
         alone = touch & (self._approach(step.unsqueeze(2).expand_as(self.away))[2] < bound)
         return (touch & (alone | ~alone.mT) & (self.mine > 0)).any(2)
@@ -154,7 +155,7 @@ class Near(NamedTuple):
         position = steps.position.flatten(0, 1)[who].unsqueeze(1)
         parts = torch.arange(1, _PLACES + 1, device=position.device, dtype=position.dtype) / _PLACES
         least = radius[who].unsqueeze(1)
-        room = torch.minimum(gap[who], least + MARGIN)
+        room = torch.minimum(gap[who], _plus(least, MARGIN, BODY_RADIUS))
         return cls(who, walls.rows(who), position, room, least, parts)
 
     def corrected(self, step: Tensor) -> Tensor:
@@ -174,10 +175,15 @@ class Near(NamedTuple):
         """Return who would touch a wall, and more than now (B, A) bool."""
         gap, _ = self._along(step.flatten(0, 1)[self.who])
         # corners are cut a little between two places
-        bound = torch.minimum(self.room, self.least + MARGIN / 2) - 1e-4
+        bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4
         found = torch.zeros(step.shape[0] * step.shape[1], dtype=torch.bool, device=step.device)
         found[self.who] = (gap < bound).any(1)
         return found.view(step.shape[:2])
 
     def _along(self, step: Tensor) -> tuple[Tensor, Tensor]:
         return self.walls.closest(self.position + self.parts.view(-1, 1) * step.unsqueeze(1))
+
+
+def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:
+    """Return radii (...) plus a margin, metres; the ``usual`` one gives exactly the sum of both constants."""
+    return (radius - usual) + (usual + margin)

@@ -126,6 +126,7 @@ class SocialForce(Policy):
             identity,
             None if not self._sees_walls else lambda place, rows: self._walls(tensordict, place, rows),
             fluctuation,
+            agents["radius"][..., 0],
         )
         return tensordict
 
