@@ -27,6 +27,21 @@ def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
     return velocity * (top_speed / speed).clamp_max(1.0).unsqueeze(-1)
 
 
+def heading_of(velocity: Tensor, before: Tensor | None = None, slowest: float = 0.0) -> Tensor:
+    """Return the directions (...) of velocities (..., 2), radians from the x axis.
+
+    Args:
+        velocity: In m/s.
+        before: The answer (...) where a velocity is not faster than ``slowest``; None for 0.
+        slowest: In m/s.
+    """
+    moves = velocity.square().sum(-1) > slowest * slowest
+    x, y = velocity.unbind(-1)
+    # the angle of a zero vector has no gradient
+    angle = torch.atan2(torch.where(moves, y, 0.0), torch.where(moves, x, 1.0))
+    return angle if before is None else torch.where(moves, angle, before)
+
+
 def nearest_part(away: Tensor, move: Tensor) -> Tensor:
     """Return at which part (...), 0 to 1, of a straight relative move (..., 2) two are nearest; no gradient.
 

@@ -1,34 +1,4 @@
-"""The legend that every docstring uses, and the one scene batch that flows through pedzoo.
-
-B scenes, A agents (padded), T steps, K samples; P people (all agents of a batch that are really there,
-packed). World frame: x right, y up; metres, seconds, radians.
-
-A scene batch is a TensorDict of batch size (B,). Recordings and the environment yield the same keys:
-
-=====================  =====================  ==========================================================
-key                    shape                  meaning
-=====================  =====================  ==========================================================
-agents/id              (B, A) long            who it is, for noise of their own; the slot where absent
-agents/history         (B, A, 8, 2)           world positions, oldest first, every 0.4 s
-agents/valid           (B, A, 8) bool         which of them are known
-agents/velocity        (B, A, 2)              current velocity, m/s
-agents/pref_speed      (B, A, 1)              the speed this person likes, m/s
-agents/goal            (B, A, 2)              short-term goal; absent under the goal protocol ``none``
-agents/desired_velocity(B, A, 2)              pref_speed towards the goal; absent with it
-agents/mask            (B, A) bool            a person is here
-agents/controlled      (B, A) bool            the policy moves this person
-agents/future          (B, A, T, 2)           recordings only: the true continuation
-agents/future_valid    (B, A, T) bool         which of it is known
-map_id                 (B, 1) long            floor plan in the MapBank, -1 for none
-scene_pose             (B, 4)                 rotation, mirror (+1 or -1) and shift of the scene against it
-prediction             (B, K, A, T, 2)        a model's answer: displacements per step, metres
-scene_key              (B, 1) long            environment only: names the scene, noise is drawn by it
-time                   (B, 1)                 environment only: seconds since the warm start
-agents/action          (B, A, 2)              a policy's answer: velocities, m/s
-agents/reward          (B, A, 1)              environment only, with agents/info, failed, done, terminated
-                                              and truncated: see `pedzoo.sim.env`
-=====================  =====================  ==========================================================
-"""
+"""The constants that every part agrees on; what a scene batch holds says `pedzoo.batch`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo import geometry
-from pedzoo.models.base import Forecaster, agents_of
+from pedzoo.batch import agents_of, scene_batch
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.base import Forecaster
 
 STEPS = 8
 
@@ -23,6 +25,7 @@ def make_batch(
     padding: float = float("nan"),
     steps: int = STEPS,
     seed: int = 0,
+    maps: MapBank | None = None,
 ) -> TensorDict:
     """Return scenes of ``sizes`` people who walk with a random, wavering velocity.
 
@@ -34,6 +37,7 @@ def make_batch(
         padding: What stands where nobody is: whoever reads it is found out.
         steps: Future steps.
         seed: Of everybody's walk.
+        maps: Floor plans; None for none.
     """
     random = torch.Generator().manual_seed(seed)
     scenes, people = len(sizes), max(sizes)
@@ -55,27 +59,22 @@ def make_batch(
         xy[:, :, step] = torch.where(known[:, :, step, None], xy[:, :, step], xy[:, :, step - 1])
     xy[~mask] = padding
     history, future = xy.split((8, steps), 2)
-    agents = {
-        "history": history,
-        "valid": known[..., :8] & mask[..., None],
-        "future": future,
-        "future_valid": known[..., 8:] & mask[..., None],
-        "velocity": (history[:, :, -1] - history[:, :, -2]) / 0.4,
-        "pref_speed": speed.norm(dim=-1) / 0.4,
-        "mask": mask,
-        "controlled": mask,
-    }
+    speed = speed.norm(dim=-1) / 0.4
+    goals = {}
     if goal:
-        agents["goal"] = xy[:, :, -1]
         to_goal = torch.nn.functional.normalize(xy[:, :, -1] - history[:, :, -1], dim=-1)
-        agents["desired_velocity"] = agents["pref_speed"] * to_goal
-    return TensorDict(
-        {
-            "agents": TensorDict(agents, batch_size=[scenes, people]),
-            "map_id": torch.full((scenes, 1), -1),
-            "scene_pose": geometry.identity_pose(scenes).to(dtype),
-        },
-        batch_size=scenes,
+        goals = {"goal": xy[:, :, -1], "desired_velocity": speed * to_goal}
+    return scene_batch(
+        maps=MapBank() if maps is None else maps,
+        map_id=torch.full((scenes, 1), -1),
+        pose=geometry.identity_pose(scenes).to(dtype),
+        history=history,
+        valid=known[..., :8] & mask[..., None],
+        mask=mask,
+        pref_speed=speed,
+        future=future,
+        future_valid=known[..., 8:] & mask[..., None],
+        **goals,
     )
 
 
@@ -84,6 +83,16 @@ def changed(batch: TensorDict, **agents: Tensor) -> TensorDict:
     copy = cast("TensorDict", batch.clone())
     for key, value in agents.items():
         agents_of(copy)[key] = value
+    return copy
+
+
+def on_plan(batch: TensorDict, bank: MapBank, row: int = 0, pose: Tensor | None = None) -> TensorDict:
+    """Return a copy of a batch whose scenes are on the floor plan ``row`` of a bank."""
+    copy = changed(batch)
+    copy.set_non_tensor("maps", bank)
+    copy["map_id"] = torch.full_like(batch["map_id"], bank.grids[row].map_id)
+    if pose is not None:
+        copy["scene_pose"] = pose
     return copy
 
 

@@ -12,10 +12,10 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
+from pedzoo.batch import agents_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.models.base import agents_of
 from pedzoo.models.controller import Controller
 from pedzoo.models.roster import number_of
 from pedzoo.sim.policy import Policy, load_policy
@@ -63,7 +63,6 @@ def arrays(answer: dict[Any, np.ndarray]) -> np.ndarray:
 def test_it_walks_as_the_same_policy_does_in_the_environment(env, name: str, deterministic: bool):
     env.set_seed(5)  # from the first scene of the seed again
     batch, policy = env.reset(), load_policy(name)
-    policy.bind(env.bank)
     kind = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
     with torch.no_grad(), set_exploration_type(kind):
         action = policy(batch.clone())["agents", "action"][0]

@@ -36,6 +36,7 @@ def made(velocity: Tensor, start: Tensor, bank: MapBank | None = None, **more: A
         "velocity": velocity,
         "progress": 0.4 * velocity[..., 0],
         "pref_speed": torch.ones(velocity.shape[:3]),
+        "radius": torch.full(velocity.shape[:3], 0.15),
         "goal": begin,
         "present": there,
         "moved": there,
@@ -254,7 +255,6 @@ def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
     model = pedzoo.load("sgan_goal_map.eth_ucy").train()
     env = make_env("door", 4, seed=0)
     walker = model.policy()
-    walker.bind(env.bank)
     segment = unrolled(env, walker, env.reset(), 6)
     torch.stack(list(LoopLosses()(segment, env.bank).values())).sum().backward()
     for name, parameter in model.named_parameters():

@@ -10,13 +10,13 @@ import pytest
 import torch
 from batches import random_weights
 
+from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.eval.forecast import forecast
 from pedzoo.metrics.displacement import displacement_error
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.base import agents_of
 from pedzoo.models.zoo import save_weights
 
 SAMPLED = {"ade_sampled_m", "fde_sampled_m", "sample_distance_m"} | {

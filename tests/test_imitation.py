@@ -14,14 +14,16 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
+from pedzoo.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.scenes import SceneSet
 from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
 from pedzoo.metrics import realism_features
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.base import agents_of, true_displacements
+from pedzoo.models.base import true_displacements
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.walker import Walker
@@ -60,7 +62,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def windows(recording: Path) -> SceneSet:
     parts = OwnFiles([str(recording)], 0.4, "0,0,1").recordings("test")
-    return SceneSet(parts, [-1], 8, 12, "present", 1)
+    return SceneSet(parts, [-1], MapBank(), 8, 12, "present", 1)
 
 
 @pytest.fixture
@@ -162,7 +164,7 @@ def test_bad_options_of_unrolling_are_refused() -> None:
 def test_people_see_and_do_what_they_would_in_the_environment(recording: Path, who: str) -> None:
     """The same people in the scenario replay, until the first of them really leaves."""
     parts = OwnFiles([str(recording)], 0.4, "0,0,1").recordings("test")
-    batch = SceneSet(parts, [-1], 8, 12, "present", 1).batch(torch.tensor([0]), "destination")
+    batch = SceneSet(parts, [-1], MapBank(), 8, 12, "present", 1).batch(torch.tensor([0]), "destination")
     model = stirred(plain_sgan(residual="bent_line", bottleneck_dim=8))
     walker = Walker(model, "episode")
 
@@ -277,7 +279,7 @@ def test_features_are_those_of_the_replay(batch: TensorDict) -> None:
     velocity[:, :, 1:] = xy.diff(dim=2) / 0.4
     person = torch.where(there, number, -1)
     known = there & torch.cat((torch.zeros_like(there[..., :1]), there[..., :-1]), 2)
-    steps = realism_features.Steps(xy, person, velocity, known, scored)
+    steps = realism_features.Steps(xy, person, velocity, known, scored, agents["radius"][..., 0])
     around = realism_features.surroundings(steps)
     expected = realism_features.features(
         steps, around, begin[:, :, 1].flatten(0, 1), agents["goal"].flatten(0, 1)

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from batches import agents_of, changed, make_batch, random_weights
+from batches import agents_of, changed, make_batch, on_plan, random_weights
 from torch import Tensor, nn
 
 from pedzoo import geometry
@@ -131,7 +131,6 @@ def test_rings_have_the_distances_of_the_bank_turned_to_the_heading() -> None:
     """First the distance here, then rings from the smallest, anticlockwise from straight ahead."""
     grid = room()
     bank, encoder = MapBank([grid]), RingEncoder(dim=4)
-    encoder.bind(bank)
     random = torch.Generator().manual_seed(0)
     angle = 2 * math.pi * torch.rand(6, generator=random)
     position = torch.tensor([2.0, 0.0]) + 3 * torch.rand(6, 2, generator=random)
@@ -139,7 +138,7 @@ def test_rings_have_the_distances_of_the_bank_turned_to_the_heading() -> None:
     pose = torch.tensor([[0.7, -1.0, 2.0, 1.0]]).repeat(6, 1)
     map_id = torch.full((6,), grid.map_id)
     scene, ahead = geometry.move_to_scene(position, pose), geometry.turn_to_scene(heading, pose)
-    found = encoder.distances(scene, ahead, map_id, pose)
+    found = encoder.distances(bank, scene, ahead, map_id, pose)
     assert found.shape == (6, 1 + len(RADII) * RAYS)
     for person in range(6):
         towards = math.atan2(float(ahead[person, 1]), float(ahead[person, 0]))
@@ -153,17 +152,17 @@ def test_rings_have_the_distances_of_the_bank_turned_to_the_heading() -> None:
         wanted = bank.signed_distance(points, map_id[:1], pose[:1])[0].clamp(-CLIP, CLIP)
         torch.testing.assert_close(found[person], wanted, atol=1e-4, rtol=0)
     assert float(found.min()) < 0 < float(found.max())
-    assert encoder(scene, ahead, map_id, pose).shape == (6, 4)
+    assert encoder(bank, scene, ahead, map_id, pose).shape == (6, 4)
 
 
 def test_rings_carry_gradients_to_positions_and_keep_no_map() -> None:
     torch.manual_seed(0)
     grid = room()
     encoder = RingEncoder(dim=32)
-    encoder.bind(MapBank([grid]))
+    bank = MapBank([grid])
     position = torch.tensor([[3.5, 0.5]], requires_grad=True)
     heading = torch.tensor([[1.0, 0.0]])
-    encoder(position, heading, torch.tensor([grid.map_id]), geometry.identity_pose(1)).sum().backward()
+    encoder(bank, position, heading, torch.tensor([grid.map_id]), geometry.identity_pose(1)).sum().backward()
     assert position.grad is not None and float(position.grad.abs().sum()) > 0
     assert all(key.startswith("net.") for key in encoder.state_dict())
 
@@ -205,9 +204,7 @@ def grown(plain: SGAN) -> SGAN:
 
 def test_what_is_new_says_nothing_before_training_and_can_be_learnt() -> None:
     plain = cast("SGAN", random_weights(SGAN(**GOAL)))
-    model, grid, batch = grown(plain), room(), make_batch((3, 1, 4))
-    model.bind(MapBank([grid]))
-    batch["map_id"] = torch.full_like(batch["map_id"], grid.map_id)
+    model, batch = grown(plain), on_plan(make_batch((3, 1, 4)), MapBank([room()]))
     noise = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(0))
     wanted = plain.next_steps(batch, noise, 8, 8)
     found = model.next_steps(batch, noise, 8, 8)

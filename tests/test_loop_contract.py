@@ -35,7 +35,6 @@ SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")
 def walked(env: PedestrianEnv, steps: int, policy: Any = None) -> list[Any]:
     """Return the results of some steps, without resets in between."""
     policy = policy or GoToGoal()
-    policy.bind(env.bank)
     now, results = env.reset(), []
     for _ in range(steps):
         results.append(env.step(policy(now)))
@@ -431,7 +430,6 @@ def test_a_partial_reset_changes_only_the_scenes_that_are_reset() -> None:
 def test_episodes_follow_one_another_in_a_long_rollout() -> None:
     env = make_env("door", num_envs=3, seed=5)
     policy = load_policy("orca")
-    policy.bind(env.bank)
     long = env.rollout(60, policy, break_when_any_done=False)
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
     assert all(len(row) > 1 for row in keys)

@@ -51,24 +51,21 @@ def people(grid: OccupancyGrid | None, n: int = 6) -> tuple[Tensor, Tensor, Tens
 
 
 @pytest.mark.parametrize("encoder", [PatchEncoder(dim=5), AlexNetEncoder(dim=5)])
-def test_unbound_encoders_say_so_and_empty_banks_do(encoder: MapEncoder) -> None:
-    with pytest.raises(UserError, match=r"call bind\(bank\)"):
-        encoder(*people(None))
-    encoder.bind(MapBank())
-    assert encoder(*people(None)).shape == (6, encoder.dim)
-    assert encoder(*people(None, 0)).shape == (0, encoder.dim)
+def test_empty_banks_serve_scenes_without_maps(encoder: MapEncoder) -> None:
+    assert encoder(MapBank(), *people(None)).shape == (6, encoder.dim)
+    assert encoder(MapBank(), *people(None, 0)).shape == (0, encoder.dim)
     with pytest.raises(UserError, match="not of this bank"):
-        encoder(*people(room()))
+        encoder(MapBank(), *people(room()))
 
 
 def test_a_wall_in_front_is_in_front() -> None:
     grid = room()
     encoder = PatchEncoder(size=4.0, cells=8)
-    encoder.bind(MapBank([grid]))
+    bank = MapBank([grid])
     # One metre before the wall: facing it, with the back to it, with it to the right, and to the left.
     heading = torch.tensor([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
     patch = encoder.patch(
-        torch.tensor([[3.0, 3.0]] * 4), heading, torch.full((4,), grid.map_id), identity_pose(4)
+        bank, torch.tensor([[3.0, 3.0]] * 4), heading, torch.full((4,), grid.map_id), identity_pose(4)
     )
     assert patch.shape == (4, 1, 8, 8)
     inside = patch[:, 0] < 0
@@ -82,22 +79,22 @@ def test_a_wall_in_front_is_in_front() -> None:
 def test_patches_turn_with_the_scene() -> None:
     grid = room()
     encoder = PatchEncoder()
-    encoder.bind(MapBank([grid]))
+    bank = MapBank([grid])
     position, heading, ids, plain = people(grid)
     for mirror in (1.0, -1.0):
         pose = torch.tensor([[1.1, mirror, 3.0, -2.0]]).repeat(6, 1)
-        turned = encoder.patch(move_to_scene(position, pose), turn_to_scene(heading, pose), ids, pose)
-        expected = encoder.patch(position, heading, ids, plain)
+        turned = encoder.patch(bank, move_to_scene(position, pose), turn_to_scene(heading, pose), ids, pose)
+        expected = encoder.patch(bank, position, heading, ids, plain)
         torch.testing.assert_close(turned, expected if mirror > 0 else expected.flip(2), atol=1e-4, rtol=0)
 
 
 def test_patches_train_and_carry_gradients_to_positions() -> None:
     grid = room()
     encoder = PatchEncoder()
-    encoder.bind(MapBank([grid]))
+    bank = MapBank([grid])
     position, heading, ids, pose = people(grid)
     position.requires_grad_()
-    encoder(position, heading, ids, pose).square().sum().backward()
+    encoder(bank, position, heading, ids, pose).square().sum().backward()
     assert position.grad is not None and position.grad.abs().sum() > 0
     assert all(weight.grad is not None for weight in encoder.parameters())
     assert all(key.startswith("net.") for key in encoder.state_dict())
@@ -144,14 +141,14 @@ def test_features_are_read_exactly_at_a_persons_place(
     origin = (3.0, -1.0, 0.4)
     grids = [OccupancyGrid(np.zeros((70, 130), np.uint8), resolution, origin, name="a"), room()]
     encoder = AlexNetEncoder(cell=0.4)
-    encoder.bind(MapBank(grids))
+    bank = MapBank(grids)
     width, height = 130 * resolution, 70 * resolution
     local = torch.tensor([[0.0, 0.0], [width, height], [0.3 * width, 0.9 * height], [width, 0.0]])
     cos, sin = math.cos(0.4), math.sin(0.4)
     places = local @ torch.tensor([[cos, sin], [-sin, cos]]) + torch.tensor(origin[:2])
     pose = torch.tensor([[0.5, -1.0, 7.0, 1.0]]).repeat(4, 1)
     ids = torch.full((4,), grids[0].map_id)
-    found = encoder.features(move_to_scene(places, pose), ids, pose)[:, :2]
+    found = encoder.features(bank, move_to_scene(places, pose), ids, pose)[:, :2]
     pixel = torch.tensor([width / math.ceil(width * 40 - 1e-6), height / math.ceil(height * 40 - 1e-6)])
     assert (pixel <= 0.4 / 16 + 1e-6).all()
     torch.testing.assert_close(found, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
@@ -161,29 +158,29 @@ def test_alexnet_features_tell_walls_from_floor_and_stay_out_of_checkpoints(weig
     grid, moved = room(), room("moved", (10.0, 5.0, 0.0))
     encoder = AlexNetEncoder(weights=str(weights))
     before = encoder.state_dict().keys()
-    encoder.bind(MapBank([grid]))
+    bank = MapBank([grid])
     position, heading, ids, pose = people(grid)
-    first = encoder.features(position, ids, pose)
+    first = encoder.features(bank, position, ids, pose)
     assert first.shape == (6, 256)
     assert first.std(0).max() > 0.1
-    assert encoder.features(position, torch.full_like(ids, -1), pose).abs().max() == 0
+    assert encoder.features(bank, position, torch.full_like(ids, -1), pose).abs().max() == 0
 
-    encoder(position.requires_grad_(), heading, ids, pose).sum().backward()
+    encoder(bank, position.requires_grad_(), heading, ids, pose).sum().backward()
     assert position.grad is not None and position.grad.abs().sum() > 0
     assert encoder.state_dict().keys() == before == {"head.0.weight", "head.0.bias"}
     assert sum(weight.numel() for weight in encoder.parameters()) == 257 * 32
 
     # Another bank, in which the same room is moved: the same features at moved places; the old map is gone.
-    encoder.bind(MapBank([moved]))
+    bank = MapBank([moved])
     shift = torch.tensor([10.0, 5.0])
     torch.testing.assert_close(
-        encoder.features(position + shift, torch.full_like(ids, moved.map_id), pose),
+        encoder.features(bank, position + shift, torch.full_like(ids, moved.map_id), pose),
         first,
         atol=1e-3,
         rtol=1e-3,
     )
     with pytest.raises(UserError, match="not of this bank"):
-        encoder.features(position, ids, pose)
+        encoder.features(bank, position, ids, pose)
 
 
 def test_alexnet_weights_are_read_from_both_formats_and_checked(

@@ -8,9 +8,9 @@ import pytest
 import torch
 from batches import changed, make_batch, random_weights
 
+from pedzoo.batch import agents_of, goals_of
 from pedzoo.errors import UserError
-from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, agents_of, goals_of
+from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks import lines
 from pedzoo.models.zoo import build, config_of, load
 from pedzoo.registry import MODELS
@@ -19,7 +19,6 @@ from pedzoo.registry import MODELS
 def made(name: str) -> Forecaster:
     """Return a model of default arguments, bound, with random weights."""
     model = random_weights(cast("Forecaster", MODELS.get(name)()))
-    model.bind(MapBank())
     return model.eval()
 
 
@@ -81,7 +80,6 @@ def test_built_again_from_its_config_and_state(name: str) -> None:
     other = build(config_of(model))
     assert type(other) is type(model) and other.config == model.config
     other.load_state_dict(model.state_dict())
-    other.bind(MapBank())
     seeds = [torch.Generator().manual_seed(1) for _ in range(2)]
     assert torch.equal(other.eval().sample(batch, 2, 8, seeds[0]), model.sample(batch, 2, 8, seeds[1]))
 

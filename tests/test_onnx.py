@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pytest
 import torch
-from batches import make_batch, random_weights
+from batches import make_batch, on_plan, random_weights
 from tensordict import TensorDict
 
+from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
 from pedzoo.errors import UserError
 from pedzoo.eval import onnx_export
@@ -20,7 +21,6 @@ from pedzoo.eval.onnx_parity import parity
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.base import agents_of
 from pedzoo.models.graph import Graph
 from pedzoo.models.graph_plan import plan_inputs
 from pedzoo.models.zoo import load, save_weights
@@ -107,9 +107,7 @@ def answered(written: Written, batch: TensorDict, noise: torch.Tensor) -> np.nda
 
 def expected(written: Written, batch: TensorDict, noise: torch.Tensor | None) -> np.ndarray:
     grid, model = furnished(), load(written.weights)
-    bank = MapBank([grid], "wall")
-    model.bind(bank)
-    batch["map_id"] = torch.full_like(batch["map_id"], grid.map_id)
+    batch = on_plan(batch, MapBank([grid], "wall"))
     with torch.no_grad():
         return model.next_steps(batch, noise, STEPS, STEPS).numpy()
 
@@ -240,9 +238,7 @@ def test_a_plan_as_input_is_seen_as_one_of_a_bank(kind: Any, alexnet: Path) -> N
     """Before any tracing: the floor plan's image and affine against the bank's atlas."""
     grid, model = furnished(), random_weights(SGAN(map=kind, map_dim=4))
     graph, bank = Graph(model, 8), MapBank([grid], "wall")
-    model.bind(bank)
-    batch = make_batch((6, 4), goal=False)
-    batch["map_id"] = torch.full_like(batch["map_id"], grid.map_id)
+    batch = on_plan(make_batch((6, 4), goal=False), bank)
     agents, noise = agents_of(batch), torch.ones(2, 6, 8)
     inputs: dict[str, Any] = {"history": agents["history"], "mask": agents["mask"], "noise": noise}
     inputs |= {key: torch.from_numpy(value) for key, value in plan_inputs(model, bank, grid).items()}

@@ -43,6 +43,12 @@ def walk(
     return orca_velocity(position, velocity, preferred, speed, mask, settings, **options)  # type: ignore[arg-type]
 
 
+def lines_of(position: Tensor, velocity: Tensor) -> Tensor:
+    radius = torch.full(position.shape[:2], SETTINGS.radius)
+    half = torch.full(position.shape[:2], 0.5)
+    return agent_lines(position, velocity, radius, half, present(position), None, SETTINGS)
+
+
 def crowd(scenes: int, agents: int, side: float, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
     """Return positions, velocities and preferred velocities of a random crowd (B, A, 2)."""
     random = torch.Generator().manual_seed(seed)
@@ -78,7 +84,7 @@ def test_lines_of_two_people_head_on_by_hand() -> None:
     # A leg of the cone that is tangent to the disk of radius 0.4 at distance 2: its angle has sine 0.2. The
     # relative velocity (2, 0) is 0.4 away from it; each does half.
     sine, cosine = 0.2, math.sqrt(0.96)
-    lines = agent_lines(position, velocity, present(position), None, SETTINGS)
+    lines = lines_of(position, velocity)
     assert lines.shape == (4, 1, 2)
     away = (0.2 * -sine, 0.2 * -cosine)
     assert lines[:, 0, 0].tolist() == pytest.approx([1 + away[0], away[1], -cosine, sine], abs=1e-6)
@@ -90,7 +96,7 @@ def test_lines_of_two_people_head_on_by_hand() -> None:
 
 def test_lines_of_people_at_rest_and_of_overlapping_people_by_hand() -> None:
     position = torch.tensor([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.1, 0.0]]])
-    lines = agent_lines(position, torch.zeros(2, 2, 2), present(position), None, SETTINGS)
+    lines = lines_of(position, torch.zeros(2, 2, 2))
     # at rest: the cut-off disk around (4, 0) / 2 s of radius 0.4 / 2 s begins at 1.8 m/s, half of it each
     assert lines[:, 0, 0].tolist() == pytest.approx([0.9, 0, 0, 1], abs=1e-6)
     # overlap 0.3 m: apart in one time step of 0.4 s, so 0.375 m/s backwards each
@@ -155,7 +161,9 @@ def test_passive_people_keep_their_velocity_and_are_avoided() -> None:
     passive = torch.rand(30, 6) < 0.4
     found = walk(position, velocity, preferred, passive=passive)
     assert torch.equal(found[passive], velocity[passive])
-    assert torch.equal(found[~passive], walk(position, velocity, preferred)[~passive])
+    nobody = walk(position, velocity, preferred, passive=torch.zeros_like(passive))
+    assert torch.equal(nobody, walk(position, velocity, preferred))
+    assert not torch.equal(found[~passive], nobody[~passive])
 
 
 def test_nearest_neighbours_only() -> None:
@@ -206,7 +214,7 @@ def best_of_disk(lines: Tensor, walls: int, max_speed: float) -> Tensor:
 
 def test_crowded_people_violate_as_little_as_possible() -> None:
     position, velocity, preferred = crowd(20, 10, 1.5)
-    lines = agent_lines(position, velocity, present(position), None, SETTINGS)
+    lines = lines_of(position, velocity)
     speed = torch.full((200,), 1.7)
     chosen = solve(lines, 0, preferred.flatten(0, 1).T.contiguous(), speed)
     worst = violation(lines, chosen).amax(0)
@@ -218,7 +226,7 @@ def test_crowded_people_violate_as_little_as_possible() -> None:
 
 def test_feasible_people_get_the_permitted_velocity_nearest_to_the_preferred() -> None:
     position, velocity, preferred = crowd(30, 5, 6.0)
-    lines = agent_lines(position, velocity, present(position), None, SETTINGS)
+    lines = lines_of(position, velocity)
     wished = preferred.flatten(0, 1).T.contiguous()
     chosen = solve(lines, 0, wished, torch.full((150,), 1.7))
     axis = torch.linspace(-1.7, 1.7, 121)
@@ -279,7 +287,7 @@ def test_a_wall_by_hand() -> None:
     position = torch.tensor([[[10.0, 2.0]], [[10.0, 1.1]], [[10.0, 3.5]]])
     preferred = torch.tensor([1.0, -1.0]).expand(3, 1, 2)
     near = walls.near(position[:, 0], ids.expand(3), identity_pose(3), 3.6)
-    lines = wall_lines(near, torch.zeros(2, 3), SETTINGS)
+    lines = wall_lines(near, torch.zeros(2, 3), torch.full((3,), 0.2), SETTINGS)
     # 0.8 m to the disk's edge in 2 s: at most 0.4 m/s towards the wall; in touch: none
     assert lines[1:, 0, 0].tolist() == pytest.approx([-0.4, 1, 0], abs=1e-5)
     assert lines[:, 0, 1].tolist() == pytest.approx([0, 0, 1, 0], abs=1e-5)
@@ -306,9 +314,14 @@ def test_walls_turn_and_mirror_with_the_scene_and_go_with_their_person() -> None
     assert (gap < 1e-3).float().mean() > 0.97
     assert (here - walk(position, velocity, preferred)).norm(dim=-1).max() > 0.3
 
-    passive = torch.rand(30, 5) < 0.5
-    some = walk(position, velocity, preferred, walls=near, passive=passive)
-    assert torch.equal(some[~passive], here[~passive])
+
+def test_agents_that_are_not_moved_are_avoided_alone() -> None:
+    """Head-on, 2 m apart: the relative velocity is 0.4 away from the tangent, and one makes all of it."""
+    position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
+    velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
+    chosen = walk(position, velocity, velocity, passive=torch.tensor([[False, True]]))[0]
+    assert chosen[0].tolist() == pytest.approx([1 - 0.4 * 0.2, -0.4 * math.sqrt(0.96)], abs=1e-6)
+    assert torch.equal(chosen[1], velocity[0, 1])
 
 
 def test_people_pressed_against_a_wall_do_not_enter_it() -> None:

@@ -44,7 +44,7 @@ def test_every_episode_has_one_outcome() -> None:
     stuck = torch.tensor([True, False, False, False, False, False])
     least = torch.tensor([1.0, 0.4, 0.1, 0.2, 0.5, nan])
     sweep = torch.deg2rad(torch.tensor([0.0, 170.0, 170.0, 120.0, 60.0, nan]))
-    found = outcomes(arrived, stuck, least, sweep)
+    found = outcomes(arrived, stuck, least, sweep, torch.full((6,), 0.15))
     names = [next(name for name in OUTCOMES if found[name][i]) for i in range(6)]
     assert names == ["blocked", "lost", "through", "circle", "pass", "pass"]
     assert torch.stack(list(found.values())).sum(0).tolist() == [1] * 6

@@ -16,12 +16,12 @@ from torch.distributions import Normal
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
+from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.geometry import rotate
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.base import agents_of
 from pedzoo.models.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.train.actor import Spread, actor
@@ -129,7 +129,6 @@ def test_untrained_critic_expects_what_somebody_alone_earns(lived: TensorDict) -
     assert critic.alone(way, speed).item() == pytest.approx(0.52 * (1 + 0.9 + 0.81), rel=1e-5)
     assert Critic(1.0).alone(way, speed).item() == pytest.approx(3 * 0.52)
     env = make_env("door:people=2", 2)
-    critic.bind(env.bank)
     now = env.reset()
     value = critic(now)["agents", "value"]
     people = now["agents"]
@@ -147,7 +146,6 @@ def trained_critic() -> Critic:
 
 def test_critic_does_not_notice_turns_shifts_order_and_padding() -> None:
     critic, env = trained_critic(), make_env("circle:people=4", 2)
-    critic.bind(env.bank)
     now = cast("TensorDict", env.reset())
     value = critic(now.clone())["agents", "value"]
     assert value.std() > 0.01
@@ -236,7 +234,6 @@ def test_advantages_are_those_of_everybodys_own_episode(lived: TensorDict) -> No
     """An oracle with loops: rewards end when a person leaves or when a new episode begins."""
     gamma, lam = 0.9, 0.8
     critic = trained_critic()
-    critic.bind(make_env("door:people=2").bank)
     found = rated(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(0, (4, 24))
     people, after = agents_of(found), cast("TensorDict", lived["next", "agents"])
     scored = people["scored"]
@@ -295,7 +292,6 @@ def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
 def frames(lived: TensorDict) -> tuple[Callable[[TensorDict], tuple[Tensor, list[Tensor]]], TensorDict]:
     """A loss with its gradients, as a function of decisions, and decisions."""
     model, critic, spread = small(), trained_critic(), Spread(0.2)
-    critic.bind(make_env("door:people=2").bank)
     loss = clipped(actor(Walker(model), spread), critic, 0.2, 0.01, 1.0, CPU)
     parameters = [*model.parameters(), *critic.parameters(), *spread.parameters()]
 

@@ -66,6 +66,8 @@ def a_rollout(positions: torch.Tensor, person: torch.Tensor, controlled: torch.T
         past=positions[:, :, :1].repeat(1, 1, 29, 1),
         pref_speed=torch.ones(episodes, agents),
         way=torch.ones(episodes, agents),
+        radius=torch.full((episodes, agents), 0.15),
+        kind=torch.zeros(episodes, agents, dtype=torch.long),
         map_id=torch.full((episodes,), -1),
         pose=identity_pose(episodes),
         goals=1,

@@ -127,7 +127,6 @@ class Truth(GoToGoal):
 
 def walked(env: PedestrianEnv, policy: Any) -> list[dict[str, Tensor]]:
     """Return the observations from the reset to the end of the first scene, with everybody's trace."""
-    policy.bind(env.bank)
     now, found, done = env.reset(), [], False
     while not done:
         agents: Any = now["agents"]
@@ -288,7 +287,6 @@ def run(scenario: Replay, policy: Any, dt: float = 0.4, episodes: int = 1) -> Ro
     """Return what a policy did."""
     env = make_env(scenario, num_envs=episodes, decision_dt=dt)
     policy = policy(env) if isinstance(policy, type) else policy
-    policy.bind(env.bank)
     with torch.no_grad():
         return walk_all(policy, env)
 
@@ -416,7 +414,6 @@ def test_a_scene_alone_and_in_a_batch_are_the_same(folder: Path) -> None:
 
     def scenes(count: int, first: int) -> list[Any]:
         env = make_env(scenario, num_envs=count, seed=2, first_episode=first)
-        policy.bind(env.bank)
         now, found = env.reset(), []
         for _ in range(36):
             found.append(env.step(policy(now)))

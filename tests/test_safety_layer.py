@@ -36,7 +36,8 @@ def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> Ste
     position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
     there = torch.ones(position.shape[:2], dtype=torch.bool)
     other = {"longest": torch.full(there.shape, longest), "present": there, "moved": there}
-    other |= {"waits": torch.zeros_like(there)}
+    other |= {"waits": torch.zeros_like(there), "robot": torch.zeros_like(there)}
+    other |= {"radius": torch.full(there.shape, BODY_RADIUS)}
     return Steps(position, step, **other | more)
 
 
@@ -170,7 +171,7 @@ def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
     ago = torch.arange(-7.0, 1.0).view(-1, 1)
     for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN), (0.3, SHOULDERS)):
         agents["history"] = (place.unsqueeze(1) + walked * ago * ahead.unsqueeze(1)).unsqueeze(0)
-        found = safe(seen, ahead.unsqueeze(0), env.bank)
+        found = safe(seen, ahead.unsqueeze(0))
         assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.02)
 
 
@@ -263,7 +264,6 @@ class Dash(Forecaster):
 def contacts(policy: Walker | Policy, scenario: str, decisions: int = 20) -> tuple[int, int]:
     """Return how many people touched others and walls in the decisions of 8 scenes."""
     env = make_env(scenario, 8, "grid")
-    policy.bind(env.bank)
     seen: TensorDictBase = env.reset(seed=0)
     agent = wall = 0
     for _ in range(decisions):
@@ -279,7 +279,6 @@ def test_a_crowd_before_a_door_does_not_jam() -> None:
     """Of 20 who press towards it those in front get away, though everybody else runs into them."""
     env = make_env("room_exit:people=20,entering=0,width=0.9", 4, "grid")
     policy = load_policy("go_to_goal:safety=true")
-    policy.bind(env.bank)
     seen: TensorDictBase = env.reset(seed=5)
     left = 60
     while not bool(seen["terminated"].all()):
@@ -301,7 +300,6 @@ def test_the_walker_says_what_was_asked_for_and_can_do_without() -> None:
     env = make_env("door:width=0.8", 4, "grid")
     seen = env.reset(seed=0)
     for walker, held in ((Walker(Dash(True)), True), (Walker(Dash(True), safety=False), False)):
-        walker.bind(env.bank)
         assert walker.safety is held
         assert (("agents", "asked") in walker(seen.clone()).keys(True)) is held
     assert Walker(load("sgan_goal.zara1")).safety is False

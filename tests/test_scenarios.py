@@ -99,7 +99,6 @@ def test_policies_walk(name: str, request: pytest.FixtureRequest) -> None:
         request.getfixturevalue("alexnet")
     policy = load_policy(name)
     env = make_env("goals:people=[2,4],pool=6", num_envs=3, decision_dt=policy.decision_dt)
-    policy.bind(env.bank)
     now: Any = env.reset()
     with torch.no_grad():
         action = policy(now)["agents", "action"]
@@ -137,7 +136,6 @@ def test_policies_of_ones_own(tmp_path: Path) -> None:
 def test_a_turned_and_mirrored_scene_is_walked_alike(name: str) -> None:
     policy = load_policy(f"{name}:jitter=0" if name == "orca" else name)
     env = make_env("door:people=4", num_envs=3, decision_dt=policy.decision_dt)
-    policy.bind(env.bank)
     now: Any = env.reset()
     pose = torch.tensor([[1.1, -1.0, 4.0, -2.0]]).repeat(3, 1)
     turned = now.clone()

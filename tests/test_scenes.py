@@ -34,7 +34,7 @@ def tracks() -> Tracks:
 
 
 def scene_set(people: People = "complete", min_people: int = 1) -> SceneSet:
-    return SceneSet([Recording(tracks())], [77], OBS, PRED, people, min_people)
+    return SceneSet([Recording(tracks())], [77], MapBank(), OBS, PRED, people, min_people)
 
 
 def agents(batch: TensorDict) -> TensorDict:
@@ -59,6 +59,10 @@ def test_keys_shapes_and_types() -> None:
         ("agents", "future"): ((3, 2, PRED, 2), torch.float32),
         ("agents", "future_valid"): ((3, 2, PRED), torch.bool),
         ("agents", "velocity"): ((3, 2, 2), torch.float32),
+        ("agents", "heading"): ((3, 2, 1), torch.float32),
+        ("agents", "radius"): ((3, 2, 1), torch.float32),
+        ("agents", "kind"): ((3, 2), torch.int64),
+        ("agents", "id"): ((3, 2), torch.int64),
         ("agents", "pref_speed"): ((3, 2, 1), torch.float32),
         ("agents", "goal"): ((3, 2, 2), torch.float32),
         ("agents", "desired_velocity"): ((3, 2, 2), torch.float32),
@@ -131,7 +135,7 @@ def test_random_future_is_later_on_the_same_track_and_seeded() -> None:
 
 def test_a_goal_where_the_person_stands_gives_no_direction() -> None:
     rows = [(t, who, who, 0.0) for who in (1, 2) for t in range(5)]
-    scenes = SceneSet([Recording(Tracks.from_table("still", np.array(rows)))], [-1], OBS, PRED)
+    scenes = SceneSet([Recording(Tracks.from_table("still", np.array(rows)))], [-1], MapBank(), OBS, PRED)
     batch = scenes.batch(torch.tensor([0]), "window_end")
     assert torch.equal(key(batch, "desired_velocity"), torch.zeros(1, 2, 2))
     assert torch.equal(key(batch, "pref_speed"), torch.zeros(1, 2, 1))
@@ -162,7 +166,7 @@ def test_partly_present_people_are_held_where_they_were_seen() -> None:
 
 def test_two_recordings_do_not_mix() -> None:
     other = Tracks("other", tracks().frame, tracks().agent, tracks().xy + 100)
-    scenes = SceneSet([Recording(tracks()), Recording(other)], [5, -1], OBS, PRED, "present", 1)
+    scenes = SceneSet([Recording(tracks()), Recording(other)], [5, -1], MapBank(), OBS, PRED, "present", 1)
     half = len(scenes) // 2
     for goal in ("window_end", "destination"):
         first, second = (scenes.batch(torch.arange(half) + start, goal) for start in (0, half))
@@ -189,7 +193,7 @@ def test_augmented_and_plain_batches_sample_the_same_map_at_the_same_people(shar
     (recording,) = EthUcy(fold, str(shared / "data")).recordings("test")
     assert recording.plan is not None
     bank = MapBank([OccupancyGrid.from_ros_yaml(recording.plan)])
-    scenes = SceneSet([recording], [bank.id_of(fold)], 8, 8)
+    scenes = SceneSet([recording], [bank.id_of(fold)], bank, 8, 8)
     plain, turned = augmented_pair(scenes)
     assert not torch.allclose(key(plain, "history"), key(turned, "history"), atol=0.5)
     for name in ("history", "future", "goal"):
@@ -227,7 +231,7 @@ def test_augmentation_keeps_distances_and_turns_everything_together() -> None:
 def test_mirrored_scenes_turn_the_other_way() -> None:
     """Angular velocity flips its sign exactly in scenes with mirror -1."""
     rows = [(t, who, np.cos(0.3 * t + who), np.sin(0.3 * t + who)) for who in (1, 2) for t in range(25)]
-    scenes = SceneSet([Recording(Tracks.from_table("left", np.array(rows)))], [-1], OBS, PRED)
+    scenes = SceneSet([Recording(Tracks.from_table("left", np.array(rows)))], [-1], MapBank(), OBS, PRED)
     _, turned = augmented_pair(scenes)
     step = key(turned, "history").diff(dim=2)
     turn = step[:, :, 0, 0] * step[:, :, 1, 1] - step[:, :, 0, 1] * step[:, :, 1, 0]

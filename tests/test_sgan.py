@@ -9,16 +9,16 @@ import pytest
 import torch
 import yaml
 from batches import changed, make_batch, of_people, random_weights
-from tensordict import TensorDict
+from tensordict import NonTensorData, TensorDict
 from test_blocks import plain_decoder, plain_encoder, plain_pooling
 from torch import Tensor
 
 from pedzoo import geometry
+from pedzoo.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.base import agents_of
 from pedzoo.models.blocks import lines
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.paths import find_config
@@ -238,7 +238,6 @@ ALL_KINDS = pytest.mark.parametrize(
 def of_kind(options: dict[str, Any]) -> SGAN:
     """Return a bound model in single precision."""
     model = cast("SGAN", random_weights(SGAN(**SMALL | options)))
-    model.bind(MapBank())
     return model
 
 
@@ -278,6 +277,7 @@ def test_scenes_do_not_see_each_other(options: dict[str, Any]) -> None:
                 "agents": TensorDict({k: agents[k][:, :people] for k in agents.keys()}, [1, people]),  # type: ignore[call-arg]
                 "map_id": alone["map_id"],
                 "scene_pose": alone["scene_pose"],
+                "maps": NonTensorData(MapBank(), batch_size=[1]),
             },
             batch_size=1,
         )
@@ -361,13 +361,13 @@ def test_a_goal_model_says_that_it_needs_a_goal() -> None:
         SGAN(**GOAL).sample(make_batch((2,), goal=False), 1, 8)
 
 
-def test_a_map_model_wants_the_bank_of_its_batch() -> None:
+def test_a_map_model_reads_the_bank_of_its_batch() -> None:
     model, batch = SGAN(map="patch"), make_batch((2, 2))
-    with pytest.raises(UserError, match="call bind"):
-        model.sample(batch, 1, 8)
+    with pytest.raises(UserError, match="does not say which floor plans"):
+        model.sample(batch.exclude("maps"), 1, 8)
     data = TrajectoryDataModule()
     data.setup("test")
-    model.bind(data.bank)
+    batch.set_non_tensor("maps", data.bank)
     assert model.sample(batch, 1, 8).isfinite().all()  # -1 is no map, which every bank knows
     batch["map_id"] = torch.full((2, 1), data.bank.id_of(data.bank.names[0]) + 1)
     with pytest.raises(UserError, match="is not of this bank"):
@@ -389,13 +389,13 @@ def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], me
 
 
 @pytest.fixture(scope="module")
-def training_batches() -> dict[str, tuple[TensorDict, MapBank]]:
-    """Two dozen embedded scenes without and with a goal, and the floor plan."""
+def training_batches() -> dict[str, TensorDict]:
+    """Two dozen embedded scenes without and with a goal."""
     found = {}
     for goal in ("none", "window_end"):
         data = TrajectoryDataModule(goal=goal, batch_size=24)
         data.setup("fit")
-        found[goal] = next(iter(data.train_dataloader())), data.bank
+        found[goal] = next(iter(data.train_dataloader()))
     return found
 
 
@@ -405,8 +405,7 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
         request.getfixturevalue("alexnet")
     options = yaml.safe_load(find_config(name).read_text())["model"]["init_args"]["generator"]["init_args"]
     model = SGAN(**options)
-    batch, bank = training_batches[model.goal_protocol]
-    model.bind(bank)
+    batch = training_batches[model.goal_protocol]
     optimizer = torch.optim.Adam(model.parameters())
     losses = []
     for step in range(30):

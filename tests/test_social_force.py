@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.batch import scene_batch
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
@@ -67,26 +68,29 @@ def crowd(scenes: int, agents: int, side: float, seed: int = 0) -> tuple[Tensor,
 
 
 def observation(
-    position: Tensor, velocity: Tensor, desired: Tensor, map_id: int = -1, pose: Tensor | None = None
+    position: Tensor,
+    velocity: Tensor,
+    desired: Tensor,
+    map_id: int = -1,
+    pose: Tensor | None = None,
+    maps: MapBank | None = None,
 ) -> TensorDict:
     scenes, agents = position.shape[:2]
     everybody = torch.ones(scenes, agents, dtype=torch.bool)
-    people = {
-        "history": position.unsqueeze(2).expand(-1, -1, 8, -1),
-        "velocity": velocity,
-        "desired_velocity": desired,
-        "pref_speed": desired.norm(dim=-1, keepdim=True),
-        "mask": everybody,
-        "controlled": everybody,
-    }
-    whole = {
-        "agents": TensorDict(people, [scenes]),
-        "map_id": torch.full((scenes, 1), map_id),
-        "scene_pose": identity_pose(scenes) if pose is None else pose,
-        "scene_key": torch.arange(scenes)[:, None],
-        "time": torch.zeros(scenes, 1),
-    }
-    return TensorDict(whole, [scenes])  # type: ignore[arg-type]
+    return scene_batch(
+        maps=MapBank() if maps is None else maps,
+        map_id=torch.full((scenes, 1), map_id),
+        pose=identity_pose(scenes) if pose is None else pose,
+        history=position.unsqueeze(2).expand(-1, -1, 8, -1),
+        valid=everybody.unsqueeze(-1).expand(-1, -1, 8),
+        mask=everybody,
+        velocity=velocity,
+        pref_speed=desired.norm(dim=-1, keepdim=True),
+        goal=position,
+        desired_velocity=desired,
+        key=torch.arange(scenes)[:, None],
+        time=torch.zeros(scenes, 1),
+    )
 
 
 def test_the_papers_parameters_are_the_default() -> None:
@@ -211,7 +215,6 @@ def test_who_is_behind_counts_less(anisotropy: Any, weight: float) -> None:
 
 def test_top_speed_by_hand() -> None:
     policy = SocialForce(fluctuation=0)
-    policy.bind(MapBank())
     desired = torch.tensor([[[0.6, 0.8]]])
     quick = policy(observation(torch.zeros(1, 1, 2), 5 * desired, desired))["agents", "action"]
     assert quick.flatten().tolist() == pytest.approx([1.3 * 0.6, 1.3 * 0.8])
@@ -257,7 +260,6 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
 
 def test_people_whom_the_policy_does_not_move_act_on_the_others() -> None:
     policy = SocialForce()
-    policy.bind(MapBank())
     seen = observation(*crowd(5, 4, 2.0))
     everybody = policy(seen)["agents", "action"]
     seen["agents", "controlled"] = torch.tensor([True, False, False, True]).expand(5, 4)
@@ -514,19 +516,20 @@ def test_walls_turn_with_map_and_scene() -> None:
     cells = np.random.default_rng(0).random((30, 30)) < 0.1
     policy = SocialForce(fluctuation=0)
     grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, 0.2, (1.0, -2.0, 0.4), name="random")
-    policy.bind(MapBank([grid]))
+    bank = MapBank([grid])
     position, velocity, desired = crowd(20, 4, 5.0)
     position = position + torch.tensor([0.0, -1.0])
-    here = policy(observation(position, velocity, desired, grid.map_id))["agents", "action"]
+    here = policy(observation(position, velocity, desired, grid.map_id, maps=bank))["agents", "action"]
     pose = torch.tensor([[2.1, -1.0, 4.0, -7.0]]).expand(20, 4)
     parts = move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)
-    there = policy(observation(*parts, grid.map_id, pose))["agents", "action"]
+    there = policy(observation(*parts, grid.map_id, pose, bank))["agents", "action"]
     assert torch.allclose(there, turn_to_scene(here, pose), atol=1e-3)
-    some = policy(observation(position[3:5], velocity[3:5], desired[3:5], grid.map_id))["agents", "action"]
+    some = policy(observation(position[3:5], velocity[3:5], desired[3:5], grid.map_id, maps=bank))[
+        "agents", "action"
+    ]
     assert torch.equal(some, here[3:5])
     blind = SocialForce(fluctuation=0, walls=False)
-    blind.bind(MapBank([grid]))
-    free = blind(observation(position, velocity, desired, grid.map_id))["agents", "action"]
+    free = blind(observation(position, velocity, desired, grid.map_id, maps=bank))["agents", "action"]
     assert not torch.allclose(free, here, atol=0.1)
     assert torch.equal(policy(observation(position, velocity, desired))["agents", "action"], free)
 
@@ -578,8 +581,6 @@ def test_fluctuations_are_the_scenes_own_and_free_people_who_meet_head_on() -> N
     position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
     velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
     exact, usual = SocialForce(fluctuation=0), SocialForce()
-    for policy in (exact, usual):
-        policy.bind(MapBank())
     straight = exact(observation(position, velocity, velocity))["agents", "action"]
     assert (straight[..., 1] == 0).all()
     once, again = (usual(observation(position, velocity, velocity))["agents", "action"] for _ in range(2))
@@ -604,7 +605,6 @@ def test_a_lone_person_needs_the_indoor_preset_to_pass_a_door(preset: Any, passe
     cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025
     policy = SocialForce(preset=preset)
     bank, map_id = block(cells)[0].bank, block(cells)[1]
-    policy.bind(bank)
     place, velocity, goal = (
         torch.tensor([[[1.0, 3.025 + side]]]),
         torch.zeros(1, 1, 2),
@@ -613,7 +613,7 @@ def test_a_lone_person_needs_the_indoor_preset_to_pass_a_door(preset: Any, passe
     for _ in range(60):
         way = goal - place
         desired = 1.3 * way / way.norm(dim=-1, keepdim=True)
-        velocity = policy(observation(place, velocity, desired, int(map_id)))["agents", "action"]
+        velocity = policy(observation(place, velocity, desired, int(map_id), maps=bank))["agents", "action"]
         place = place + 0.1 * velocity
         assert bank.signed_distance(place, map_id, identity_pose(1)).min() > 0.2
     assert (float(place[0, 0, 0]) > 4) == passes

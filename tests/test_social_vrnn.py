@@ -7,20 +7,20 @@ from typing import Any, cast
 
 import pytest
 import torch
-from batches import changed, make_batch, of_people, random_weights
-from tensordict import TensorDict
+from batches import changed, make_batch, of_people, on_plan, random_weights
+from tensordict import NonTensorData, TensorDict
 from torch import Tensor
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
 from pedzoo import geometry
+from pedzoo.batch import agents_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.architectures.social_vrnn import SocialVRNN
-from pedzoo.models.base import agents_of, known_displacements, true_displacements
+from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.zoo import save_weights
 from pedzoo.sim.make import make_env
@@ -55,15 +55,6 @@ def without_latents(model: SocialVRNN) -> SocialVRNN:
         cast("Tensor", model.decoder.lstm.weight_ih_l0).zero_()
         model.decoder.start.weight[:, -model.latent_dim :] = 0
     return model
-
-
-def on_plan(batch: TensorDict, number: int, pose: Tensor | None = None) -> TensorDict:
-    """Return a copy of a batch on a floor plan."""
-    copy = changed(batch)
-    copy["map_id"] = torch.full((len(batch), 1), number)
-    if pose is not None:
-        copy["scene_pose"] = pose
-    return copy
 
 
 def loss_of(model: SocialVRNN, batch: TensorDict, seed: int = 0) -> float:
@@ -236,13 +227,11 @@ def test_moving_turning_and_permuting_people(map: Any) -> None:
     """Beside a wall, too, where that is turned with the scene."""
     bank = make_env("door").bank
     model = cast("SocialVRNN", random_weights(SocialVRNN(**{**SMALL, "map": map}))).eval()
-    model.bind(bank)
-    plan = bank.grids[0].map_id
-    batch = on_plan(make_batch((3, 2), goal=False, padding=0.0), plan)
+    batch = on_plan(make_batch((3, 2), goal=False, padding=0.0), bank)
     pose = torch.tensor([[2.1, 1.0, 3.0, -5.0]]).expand(2, 4)
     agents = agents_of(batch)
     moved = changed(batch, **{k: geometry.move_to_scene(agents[k], pose) for k in ("history", "future")})
-    moved = on_plan(moved, plan, pose)
+    moved = on_plan(moved, bank, pose=pose)
     turn = torch.tensor([math.cos(2.1), math.sin(2.1)])
     for answer in (lambda b: model.mode(b, 8), lambda b: model.sample(b, 3, 8, seeded())):
         # a ten-thousandth of world x is in everybody's heading
@@ -269,6 +258,7 @@ def test_padding_and_other_scenes_never_matter() -> None:
                 "agents": agents_of(batch)[i : i + 1, :size],
                 "map_id": batch["map_id"][i : i + 1],
                 "scene_pose": batch["scene_pose"][i : i + 1],
+                "maps": NonTensorData(maps_of(batch), batch_size=[1]),
             },
             batch_size=1,
         )
@@ -303,12 +293,11 @@ def test_others_and_map_are_seen_where_asked_for() -> None:
         same = torch.equal(model.mode(batch, 8)[0, 0, :2], model.mode(elsewhere, 8)[0, 0, :2])
         assert same == (dim == 0)
     bank, batch = make_env("door").bank, make_batch((3,), goal=False)
-    beside_walls = on_plan(batch, bank.grids[0].map_id)
+    beside_walls = on_plan(batch, bank)
     kinds: tuple[Any, ...] = (None, "patch")
     for kind in kinds:
         model = cast("SocialVRNN", random_weights(SocialVRNN(**{**SMALL, "map": kind}))).eval()
         assert model.needs == frozenset(["map"] * (kind is not None))
-        model.bind(bank)
         assert torch.equal(model.mode(batch, 8), model.mode(beside_walls, 8)) == (kind is None)
 
 
@@ -383,8 +372,7 @@ def test_options_out_of_range(options: dict[str, Any]) -> None:
 
 
 def test_a_map_is_asked_for() -> None:
-    with pytest.raises(UserError, match="has no floor plans yet"):
-        SocialVRNN().mode(make_batch((2,), goal=False), 8)
     model = SocialVRNN()
-    model.bind(MapBank())
+    with pytest.raises(UserError, match="does not say which floor plans"):
+        model.mode(make_batch((2,), goal=False).exclude("maps"), 8)
     assert model.mode(make_batch((2,), goal=False), 8).isfinite().all()

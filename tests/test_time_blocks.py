@@ -7,13 +7,14 @@ import math
 import pytest
 import torch
 
+from pedzoo.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.line_density import NATS, line_likelihood, log_density, strayed
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
-from pedzoo.models.base import agents_of, known_displacements, true_displacements
+from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo import load
 
 

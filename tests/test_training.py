@@ -17,11 +17,12 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 import pedzoo
+from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.base import Forecaster, agents_of
+from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.train.gan import GANModule
 from pedzoo.train.module import ForecastModule

@@ -14,6 +14,7 @@ from pedzoo.data.scenes import SceneSet
 from pedzoo.data.tracks import Tracks
 from pedzoo.data.windows import Counts, People, Windows, cut_windows
 from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
 
 FRAMES = (0, 10, 20, 30, 40, 100)  # six steps; the hole before the last is not looked at
 SEEN = {1: (0, 1, 2, 3, 4, 5), 2: (0, 1, 2, 3), 3: (1, 2, 3, 4, 5), 4: (2,), 5: (1, 2, 4, 5)}
@@ -139,7 +140,9 @@ def test_counts_are_printed_in_words_and_add_up() -> None:
 
 
 def scenes_of(*tracks: Tracks, people: People = "complete", min_people: int = 2) -> SceneSet:
-    return SceneSet([Recording(one) for one in tracks], [-1] * len(tracks), 2, 2, people, min_people)
+    return SceneSet(
+        [Recording(one) for one in tracks], [-1] * len(tracks), MapBank(), 2, 2, people, min_people
+    )
 
 
 def test_a_window_longer_than_the_recording_names_the_lengths_and_the_way_out() -> None:
@@ -205,7 +208,7 @@ def test_a_huge_recording_stays_small_in_memory(people: People) -> None:
     frame, agent = (part.ravel() for part in np.meshgrid(np.arange(50), np.arange(2000)))
     tracks = Tracks("huge", frame.T.copy(), agent.copy(), np.zeros((len(frame), 2)))
     tracemalloc.start()
-    scenes = SceneSet([Recording(tracks)], [-1], 8, 8, people)
+    scenes = SceneSet([Recording(tracks)], [-1], MapBank(), 8, 8, people)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert scenes.sizes.tolist() == [2000] * 35

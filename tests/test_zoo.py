@@ -17,7 +17,6 @@ from safetensors.torch import load_file, save_file
 import pedzoo
 from pedzoo.errors import UserError
 from pedzoo.eval.publish import describe
-from pedzoo.maps.bank import MapBank
 from pedzoo.models import store, zoo
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
@@ -253,7 +252,6 @@ def test_really_shipped_weights_load_and_answer() -> None:
     batch = make_batch((3, 2))
     for name in list_models():
         found = load(name)
-        found.bind(MapBank())
         assert found.sample(batch, 2, 8).isfinite().all()
         assert zoo.architecture_of(found) in zoo.MODELS.names()
 
@@ -286,17 +284,15 @@ def test_no_map_and_no_frozen_network_is_saved(alexnet: Path, tmp_path: Path) ->
     batch = next(iter(data.test_dataloader()))
     for kind in ("patch", "alexnet"):
         model = SGAN(map=kind)
-        unbound = {key: value.clone() for key, value in model.state_dict().items()}
-        model.bind(data.bank)
+        untouched = {key: value.clone() for key, value in model.state_dict().items()}
         model.sample(batch, 1, 8)
-        assert model.state_dict().keys() == unbound.keys()
+        assert model.state_dict().keys() == untouched.keys()
         path = tmp_path / f"{kind}.safetensors"
         save_weights(model, path)
         parameters = sum(value.numel() for value in model.parameters())
         assert parameters < 60_000
         assert path.stat().st_size < 4 * parameters + 8_000
-        with pytest.raises(UserError, match="call bind"):
-            load(path).sample(batch, 1, 8)
+        assert torch.equal(load(path).mode(batch, 8), model.eval().mode(batch, 8))
 
 
 def test_weights_never_make_a_file_of_code_run(own: Path, tmp_path: Path) -> None:

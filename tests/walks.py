@@ -36,6 +36,8 @@ def made(path: Tensor, present: Tensor | None = None, **more: Any) -> Rollout:
         "past": path[:, :, :1].expand(-1, -1, 29, -1),
         "pref_speed": people + 1.0,
         "way": people + 1.0,
+        "radius": torch.full_like(people + 1.0, 0.15),
+        "kind": torch.zeros_like(people, dtype=torch.long),
         "map_id": torch.full((episodes,), -1),
         "pose": identity_pose(episodes),
         "goals": 1,

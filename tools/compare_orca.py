@@ -160,7 +160,9 @@ def classify(state: State, walk: Walk, scene: int, agent: int, theirs: Tensor) -
 def blocked(state: State, walls: WallSegments) -> Tensor:
     """Return who has no velocity (B, A) that obeys all walls."""
     velocity, preferred = (part.flatten(0, 1).T for part in (state.velocity, state.preferred))
-    lines = wall_lines(state.near(walls), velocity, SETTINGS)
+    lines = wall_lines(
+        state.near(walls), velocity, velocity.new_full(velocity.shape[1:], SETTINGS.radius), SETTINGS
+    )
     speed = torch.full(velocity.shape[1:], TOP_SPEED)
     failed = nearest(lines, preferred, preferred, speed, towards=False)[1]
     return (failed < lines.shape[1]).view(state.position.shape[:2])

@@ -29,7 +29,6 @@ def main(file: str, scenes: int, steps: int, goals: int) -> None:
     env = make_env(f"goals:map={file},people={PEOPLE},pool={goals}", scenes)
     found["planner ready"] = peak()
     policy = load_policy(MODEL)
-    policy.bind(env.bank)
     with torch.no_grad():
         now = env.reset()
         for _ in range(steps):

@@ -31,7 +31,7 @@ PROTOCOL = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_peopl
 
 
 class TrajectoryDataModule(L.LightningDataModule):
-    """Recorded people of one fold, as scene batches (see `pedzoo.types`)."""
+    """Recorded people of one fold, as scene batches (see `pedzoo.batch`)."""
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class TrajectoryDataModule(L.LightningDataModule):
 
     def _scenes(self, recordings: list[Recording], steps: int, people: People, min_people: int) -> SceneSet:
         ids = [self._grids[r.plan].map_id if r.plan else -1 for r in recordings]
-        return SceneSet(recordings, ids, self.obs_len, steps, people, min_people)
+        return SceneSet(recordings, ids, self.bank, self.obs_len, steps, people, min_people)
 
     def train_dataloader(self) -> Any:
         """Return shuffled, augmented batches; with ``unroll`` two loaders, of which Lightning makes one."""

@@ -10,9 +10,11 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo import geometry
+from pedzoo.batch import scene_batch
 from pedzoo.data.goals import recorded_goals
 from pedzoo.data.recordings import Recording
 from pedzoo.data.windows import People, cut_windows, why_empty
+from pedzoo.maps.bank import MapBank
 from pedzoo.types import STEP_SECONDS, GoalProtocol
 
 POSITIONS, DIRECTIONS = {"history", "future", "goal"}, {"velocity", "desired_velocity"}
@@ -28,6 +30,7 @@ class SceneSet:
         end: Row of the last recorded position (W,) int32 of that person.
         offsets: Where each scene's people start in ``rows`` (S + 1,).
         map_id: Floor plan of each scene (S,), -1 for none.
+        maps: The bank of these floor plans.
         recording: Number of the recording that each scene is of (S,).
         counts: Each recording's name, and what was kept and dropped of it.
     """
@@ -36,6 +39,7 @@ class SceneSet:
         self,
         recordings: Sequence[Recording],
         map_ids: Sequence[int],
+        maps: MapBank,
         obs_len: int,
         pred_len: int,
         people: People = "complete",
@@ -43,10 +47,19 @@ class SceneSet:
     ) -> None:
         """Cut the windows of all recordings.
 
+        Args:
+            recordings: The recordings.
+            map_ids: Floor plan of each, -1 for none.
+            maps: The floor plans.
+            obs_len: Observed steps of 0.4 s.
+            pred_len: Predicted steps of 0.4 s.
+            people: As of `cut_windows`.
+            min_people: Windows with fewer people are dropped.
+
         Raises:
             UserError: No recording gives a single window.
         """
-        self.obs_len, self.pred_len = obs_len, pred_len
+        self.obs_len, self.pred_len, self.maps = obs_len, pred_len, maps
         cut = [cut_windows(r.tracks, obs_len, pred_len, people, min_people) for r in recordings]
         if not any(windows.counts.windows for windows in cut):
             raise why_empty([r.tracks for r in recordings], obs_len, pred_len, people, min_people)
@@ -86,7 +99,7 @@ class SceneSet:
         pose: Tensor | None = None,
         generator: torch.Generator | None = None,
     ) -> TensorDict:
-        """Return the scene batch (see `pedzoo.types`) of ``scenes`` (B,).
+        """Return the scene batch (see `pedzoo.batch`) of ``scenes`` (B,).
 
         Args:
             scenes: Numbers of the scenes.
@@ -117,14 +130,8 @@ class SceneSet:
         else:
             agents |= {key: geometry.move_to_scene(agents[key], pose) for key in POSITIONS & agents.keys()}
             agents |= {key: geometry.turn_to_scene(agents[key], pose) for key in DIRECTIONS & agents.keys()}
-        agents |= {"mask": mask, "controlled": mask}
-        return TensorDict(
-            {
-                "agents": TensorDict(agents, batch_size=mask.shape),
-                "map_id": self.map_id[scenes].unsqueeze(1),
-                "scene_pose": pose,
-            },
-            batch_size=len(scenes),
+        return scene_batch(
+            maps=self.maps, map_id=self.map_id[scenes].unsqueeze(1), pose=pose, mask=mask, **agents
         )
 
 

@@ -69,7 +69,7 @@ def forecast_row(
 
     Args:
         name: What the row is called.
-        model: The forecaster; it is bound to the data's floor plans.
+        model: The forecaster.
         data: As of `forecast`, like all that follows.
         samples: K of the best-of-K errors.
         seed: Of the samples.
@@ -82,7 +82,6 @@ def forecast_row(
     if "goal" in model.needs and data.goal == "none":
         raise UserError(f"{name} needs a goal: set --data.goal (it was trained on {model.goal_protocol})")
     data.setup(STAGES[split])
-    model.bind(data.bank)
     loader = getattr(data, f"{split}_dataloader")()
     score, generator, people = ForecastScore(samples), torch.Generator().manual_seed(seed), 0
     sums = BlockSums(data.sets[split])

@@ -9,11 +9,12 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.metrics.intervals import Interval
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
-from pedzoo.models.base import agents_of, known_displacements, true_displacements
+from pedzoo.models.base import known_displacements, true_displacements
 
 LEAST = 0.02
 """Metres per step: the smallest standard deviation, for people who stand at exactly one place."""

@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
+from pedzoo.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.errors import UserError
-from pedzoo.models.base import Forecaster, agents_of
+from pedzoo.models.base import Forecaster
 from pedzoo.models.graph import Graph
 from pedzoo.models.graph_plan import plan_inputs
 
@@ -87,11 +88,10 @@ def _difference(found: Any, expected: np.ndarray) -> float:
 
 
 def _embedded(model: Forecaster) -> tuple[TensorDict, dict[str, Any]]:
-    """Return a batch of the embedded recording, whose floor plan ``model`` is bound to, and that plan."""
+    """Return a batch of the embedded recording, and its floor plan as ``model`` sees it."""
     data = TrajectoryDataModule(fold="embedded", goal="window_end" if "goal" in model.needs else "none")
     with redirect_stdout(io.StringIO()):  # counts of windows and people, which say nothing here
         data.setup("test")
-    model.bind(data.bank)
     plan = plan_inputs(model, data.bank, data.bank.grids[0]) if "map" in model.needs else {}
     return next(iter(data.test_dataloader())), plan
 

@@ -46,7 +46,6 @@ def plot_forecasts(
     scenes = data.sets["test"]
     crowded = (scenes.sizes >= min(3, int(scenes.sizes.max()))).nonzero().flatten()
     chosen = crowded[torch.linspace(0, len(crowded) - 1, min(panels, len(crowded))).long()]
-    model.bind(data.bank)
     batch = scenes.batch(chosen, data.goal, generator=torch.Generator().manual_seed(seed))
     agents: Any = batch["agents"]
     random = torch.Generator().manual_seed(seed)

@@ -75,7 +75,6 @@ def prepare(
     settings |= {"world": world, "seed": seed, "decision_dt": walks.decision_dt}
     env = make_env(scenario, num_envs=-(-episodes // runs), **settings)
     env.policy_name = policy
-    walks.bind(env.bank)
     return walks, env
 
 
@@ -105,7 +104,7 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
     """Return one episode of every scene of ``env``, from its reset to the end of the last one.
 
     Args:
-        policy: Decides; bound to the bank of ``env``.
+        policy: Decides.
         env: The scenes.
         ended: Called after every decision with the number of episodes that are over.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
+from weakref import WeakValueDictionary
 
 import torch
 from torch import Tensor
@@ -24,6 +25,9 @@ class MapBank:
 
     A ``map_id`` says which floor plan a scene is on, -1 for none; being a hash of the content, it is the same
     in every bank and never mistaken for a map of another one.
+
+    Banks never change, and those with the same content are equal, on whichever device. What is unpickled or
+    copied is the equal bank of this process where there is one, so nothing is computed twice for it.
 
     Attributes:
         grids: The floor plans, in the given order without repetitions: row r of the bank is ``grids[r]``.
@@ -58,6 +62,22 @@ class MapBank:
         rows = [row if identity >= 0 else -1 for identity, row in order]
         self._sorted_ids = torch.tensor([identity for identity, _ in order])
         self._rows = torch.tensor(rows)
+        # without a map it does not matter what unknown cells count as
+        named = sorted((grid.name, grid.map_id) for grid in self.grids)
+        self._content = (*named, unknown if grids else None, max_distance)
+        self._hash = hash(self._content)
+        self._copies: dict[torch.device, MapBank] = {}
+        if type(self) is MapBank:
+            _ALIVE.setdefault(self._content, self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, MapBank) and self._content == other._content)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._content, self.grids, self._ids, self.unknown, self.max_distance)
 
     @cached_property
     def _atlas(self) -> Atlas:
@@ -86,6 +106,11 @@ class MapBank:
         return walls.affine.numpy(), walls.place.numpy(), walls.side.numpy(), walls.least.numpy()
 
     @property
+    def device(self) -> torch.device:
+        """Where its tensors are."""
+        return self._rows.device
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The names that ``id_of`` knows."""
         return tuple(self._ids)
@@ -101,20 +126,20 @@ class MapBank:
         return self._ids[name]
 
     def to(self, device: torch.device | str) -> MapBank:
-        """Return the bank on a device: itself where it is there already, else a copy (others own it too)."""
-        if self._rows.device == torch.device(device):
+        """Return the bank on a device: itself where it is there already, else a copy, made once."""
+        device = torch.device(device)
+        if self.device == device:
             return self
-        moved = object.__new__(MapBank)
-        moved.__dict__.update(self.__dict__)
-        moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
-        moved._atlas = self._atlas.to(device)
-        for made in (
-            "_walls",
-            "wall_arrays",
-            "map_arrays",
-        ):  # made anew on the device where somebody asks for it
-            moved.__dict__.pop(made, None)
-        return moved
+        if device not in self._copies:
+            moved = object.__new__(MapBank)
+            moved.__dict__.update(self.__dict__)
+            moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
+            moved._atlas = self._atlas.to(device)
+            for made in ("_walls", "wall_arrays", "map_arrays"):  # made anew on the device at first use
+                moved.__dict__.pop(made, None)
+            moved._copies = {self.device: self}
+            self._copies[device] = moved
+        return self._copies[device]
 
     def index(self, map_id: Tensor) -> Tensor:
         """Return the row in this bank of each ``map_id`` (N,) long; -1 stays -1.
@@ -128,7 +153,7 @@ class MapBank:
             raise UserError(
                 f"map_id {int(map_id[foreign][0])} is not of this bank, which holds "
                 f"{', '.join(f'{name} ({identity})' for name, identity in self._ids.items()) or 'no map'}: "
-                "bind the model to the bank that the batch comes from, model.bind(bank)"
+                "make the batch with the bank that its map_id is of, scene_batch(maps=...)"
             )
         return self._rows[place]
 
@@ -205,3 +230,22 @@ class MapBank:
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
         return LocalWalls.on_map(self._walls, row)
+
+
+_ALIVE: WeakValueDictionary[tuple[Any, ...], MapBank] = WeakValueDictionary()
+"""The banks of this process by their content, one of equal ones."""
+
+
+def _restored(
+    content: tuple[Any, ...],
+    grids: Sequence[OccupancyGrid],
+    ids: dict[str, int],
+    unknown: Unknown,
+    max_distance: float,
+) -> MapBank:
+    """Return the bank of this process with such content, made where there is none."""
+    found = _ALIVE.get(content)
+    if found is None:
+        found = MapBank(grids, unknown, max_distance)
+        found._ids = ids  # a floor plan may have two names
+    return found

@@ -188,7 +188,7 @@ def _ahead(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
     """Return what would happen if all kept their velocities, at the ends of the 0.4 s windows."""
     velocity, there = smoothness.velocities(rollout.path, rollout.met)
     ends = slice(smoothness.WINDOW - 1, None, smoothness.WINDOW)
-    seconds = safety.time_to_collision(rollout.trace[:, :, ends], velocity, there)
+    seconds = safety.time_to_collision(rollout.trace[:, :, ends], velocity, there, rollout.radius)
     meets = seconds.isfinite() & scored[:, :, ends]
     return {
         "time_to_collision_s": mean(seconds, meets),

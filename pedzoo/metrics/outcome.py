@@ -5,7 +5,7 @@ has exactly one outcome:
 
 * ``blocked``: not both arrive in time, and one of them was deadlocked.
 * ``lost``: not both arrive in time, though nobody stood still.
-* ``through``: both arrive, but their centres came closer than 0.15 m, the radius of a body: no avoidance.
+* ``through``: both arrive, but their centres came closer than the radius of a body (0.15 m): no avoidance.
 * ``circle``: both arrive, and while they were closer than 0.6 m the bearing of the other turned by 90 degrees
   or more: they turn around each other.
 * ``pass``: both arrive at a distance, or one after the other.
@@ -21,7 +21,6 @@ from torch import Tensor
 from pedzoo.metrics import door, navigation, safety
 from pedzoo.metrics.ratios import Ratio, finite, share
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.types import BODY_RADIUS
 
 OUTCOMES = ("blocked", "lost", "through", "circle", "pass")
 
@@ -46,14 +45,15 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     near = safety.least_distance(safety.nearest(rollout.trace, rollout.present), rollout.scored).amin(1)
     both = door.of_pair(rollout.scored, pair).all(1) & meets.unsqueeze(1)
     sweep = bearing_sweep(door.of_pair(rollout.trace, pair), both)
-    found = outcomes((arrived | ~rollout.mask).all(1), stuck.any(1), near, sweep)
+    body = door.of_pair(rollout.radius, pair).mean(1)
+    found = outcomes((arrived | ~rollout.mask).all(1), stuck.any(1), near, sweep, body)
     return {
         **{f"outcome_{name}": share(which) for name, which in found.items()},
         "bearing_sweep_deg": finite(torch.rad2deg(sweep)),
     }
 
 
-def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor) -> dict[str, Tensor]:
+def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor, body: Tensor) -> dict[str, Tensor]:
     """Return which episodes (E,) bool have each of the `OUTCOMES`.
 
     Args:
@@ -61,8 +61,9 @@ def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor) -> di
         stuck: Whether anybody was deadlocked (E,) bool.
         least: Distance of the nearest two (E,), metres; infinite for a lone person.
         sweep: How far their bearing turned (E,), radians; infinite where they never came close.
+        body: Mean radius of the two bodies (E,), metres.
     """
-    overlapped, turned = least < BODY_RADIUS, sweep.isfinite() & (sweep >= QUARTER)
+    overlapped, turned = least < body, sweep.isfinite() & (sweep >= QUARTER)
     avoided = arrived & ~overlapped
     found = (~arrived & stuck, ~arrived & ~stuck, arrived & overlapped, avoided & turned, avoided & ~turned)
     return dict(zip(OUTCOMES, found, strict=True))

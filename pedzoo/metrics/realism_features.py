@@ -18,7 +18,7 @@ from pedzoo.metrics.realism import Samples
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.safety import HORIZON, collision_seconds
 from pedzoo.metrics.smoothness import WINDOW, acceleration, heading_rate
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.types import STEP_SECONDS
 
 FEATURES = {
     "speed": "m_per_s",
@@ -50,6 +50,7 @@ class Steps(NamedTuple):
         known: Whether the same person was there at their begin (E, A, S) bool.
         scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known. Not the step in
             which they arrive: who decides every 0.1 s leaves in the middle of it.
+        radius: Radii of the bodies (E, A), metres.
     """
 
     xy: Tensor
@@ -57,6 +58,7 @@ class Steps(NamedTuple):
     velocity: Tensor
     known: Tensor
     scored: Tensor
+    radius: Tensor
 
 
 class Surroundings(NamedTuple):
@@ -94,7 +96,7 @@ def every_step(rollout: Rollout) -> Steps:
     scored = torch.zeros_like(known)
     walks = rollout.controlled & (rollout.reached < rollout.goals)
     scored[..., 2:] = walks[..., last::WINDOW]
-    return Steps(xy, person, velocity, known, scored & known)
+    return Steps(xy, person, velocity, known, scored & known, rollout.radius)
 
 
 def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
@@ -138,20 +140,28 @@ def surroundings(steps: Steps) -> Surroundings:
     """Return what is around every scored step; others count whether they are scored or played back."""
     episode, slot, step = steps.scored.nonzero().unbind(1)
     place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
+    place = (*place, steps.radius.unsqueeze(2).expand_as(steps.person))
     rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): all who are there at once
     moments = episode * steps.person.shape[2] + step
     size = max(1, _AT_ONCE // steps.xy.shape[1])
     found = []
     for moment, own in zip(moments.split(size), slot.split(size), strict=True):
-        x, y, vx, vy, there, known = (value[moment] for value in rows)
-        found.append(_around(x, y, vx, vy, there, known, own))
+        x, y, vx, vy, there, known, radius = (value[moment] for value in rows)
+        found.append(_around(x, y, vx, vy, there, known, radius, own))
     nearest, collision, close = (torch.cat(values) for values in zip(*found, strict=True))
     speed = steps.velocity[episode, slot, step].norm(dim=-1)
     return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)
 
 
 def _around(
-    x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, there: Tensor, known: Tensor, slot: Tensor
+    x: Tensor,
+    y: Tensor,
+    vx: Tensor,
+    vy: Tensor,
+    there: Tensor,
+    known: Tensor,
+    radius: Tensor,
+    slot: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return distance, time to collision and number of those close to whoever is in a ``slot`` (N,) each.
 
@@ -162,13 +172,15 @@ def _around(
         vy: Likewise.
         there: Whether there is somebody (N, A) bool.
         known: Whether they have a velocity (N, A) bool.
+        radius: Radii of the bodies (N, A), metres.
         slot: Whose surroundings are wanted (N,) long.
     """
     own = slot.unsqueeze(1)
     x, y, vx, vy = (value - value.gather(1, own) for value in (x, y, vx, vy))
     others = there.scatter(1, own, False)
     apart = x.square().addcmul_(y, y).sqrt_().masked_fill_(~others, math.inf)
-    when = collision_seconds(x, y, vx, vy, 2 * BODY_RADIUS).masked_fill_(~(others & known), HORIZON)
+    reach = (radius + radius.gather(1, own)).to(x)
+    when = collision_seconds(x, y, vx, vy, reach).masked_fill_(~(others & known), HORIZON)
     return apart.amin(1), when.amin(1), (apart < CLOSE).sum(1)
 
 

@@ -45,6 +45,8 @@ class Rollout:
         past: The warm start (E, A, 29, 2), its last point is where the episode begins.
         pref_speed: The speed that people like (E, A), m/s.
         way: Length of the way to the first goal (E, A), metres.
+        radius: Radii of the bodies (E, A), metres.
+        kind: `pedzoo.batch.PERSON` or `ROBOT` (E, A) long.
         map_id: Floor plan (E,) long.
         pose: Scene poses (E, 4).
         goals: Goals that everybody had to reach.
@@ -67,6 +69,8 @@ class Rollout:
     past: Tensor
     pref_speed: Tensor
     way: Tensor
+    radius: Tensor
+    kind: Tensor
     map_id: Tensor
     pose: Tensor
     goals: int

@@ -109,30 +109,33 @@ def compliance_igibson(nearest: Tensor, scored: Tensor) -> Tensor:
 
 
 def time_to_collision(
-    position: Tensor, velocity: Tensor, there: Tensor, radius: float = BODY_RADIUS
+    position: Tensor, velocity: Tensor, there: Tensor, radius: Tensor | None = None
 ) -> Tensor:
     """Return after how long each person would touch somebody if all kept their velocities (E, A, S), seconds.
 
-    For two people ``p`` apart with velocity ``v`` relative to each other and ``R`` twice the radius, the
-    smaller root of ``|p + v t| = R``. 0 where they touch already, 10 where they would touch later than in
+    For two people ``p`` apart with velocity ``v`` relative to each other and ``R`` the sum of their radii,
+    the smaller root of ``|p + v t| = R``. 0 where they touch already, 10 where they would touch later than in
     10 s or never; the least over all others who are there, infinite for who is alone or not there.
 
     Args:
         position: (E, A, S, 2), metres.
         velocity: (E, A, S, 2), m/s.
         there: Who is there, with a known velocity (E, A, S) bool.
-        radius: Of a body, metres.
+        radius: Radii of the bodies (E, A), metres; None for those of people.
     """
+    own = position.new_full(position.shape[:2], BODY_RADIUS) if radius is None else radius.to(position)
+    own = own[..., None, None].expand(*position.shape[:3], 1)
     parts = []
-    for *values, absent in _frames(there, position, velocity):
+    for *values, size, absent in _frames(there, position, velocity, own):
         x, y, vx, vy = (value.unsqueeze(1) - value.unsqueeze(2) for value in values)
-        seconds = collision_seconds(x, y, vx, vy, 2 * radius).add_(absent)
+        reach = size.unsqueeze(1) + size.unsqueeze(2)
+        seconds = collision_seconds(x, y, vx, vy, reach).add_(absent)
         seconds.diagonal(dim1=1, dim2=2).fill_(torch.inf)
         parts.append(seconds.amin(2))
     return _of_people(parts, there)
 
 
-def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: float) -> Tensor:
+def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: Tensor) -> Tensor:
     """Return when pairs touch who keep their velocities, at most 10 s; see `time_to_collision`.
 
     Args:
@@ -140,7 +143,7 @@ def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: float
         y: Likewise.
         vx: Velocity of the other less that of the one (...), m/s.
         vy: Likewise.
-        reach: Distance at which they touch, metres.
+        reach: Distance at which they touch (...), metres.
     """
     closing = (x * vx).addcmul_(y, vy).neg_()  # -p.v
     gap = x.square_().addcmul_(y, y).sub_(reach**2)  # |p|^2 - R^2
@@ -156,14 +159,16 @@ def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
 
     Args:
         there: Who is there (E, A, T) bool.
-        vectors: (E, A, T, 2) each.
+        vectors: (E, A, T, D) each.
 
     Yields:
-        x and y of each of the vectors (F, A), and 0 for others who are there and infinity for those who are
-        not, (F, 1, A): to be added to what pairs (F, A, A) have.
+        Each component of each of the vectors (F, A). Last, 0 for others who are there and infinity for those
+        who are not, (F, 1, A): to be added to what pairs (F, A, A) have.
     """
     agents = there.shape[1]
-    by_frame = [value for one in vectors for value in one.permute(3, 0, 2, 1).reshape(2, -1, agents)]
+    by_frame = [
+        value for one in vectors for value in one.permute(3, 0, 2, 1).reshape(one.shape[3], -1, agents)
+    ]
     absent = torch.zeros_like(by_frame[0]).masked_fill_(~there.transpose(1, 2).reshape(-1, agents), torch.inf)
     size = max(1, _AT_ONCE // max(1, agents**2))
     for first in range(0, max(1, len(absent)), size):

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pedzoo.batch import agents_of
 from pedzoo.errors import UserError
-from pedzoo.maps.bank import MapBank
 from pedzoo.types import GoalProtocol
 
 if TYPE_CHECKING:
@@ -72,9 +72,6 @@ class Forecaster(nn.Module):
         future = self.sample(batch, 1, horizon) if noise is not None else self.mode(batch, horizon)
         return future[:, 0, :, :steps]
 
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans that ``map_id`` speaks of; only map-conditioned models use them."""
-
     def policy(self, noise: Noise | None = None, execute_steps: int = 1) -> Walker:
         """Return the model as a TorchRL policy; arguments as `pedzoo.models.walker.Walker`."""
         from pedzoo.models.walker import Walker
@@ -112,19 +109,6 @@ class Forecaster(nn.Module):
         return None
 
 
-def agents_of(batch: TensorDict) -> TensorDict:
-    """Return what a batch says about its people."""
-    return cast("TensorDict", batch["agents"])
-
-
-def ids_of(batch: TensorDictBase) -> Tensor:
-    """Return who everybody is (B, A) long, for draws of their own: the slot where nothing else is said."""
-    agents = cast("TensorDict", batch["agents"])
-    mask = agents["mask"]
-    slots = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
-    return cast("Tensor", agents.get("id", slots))
-
-
 def true_displacements(batch: TensorDict) -> Tensor:
     """Return how people really moved on (B, A, T, 2), metres per step."""
     agents = agents_of(batch)
@@ -135,21 +119,6 @@ def known_displacements(batch: TensorDict) -> Tensor:
     """Return which true displacements (B, A, T) are known: those with a known place at both ends."""
     valid = agents_of(batch)["future_valid"]
     return valid & functional.pad(valid[..., :-1], (1, 0), value=True)
-
-
-def goals_of(batch: TensorDict, who: str) -> tuple[Tensor, Tensor]:
-    """Return goal and desired velocity (B, A, 2) of a batch.
-
-    Raises:
-        UserError: The batch has none.
-    """
-    agents = agents_of(batch)
-    if "goal" not in agents.keys():
-        raise UserError(
-            f"{who} needs a goal, but the data have none: "
-            "set --data.goal to window_end, destination or random_future"
-        )
-    return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
 
 
 def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:

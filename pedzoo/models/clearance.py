@@ -9,16 +9,17 @@ from torch import Tensor
 
 from pedzoo.geometry import nearest_part
 from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.types import BODY_RADIUS
 
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
 SHOULDERS = 0.71
-"""Metres between two who are in a narrow place or come to one: what somebody takes up sideways in Weidmann,
-"Transporttechnik der Fussgaenger", 1993. Bodies are slimmer than people with their arms and steps. They would
-squeeze past each other in a door where one person waits, and queues of them pass faster than real ones (2.9
-persons per metre and second, where Seyfried et al., "New insights into pedestrian flow through
-bottlenecks", 2009, found 1.9)."""
+"""Metres between two who are in a narrow place or come to one, more where their bodies need more: what
+somebody takes up sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993. Bodies are slimmer than
+people with their arms and steps. They would squeeze past each other in a door where one person waits, and
+queues of them pass faster than real ones (2.9 persons per metre and second, where Seyfried et al., "New
+insights into pedestrian flow through bottlenecks", 2009, found 1.9)."""
 
 _PLACES = 8
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
@@ -34,6 +35,8 @@ class Steps(NamedTuple):
         present: Who is there (B, A) bool.
         moved: Whose steps may be changed (B, A) bool.
         waits: Who has hardly moved of late (B, A) bool.
+        radius: Of their bodies (B, A), metres.
+        robot: Which of them are robots (B, A) bool.
     """
 
     position: Tensor
@@ -42,6 +45,8 @@ class Steps(NamedTuple):
     present: Tensor
     moved: Tensor
     waits: Tensor
+    radius: Tensor
+    robot: Tensor
 
 
 class Pairs(NamedTuple):
@@ -52,17 +57,17 @@ class Pairs(NamedTuple):
         apart: Its length (B, A, A), metres.
         room: Distance that is to be kept (B, A, A), metres; below 0 where nobody is.
         mine: Share of the corrections that is mine (B, A, A).
-        least: Distance below which people touch, metres.
+        least: Distance below which they touch (B, A, A), metres: the sum of their radii.
     """
 
     away: Tensor
     apart: Tensor
     room: Tensor
     mine: Tensor
-    least: float
+    least: Tensor
 
     @classmethod
-    def of(cls, steps: Steps, least: float, narrow: Tensor | None) -> Pairs | None:
+    def of(cls, steps: Steps, narrow: Tensor | None) -> Pairs | None:
         """Return them, None where there are none; ``narrow`` is who is in a narrow place (B, A) bool."""
         people = steps.present.shape[1]
         if people < 2:
@@ -71,13 +76,16 @@ class Pairs(NamedTuple):
         apart = (away.square().sum(-1) + 1e-9).sqrt()
         both = steps.present.unsqueeze(2) & steps.present.unsqueeze(1)
         both &= ~torch.eye(people, dtype=torch.bool, device=away.device)
-        moved = steps.moved.to(away.dtype)
-        mine = moved.unsqueeze(2) / (moved.unsqueeze(2) + moved.unsqueeze(1)).clamp_min(1)
-        wanted = torch.full_like(apart, least + MARGIN)
+        yields = steps.moved & ~steps.robot
+        gives = yields.unsqueeze(2) | (steps.moved.unsqueeze(2) & ~yields.unsqueeze(1))
+        share = gives.to(away.dtype)
+        mine = share / (share + share.mT).clamp_min(1)
+        least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
+        wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
         if narrow is not None:
             broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
             broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
-            wanted = torch.where(broad, SHOULDERS, wanted)
+            wanted = torch.where(broad, wanted.clamp_min(SHOULDERS), wanted)
         room = torch.where(both, torch.minimum(apart, wanted), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least)
 
@@ -105,7 +113,7 @@ class Pairs(NamedTuple):
 
     def touching(self, step: Tensor) -> Tensor:
         """Return who would run into somebody, and more than now (B, A) bool; both where it takes both."""
-        bound = self.room.clamp_max(self.least + 0.001) - 1e-4
+        bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
         touch = self._approach(step.unsqueeze(2) - step.unsqueeze(1))[2] < bound
         alone = touch & (self._approach(step.unsqueeze(2).expand_as(self.away))[2] < bound)
         return (touch & (alone | ~alone.mT) & (self.mine > 0)).any(2)
@@ -125,7 +133,7 @@ class Near(NamedTuple):
         walls: As they see them.
         position: Where they are (N, 1, 2), metres.
         room: Distance that is to be kept (N, 1), metres.
-        least: That below which a wall is touched, metres.
+        least: That below which a wall is touched (N, 1), metres: the radius.
         parts: Parts of a step at which walls are asked for (S,).
     """
 
@@ -133,19 +141,22 @@ class Near(NamedTuple):
     walls: LocalWalls
     position: Tensor
     room: Tensor
-    least: float
+    least: Tensor
     parts: Tensor
 
     @classmethod
-    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor, radius: float) -> Near | None:
+    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor) -> Near | None:
         """Return whoever a step can bring to a wall, None for nobody; ``gap`` is how far it is (B * A, 1)."""
+        radius = steps.radius.flatten()
         reach = steps.longest.flatten() + radius + MARGIN
         who = ((gap[:, 0] < reach) & steps.moved.flatten()).nonzero()[:, 0]
         if not len(who):
             return None
         position = steps.position.flatten(0, 1)[who].unsqueeze(1)
         parts = torch.arange(1, _PLACES + 1, device=position.device, dtype=position.dtype) / _PLACES
-        return cls(who, walls.rows(who), position, gap[who].clamp_max(radius + MARGIN), radius, parts)
+        least = radius[who].unsqueeze(1)
+        room = torch.minimum(gap[who], _plus(least, MARGIN, BODY_RADIUS))
+        return cls(who, walls.rows(who), position, room, least, parts)
 
     def corrected(self, step: Tensor) -> Tensor:
         """Return everybody's steps (B, A, 2), theirs led off the walls; those given likewise."""
@@ -164,10 +175,15 @@ class Near(NamedTuple):
         """Return who would touch a wall, and more than now (B, A) bool."""
         gap, _ = self._along(step.flatten(0, 1)[self.who])
         # corners are cut a little between two places
-        bound = self.room.clamp_max(self.least + MARGIN / 2) - 1e-4
+        bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4
         found = torch.zeros(step.shape[0] * step.shape[1], dtype=torch.bool, device=step.device)
         found[self.who] = (gap < bound).any(1)
         return found.view(step.shape[:2])
 
     def _along(self, step: Tensor) -> tuple[Tensor, Tensor]:
         return self.walls.closest(self.position + self.parts.view(-1, 1) * step.unsqueeze(1))
+
+
+def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:
+    """Return radii (...) plus a margin, metres; the ``usual`` one gives exactly the sum of both constants."""
+    return (radius - usual) + (usual + margin)

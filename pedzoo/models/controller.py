@@ -13,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from pedzoo.batch import scene_batch
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, limit_speed
@@ -32,10 +33,6 @@ class WalkingPolicy(Protocol):
     """What can be a controller: a `Walker`, or anything from `pedzoo.sim.policy.load_policy`."""
 
     decision_dt: float
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans."""
-        ...
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``agents/action``."""
@@ -75,8 +72,7 @@ class Controller:
         """Take a policy and the floor plan that people walk on.
 
         Args:
-            policy: Decides. It is bound to this floor plan; a controller on another one needs a policy and
-                model of its own.
+            policy: Decides. Controllers on several floor plans may share one.
             map: The floor plan, its name (``apartment.7``) or its file; None for open space, where ways lead
                 straight to the goal.
             pref_speed: The speed that people like, m/s: one for all, or by id (1.3 for those who are not
@@ -100,8 +96,7 @@ class Controller:
         grid = load_plan(map) if isinstance(map, str | Path) else map
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._ways = Ways(Planner(bank, clearance))
-        self.policy.bind(bank)
+        self._maps, self._ways = bank, Ways(Planner(bank, clearance))
         self.reset(seed)
 
     def reset(self, seed: int = 0) -> None:
@@ -186,25 +181,21 @@ class Controller:
         size = (1, len(people.row))
         history = people.past[:, :: self._per_sample]
         everybody = torch.ones(size, dtype=torch.bool)
-        agents = {
-            "history": history.unsqueeze(0),
-            "valid": everybody.unsqueeze(-1).expand(*size, OBS_LEN),
-            "velocity": ((people.past[:, -1] - people.past[:, -2]) / self.dt).unsqueeze(0),
-            "pref_speed": people.pref_speed.view(*size, 1),
-            "goal": guidance.goal.unsqueeze(0),
-            "desired_velocity": guidance.desired_velocity.unsqueeze(0),
-            "mask": everybody,
-            "controlled": everybody,
-            "id": people.number.unsqueeze(0),
-        }
-        scene = {
-            "agents": TensorDict(agents, size),
-            "map_id": torch.tensor([[self._ways.map_id]]),
-            "scene_pose": identity_pose(1),
-            "scene_key": self._key.unsqueeze(1),
-            "time": torch.tensor([[self._calls * self.dt]]),
-        }
-        return TensorDict(scene, (1,))
+        return scene_batch(
+            maps=self._maps,
+            map_id=torch.tensor([[self._ways.map_id]]),
+            pose=identity_pose(1),
+            history=history.unsqueeze(0),
+            valid=everybody.unsqueeze(-1).expand(*size, OBS_LEN),
+            mask=everybody,
+            velocity=((people.past[:, -1] - people.past[:, -2]) / self.dt).unsqueeze(0),
+            pref_speed=people.pref_speed.view(*size, 1),
+            goal=guidance.goal.unsqueeze(0),
+            desired_velocity=guidance.desired_velocity.unsqueeze(0),
+            id=people.number.unsqueeze(0),
+            key=self._key.unsqueeze(1),
+            time=torch.tensor([[self._calls * self.dt]]),
+        )
 
 
 def _of(present: Mapping[Any, Any], given: Mapping[Any, Any] | None) -> dict[Any, Any]:

@@ -10,7 +10,9 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from pedzoo import geometry
+from pedzoo.batch import scene_batch
 from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks import alexnet
 from pedzoo.models.graph_plan import PlanInput, alexnet_of, reading_from_plan
@@ -56,6 +58,7 @@ class Graph(nn.Module):
             )
         self.ports, self.outputs, self.steps = _inputs(model), _outputs(model, steps), steps
         self.model = reading_from_plan(deepcopy(model).eval())
+        self._no_plans = MapBank()
 
     def forward(self, inputs: dict[str, Tensor]) -> tuple[Tensor, ...]:
         """Return the ``outputs`` of ``inputs``, which are as ``ports`` says."""
@@ -64,21 +67,21 @@ class Graph(nn.Module):
         # padding stands where somebody of the scene is: far away it would cost the digits of differences
         somebody = history[torch.arange(scenes), mask.long().argmax(1)]
         history = torch.where(mask[..., None, None], history, somebody.unsqueeze(1))
-        agents = {key: inputs[key] for key in ("goal", "desired_velocity") if key in inputs} | {
-            "history": history,
-            "valid": mask.unsqueeze(2).expand(history.shape[:3]),
-            "velocity": (history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS,
-            "mask": mask,
-            "controlled": mask,
-        }
-        batch = {
-            "agents": TensorDict(agents),
-            "map_id": torch.zeros(scenes, 1, dtype=torch.long),
-            "scene_pose": geometry.identity_pose(scenes),
-        }
+        maps = self._no_plans
         if "map_image" in inputs:
-            self.model.bind(PlanInput(inputs["map_image"], inputs["map_affine"]))
-        found = self.answers(self.model, TensorDict(batch), inputs.get("noise"))
+            maps = PlanInput(inputs["map_image"], inputs["map_affine"])
+        batch = scene_batch(
+            maps=maps,
+            map_id=torch.zeros(scenes, 1, dtype=torch.long),
+            pose=geometry.identity_pose(scenes),
+            history=history,
+            valid=mask.unsqueeze(2).expand(history.shape[:3]),
+            mask=mask,
+            pref_speed=history.diff(dim=2).norm(dim=-1).mean(2, keepdim=True) / STEP_SECONDS,
+            goal=inputs.get("goal"),
+            desired_velocity=inputs.get("desired_velocity"),
+        )
+        found = self.answers(self.model, batch, inputs.get("noise"))
         return tuple(torch.where(mask[..., None, None], path, 0.0) for path in found)
 
     def answers(self, model: Forecaster, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, ...]:

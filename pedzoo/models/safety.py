@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from typing import cast
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
+from pedzoo.batch import ROBOT, agents_of, maps_of
 from pedzoo.geometry import limit_speed
-from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.models.clearance import Near, Pairs, Steps
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
 
 ROUNDS = 8
 """Corrections at most: each may undo a part of another."""
@@ -31,25 +31,24 @@ WAITED = 0.4
 narrow place turn a shoulder, too: nobody else would end that."""
 
 
-def kept_clear(steps: Steps, walls: LocalWalls | None = None, radius: float = BODY_RADIUS) -> Tensor:
+def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
     """Return steps (B, A, 2) near those that are asked for, in which nobody touches anybody or a wall.
 
-    Two people share a correction; somebody whom the policy does not move takes no part in it. Whoever
-    touches already comes no closer. Neither turning a scene nor the order of its people changes anything.
-    Differentiable.
+    Two people share a correction. Agents that the policy does not move take no part in it, and robots leave
+    it to people: the other one makes all of it. Agents that touch already come no closer. Neither turning a
+    scene nor the order of its people changes anything. Differentiable.
 
     Args:
         steps: What is asked for.
         walls: As people see them (`MapBank.walls_of_people`), B * A entries; None for none.
-        radius: Of a body, metres.
     """
     narrow = near = None
     if walls is not None:
         ends = torch.stack((steps.position, steps.position + steps.step), 2)
         gap, _ = walls.closest(ends.flatten(0, 1))
         narrow = (gap < NARROW).any(1).view(steps.moved.shape)
-        near = Near.of(steps, walls, gap[:, :1], radius)
-    pairs = Pairs.of(steps, 2 * radius, narrow)
+        near = Near.of(steps, walls, gap[:, :1])
+    pairs = Pairs.of(steps, narrow)
     step = _capped(steps, steps.step)
     groups = [group for group in (pairs, near) if group is not None]
     for _ in range(ROUNDS):
@@ -78,15 +77,14 @@ def _stopped(step: Tensor, groups: Sequence[Pairs | Near]) -> Tensor:
     return step * share
 
 
-def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
+def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     """Return everybody's next steps (B, A, 2), metres, kept clear; see `kept_clear`.
 
     Args:
         batch: Scenes.
         step: What people are asked to do (B, A, 2), metres.
-        bank: The floor plans; None for no walls.
     """
-    agents = cast("TensorDict", batch["agents"])
+    agents, bank = agents_of(batch), maps_of(batch)
     moved = agents["mask"] & agents["controlled"]
     there = agents["mask"].unsqueeze(-1)
     history = cast("Tensor", agents["history"])
@@ -98,12 +96,10 @@ def safe(batch: TensorDictBase, step: Tensor, bank: MapBank | None) -> Tensor:
         agents["mask"],
         moved,
         (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED,
+        cast("Tensor", agents["radius"])[..., 0],
+        agents["kind"] == ROBOT,
     )
-    walls = None
-    if bank is not None:
-        bank = bank.to(step.device)
-        walls = bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1])
-    return kept_clear(steps, walls)
+    return kept_clear(steps, bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1]))
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:

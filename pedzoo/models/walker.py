@@ -11,9 +11,9 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from pedzoo import draws
+from pedzoo.batch import ids_of
 from pedzoo.errors import UserError, unknown
-from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, Noise, ids_of
+from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.pace import paced
 from pedzoo.models.safety import safe
 from pedzoo.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
@@ -47,7 +47,7 @@ class Walker(TensorDictModuleBase):
     """
 
     decision_dt = STEP_SECONDS
-    in_keys: ClassVar[list[Any]] = ["agents", "map_id", "scene_pose", "scene_key", "time"]
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
     out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def __init__(
@@ -62,7 +62,7 @@ class Walker(TensorDictModuleBase):
         """Take a forecaster.
 
         Args:
-            model: The forecaster; map-conditioned ones need `bind`.
+            model: The forecaster.
             noise: Drawn for each person once per ``episode``, at every ``step``, or once for all people of
                 a ``scene`` (as Social GAN was trained); ``mixed``: the first half of its numbers as for
                 ``episode``, what a person is like, the rest as for ``step``.
@@ -87,13 +87,7 @@ class Walker(TensorDictModuleBase):
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
         self.pace = model.walking_pace if pace is None else pace
-        self._bank: MapBank | None = None
         self._plan: Plan | None = None
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans that ``map_id`` speaks of."""
-        self.model.bind(bank)
-        self._bank = bank
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity (B, A, 2), m/s."""
@@ -104,7 +98,7 @@ class Walker(TensorDictModuleBase):
             step = self._planned(tensordict)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
-            step = safe(tensordict, step, self._bank)
+            step = safe(tensordict, step)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
 

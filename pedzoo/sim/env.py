@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from pedzoo.batch import scene_batch
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
@@ -44,7 +45,7 @@ class _Scenes(NamedTuple):
 class PedestrianEnv(EnvBase):
     """A policy decides everybody's velocity, people walk, and a world says whom and what they touch.
 
-    Keys as in `pedzoo.types`, with ``action`` (m/s) and ``reward`` under ``agents``, and under
+    Keys as in `pedzoo.batch`, with ``action`` (m/s) and ``reward`` under ``agents``, and under
     ``agents/info`` what closed-loop metrics are made of: ``trace``, ``agent_contact``, ``wall_contact`` and
     ``reached`` of every 0.1 s since the last decision (see `Events`), ``late`` and ``way`` (see `State`).
 
@@ -110,7 +111,7 @@ class PedestrianEnv(EnvBase):
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
-        self.observation_spec = specs.observation(num_envs, agents, trace_points)
+        self.observation_spec = specs.observation(num_envs, agents, trace_points, scenario.bank)
         self.action_spec = specs.action(num_envs, agents)
         self.reward_spec = specs.reward(num_envs, agents)
         self.done_spec = specs.done(num_envs)
@@ -226,24 +227,25 @@ class PedestrianEnv(EnvBase):
             "late": state.late,
             "way": state.way,
         }
-        people = {
-            "id": state.person,
-            "history": state.history,
-            "valid": state.valid,
-            "velocity": state.velocity,
-            "pref_speed": state.pref_speed.unsqueeze(-1),
-            "goal": guidance.goal,
-            "desired_velocity": guidance.desired_velocity,
-            "mask": state.mask,
-            "controlled": state.decides & ~state.failed.unsqueeze(1),
-            "info": TensorDict(info, (scenes, agents)),
-        }
-        scene = {
-            "agents": TensorDict(people, (scenes, agents)),
-            "map_id": state.map_id.unsqueeze(1),
-            "scene_pose": state.pose,
-            "scene_key": state.key.unsqueeze(1),
-            "time": state.clock.unsqueeze(1),
-            "failed": state.failed.unsqueeze(1),
-        }
-        return TensorDict(scene, (scenes,))
+        batch = scene_batch(
+            maps=self.bank,
+            map_id=state.map_id.unsqueeze(1),
+            pose=state.pose,
+            history=state.history,
+            valid=state.valid,
+            mask=state.mask,
+            velocity=state.velocity,
+            heading=state.heading.unsqueeze(-1),
+            pref_speed=state.pref_speed.unsqueeze(-1),
+            radius=state.radius.unsqueeze(-1),
+            kind=state.kind,
+            goal=guidance.goal,
+            desired_velocity=guidance.desired_velocity,
+            controlled=state.decides & ~state.failed.unsqueeze(1),
+            id=state.person,
+            key=state.key.unsqueeze(1),
+            time=state.clock.unsqueeze(1),
+        )
+        batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
+        batch["failed"] = state.failed.unsqueeze(1)
+        return batch

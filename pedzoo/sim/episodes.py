@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError, unknown
-from pedzoo.geometry import identity_pose
+from pedzoo.geometry import heading_of, identity_pose
 from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import kernel
@@ -17,7 +17,7 @@ from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.scenario import LEAST_WAY, Layout, Scenario
 from pedzoo.sim.script import Opening
-from pedzoo.sim.state import PAST_LEN, State
+from pedzoo.sim.state import PAST_LEN, TURNS_FROM, State
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
 
@@ -73,9 +73,13 @@ class Episodes:
             way = torch.where(way.isfinite(), way, 0.0)
         clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
         position, past = state.position, state.past
+        if velocity is None:
+            velocity = (position - past[:, :, -2]) / TRACE_SECONDS
+        goes = heading_of(guidance.goal_point - position)
         return state._replace(
             clock=clock,
-            velocity=(position - past[:, :, -2]) / TRACE_SECONDS if velocity is None else velocity,
+            velocity=velocity,
+            heading=heading_of(velocity, goes, TURNS_FROM),
             goal_point=guidance.goal_point,
             reached=torch.zeros_like(state.reached),
             deadline=deadline(clock, way, state.pref_speed) if until is None else until,
@@ -121,7 +125,7 @@ class Episodes:
             known=opening.known,
             past=past,
             velocity=velocity,
-            heading=torch.atan2(velocity[..., 1], velocity[..., 0]),
+            heading=heading_of(velocity),
             turn_rate=nothing,
             radius=torch.full_like(nothing, self._physics.body_radius)
             if layout.radius is None

@@ -14,12 +14,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.geometry import heading_of
 from pedzoo.maps.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import blended, driven, limited
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
-from pedzoo.sim.state import State
+from pedzoo.sim.state import TURNS_FROM, State
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
 
@@ -28,9 +29,6 @@ CONTACT_COST = 1.0
 
 _ROUNDING = 1e-3
 """Seconds: clocks are sums of decisions."""
-
-_FACES = 0.05
-"""m/s: slower people keep the heading that they have."""
 
 
 class Events(NamedTuple):
@@ -133,8 +131,7 @@ def step(state: State, commands: Tensor, physics: World, rules: Rules) -> tuple[
     hit = hits[..., -1]
     after, taken_over = _arrived(state, hits, motion.trace, failed, rules)
     if not rules.wheels:
-        faces = after.velocity.square().sum(-1) > _FACES**2
-        heading = torch.where(faces, torch.atan2(after.velocity[..., 1], after.velocity[..., 0]), heading)
+        heading = heading_of(after.velocity, heading, TURNS_FROM)
     after = after._replace(heading=heading, turn_rate=turn_rate)
 
     guidance = rules.guide(after)

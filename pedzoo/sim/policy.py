@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 from tensordict.nn import TensorDictModuleBase
 
 from pedzoo.errors import UserError, unknown
-from pedzoo.maps.bank import MapBank
 from pedzoo.models.store import find, is_file
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import baselines, list_models, load
@@ -23,7 +22,7 @@ class Policy(TensorDictModuleBase):
     """
 
     decision_dt: float
-    in_keys: ClassVar[list[Any]] = ["agents", "map_id", "scene_pose", "scene_key", "time"]
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
     out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def __init__(self, decision_dt: float) -> None:
@@ -32,9 +31,6 @@ class Policy(TensorDictModuleBase):
         if not decision_dt > 0:
             raise UserError(f"dt {decision_dt}: expected seconds between decisions, above 0")
         self.decision_dt = decision_dt
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans that ``map_id`` speaks of."""
 
 
 def load_policy(name: str) -> Policy | Walker:

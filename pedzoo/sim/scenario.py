@@ -41,10 +41,10 @@ class Layout(NamedTuple):
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
         opening: Who is there in scenes with a script, which always begin as they were recorded.
-        radius: Of everybody's body (B, A), metres; None: that of a person.
-        kind: Person or robot (B, A) long; None: all are people.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
             seconds; 0 for who does not. No policy moves them so long. None: nobody.
+        radius: Radii of the bodies (B, A), metres; None for that of the environment.
+        kind: `pedzoo.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
     """
 
     map_id: Tensor

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import torch
-from torchrl.data import Categorical, Composite, Unbounded
+from torchrl.data import Categorical, Composite, NonTensor, Unbounded
 from torchrl.data.tensor_specs import TensorSpec
 
+from pedzoo.maps.bank import MapBank
 from pedzoo.types import OBS_LEN
 
 
-def observation(scenes: int, agents: int, trace_points: int) -> Composite:
-    """Return the spec of observations of B scenes, A people and S trace points per decision."""
+def observation(scenes: int, agents: int, trace_points: int, maps: MapBank) -> Composite:
+    """Return the spec of observations of B scenes, A people and S trace points per decision on ``maps``."""
     b, ba = (scenes,), (scenes, agents)
     info = Composite(
         trace=real(*ba, trace_points, 2),
@@ -26,6 +27,9 @@ def observation(scenes: int, agents: int, trace_points: int) -> Composite:
         history=real(*ba, OBS_LEN, 2),
         valid=flag(*ba, OBS_LEN),
         velocity=real(*ba, 2),
+        heading=real(*ba, 1),
+        radius=real(*ba, 1),
+        kind=whole(*ba),
         pref_speed=real(*ba, 1),
         goal=real(*ba, 2),
         desired_velocity=real(*ba, 2),
@@ -36,6 +40,7 @@ def observation(scenes: int, agents: int, trace_points: int) -> Composite:
     )
     return Composite(
         agents=people,
+        maps=NonTensor(shape=torch.Size(b), example_data=maps),
         map_id=whole(*b, 1),
         scene_pose=real(*b, 4),
         scene_key=whole(*b, 1),

@@ -33,6 +33,8 @@ def rollout_of(
         past=start.past,
         pref_speed=start.pref_speed,
         way=start.way,
+        radius=start.radius,
+        kind=start.kind,
         map_id=start.map_id,
         pose=start.pose,
         goals=scenario.goals,

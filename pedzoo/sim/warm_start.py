@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from pedzoo.batch import ROBOT
 from pedzoo.errors import UserError
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import kernel
@@ -44,11 +45,12 @@ def rolled(state: State, physics: World, rules: kernel.Rules, walls: WallSegment
         velocity=torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
     )
     top_speed = state.top_speed
+    radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
     for _ in range(OBS_LEN - 1):
-        reach = ORCA.wall_reach(top_speed).flatten()
+        reach = ORCA.wall_reach(top_speed, radius).flatten()
         near = walls.near(state.position.flatten(0, 1), map_id, poses, reach)
         wanted = torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
-        action = orca_velocity(state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near)
+        action = orca_velocity(state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius)
         before = state.position
         state, guidance, _ = kernel.step(state, action, physics, rules)
         state = state._replace(velocity=(state.position - before) / STEP_SECONDS)

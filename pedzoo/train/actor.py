@@ -39,7 +39,7 @@ class Mean(TensorDictModuleBase):
     have a fixed distribution, and so a likelihood that never changes.
     """
 
-    in_keys: ClassVar[list[Any]] = ["agents", "map_id", "scene_pose", "scene_key", "time"]
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
     out_keys: ClassVar[list[Any]] = [("agents", "loc"), ("agents", "scale")]
 
     def __init__(self, walker: Walker, spread: Spread) -> None:

@@ -153,7 +153,6 @@ class ClosedLoopValidation(Callback):
         for name, scenario in self.scenarios.items():
             env = make_env(scenario, world=self.world, seed=self.seed)
             with apart(self.seed), closing(env.world):
-                walker.bind(env.bank)
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
                     who = type(model).__name__

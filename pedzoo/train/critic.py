@@ -11,8 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from pedzoo import geometry
-from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import agents_of
+from pedzoo.batch import agents_of, maps_of
 from pedzoo.models.blocks import frame as frames
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.neighbours import RelativePooling
@@ -37,7 +36,7 @@ class Critic(TensorDictModuleBase):
     earn by walking that way at the speed they like, so that the first updates already know who was held up.
     """
 
-    in_keys: ClassVar[list[Any]] = ["agents", "map_id", "scene_pose"]
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose"]
     out_keys: ClassVar[list[Any]] = [("agents", "value")]
 
     def __init__(self, gamma: float, hidden_dim: int = 64, pool_dim: int = 32) -> None:
@@ -65,11 +64,6 @@ class Critic(TensorDictModuleBase):
         angle = torch.arange(_RING) * (2 * math.pi / _RING)
         ring = torch.cat((torch.zeros(1, 2), _RADIUS * torch.stack((angle.cos(), angle.sin()), -1)))
         self.register_buffer("ring", ring, persistent=False)
-        self._bank = MapBank([])
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans that ``map_id`` speaks of."""
-        self._bank = bank
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's value (N, A, 1), metres of progress; 0 where nobody is."""
@@ -90,7 +84,7 @@ class Critic(TensorDictModuleBase):
             speed,
             way / 10.0,
             alone,
-            self._walls(position, frame, batch["map_id"][crowd.scene, 0], batch["scene_pose"][crowd.scene]),
+            self._walls(position, frame, batch, crowd),
             self.others(position, moved[:, -1], frame, crowd),
         )
         value = alone + self.net(torch.cat(features, -1))
@@ -104,9 +98,9 @@ class Critic(TensorDictModuleBase):
             return way
         return step * (1 - self.gamma ** (way / step)) / (1 - self.gamma)
 
-    def _walls(self, position: Tensor, frame: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def _walls(self, position: Tensor, frame: Tensor, batch: TensorDict, crowd: Crowd) -> Tensor:
         """Return the distances (P, 1 + 8) to walls at a person and around, in their frame."""
-        self._bank = self._bank.to(position.device)
         around = geometry.rotate(self.get_buffer("ring"), frame.unsqueeze(1))
         points = position.unsqueeze(1) + around
-        return self._bank.signed_distance(points, map_id, pose).clamp(-_FAR, _FAR) / _FAR
+        map_id, pose = batch["map_id"][crowd.scene, 0], batch["scene_pose"][crowd.scene]
+        return maps_of(batch).signed_distance(points, map_id, pose).clamp(-_FAR, _FAR) / _FAR

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.objectives.value import GAE
 
-from pedzoo.models.base import agents_of
+from pedzoo.batch import agents_of, maps_of
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenario import Scenario
 from pedzoo.types import STEP_SECONDS
@@ -106,8 +106,11 @@ def rated(
         estimate: TorchRL's estimator, without a network of its own.
     """
     shape = seen.batch_size
-    before = cast("TensorDict", seen.exclude("next").flatten(0, 1))
-    after = cast("TensorDict", seen["next"].flatten(0, 1))
+    maps = maps_of(seen)
+    before = cast("TensorDict", seen.exclude("next", "maps").flatten(0, 1))
+    after = cast("TensorDict", cast("TensorDict", seen["next"]).exclude("maps").flatten(0, 1))
+    for state in (before, after):
+        state.set_non_tensor("maps", maps)  # one entry, where TorchRL made one for every decision
     now, then = agents_of(before), agents_of(after)
     scored = now["controlled"] & ~after["failed"]
     gone = ~then["controlled"] | (then["id"] != now["id"])

@@ -10,9 +10,10 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from pedzoo.batch import agents_of
 from pedzoo.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN, Encoded
-from pedzoo.models.base import agents_of, true_displacements
+from pedzoo.models.base import true_displacements
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.train.module import ForecastModule

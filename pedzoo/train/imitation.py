@@ -10,8 +10,8 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pedzoo.batch import agents_of
 from pedzoo.errors import UserError, unknown
-from pedzoo.models.base import agents_of
 from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.train.likeness import SPREADS, features, tail, wasserstein
@@ -80,8 +80,7 @@ class Imitation(nn.Module):
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
 
         Args:
-            policy: Walks, bound to the windows' floor plans, with a safety layer if it has one: what it
-                changes is a part of the walk.
+            policy: Walks, with a safety layer if it has one: what it changes is a part of the walk.
             batch: Recorded windows with N future steps and the goal protocol ``destination``.
             random: Draws the scenes' keys.
         """

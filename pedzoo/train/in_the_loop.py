@@ -14,8 +14,9 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.optim import Optimizer
 
+from pedzoo.batch import agents_of
 from pedzoo.errors import UserError
-from pedzoo.models.base import Forecaster, agents_of
+from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
 from pedzoo.train.imitation import Imitation
 from pedzoo.train.loop_losses import LoopLosses
@@ -108,9 +109,7 @@ class LoopModule(ForecastModule):
 
     def training_step(self, batch: dict[str, TensorDict], batch_idx: int) -> Tensor:
         """Return the loss of a segment and of two batches of recordings."""
-        data = cast("Any", self.trainer).datamodule
         terms = self._walk()
-        self.walker.bind(data.bank)
         if self.forecast_weight:
             people = agents_of(batch["forecast"])["mask"].sum()
             loss = self.generator.loss(batch["forecast"], self.random())
@@ -124,7 +123,6 @@ class LoopModule(ForecastModule):
         """Return the terms of a segment."""
         running = self.mixture.at(int(self.iteration), self.current_epoch)
         seen = running.begin(self.keep)
-        self.walker.bind(running.env.bank)
         noise = self.walker.noise_of(seen)
         segment = unrolled(running.env, self.walker, seen, self.steps)
         running.end(segment.done)

@@ -6,18 +6,18 @@ every step of 0.4 s, and so is the distance: Wasserstein-1, in units of how much
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.batch import agents_of, goals_of
 from pedzoo.metrics.realism_features import LINE
 from pedzoo.metrics.safety import HORIZON, collision_seconds
 from pedzoo.metrics.smoothness import STANDS
-from pedzoo.models.base import agents_of, goals_of
 from pedzoo.train.unroll import Unrolled
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.types import STEP_SECONDS
 
 SPREADS = {
     "speed": 0.52,
@@ -67,15 +67,18 @@ def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
     xy, walked = walk.xy.transpose(1, 2), walk.walked.transpose(1, 2)
     velocity = torch.cat((begin.unsqueeze(1), xy), 1).diff(dim=1) / STEP_SECONDS
     earlier = torch.cat((agents["velocity"].unsqueeze(1), velocity[:, :-1]), 1)
+    radius = cast("Tensor", agents["radius"])[..., 0].unsqueeze(1).expand(walked.shape)
     own = walked.flatten().nonzero()[:, 0]
-    others = _others(xy.detach(), velocity.detach(), walk.present.transpose(1, 2), own)
+    others = _others(xy.detach(), velocity.detach(), walk.present.transpose(1, 2), radius, own)
     xy, velocity, earlier = (values.reshape(-1, 2) for values in (xy, velocity, earlier))
     now, before = velocity[own], earlier[own]
     some = others.company.nonzero()[:, 0]
     near = xy[others.nearest[some]] - xy[own[some]]
     meets = (others.company & (others.seconds > 0) & (others.seconds < HORIZON)).nonzero()[:, 0]
     me, them = own[meets], others.first[meets]
-    soon = others.seconds.index_put((meets,), _touch(xy[them] - xy[me], velocity[them] - velocity[me]))
+    bodies = radius.flatten()
+    meeting = xy[them] - xy[me], velocity[them] - velocity[me], bodies[them] + bodies[me]
+    soon = others.seconds.index_put((meets,), _touch(*meeting))
     who = own // (steps * people) * people + own % people
     return {
         "speed": _length(now),
@@ -126,13 +129,14 @@ def _quantiles(values: Tensor, ranks: Tensor) -> Tensor:
     return torch.lerp(values[below], values[(below + 1).clamp_max(len(values) - 1)], place - below)
 
 
-def _others(xy: Tensor, velocity: Tensor, present: Tensor, own: Tensor) -> _Others:
+def _others(xy: Tensor, velocity: Tensor, present: Tensor, radius: Tensor, own: Tensor) -> _Others:
     """Return whom people have to do with; no gradient is needed to know who that is.
 
     Args:
         xy: Positions (B, N, A, 2), metres.
         velocity: (B, N, A, 2), m/s.
         present: Who is there (B, N, A) bool.
+        radius: Radii of the bodies (B, N, A), metres.
         own: Whose others are wanted (M,) long, numbers of (B, N, A).
     """
     people = present.shape[2]
@@ -141,16 +145,24 @@ def _others(xy: Tensor, velocity: Tensor, present: Tensor, own: Tensor) -> _Othe
     x, y, vx, vy = (value - value.gather(1, slot.unsqueeze(1)) for value in columns)
     absent = ~present.flatten(0, 1)[moment].scatter(1, slot.unsqueeze(1), False)
     apart, nearest = x.square().addcmul_(y, y).masked_fill_(absent, torch.inf).min(1)
-    when = collision_seconds(x, y, vx, vy, 2 * BODY_RADIUS).masked_fill_(absent, HORIZON)
+    bodies = radius.flatten(0, 1)[moment]
+    reach = bodies + bodies.gather(1, slot.unsqueeze(1))
+    when = collision_seconds(x, y, vx, vy, reach).masked_fill_(absent, HORIZON)
     seconds, first = when.min(1)
     base = moment * people
     return _Others(base + nearest, base + first, seconds, apart.isfinite())
 
 
-def _touch(away: Tensor, velocity: Tensor) -> Tensor:
-    """Return when pairs (L,) touch who will, ``away`` from each other with a relative ``velocity`` (L, 2)."""
+def _touch(away: Tensor, velocity: Tensor, reach: Tensor) -> Tensor:
+    """Return when pairs (L,) touch who will, ``away`` from each other with a relative ``velocity`` (L, 2).
+
+    Args:
+        away: From one to the other (L, 2), metres.
+        velocity: Of the other less that of the one (L, 2), m/s.
+        reach: Distance at which they touch (L,), metres.
+    """
     closing = -(away * velocity).sum(-1)
-    gap = away.square().sum(-1) - (2 * BODY_RADIUS) ** 2
+    gap = away.square().sum(-1) - reach.square()
     under = closing.square() - velocity.square().sum(-1) * gap
     return gap / (under.clamp_min(_GRAZING).sqrt() + closing)
 

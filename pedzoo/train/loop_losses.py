@@ -14,7 +14,7 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import nearest_part, opposed
 from pedzoo.maps.bank import MapBank
 from pedzoo.train.segments import Segment
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.types import STEP_SECONDS
 
 _SOON = 6.0
 """Seconds of delay that count 1."""
@@ -113,7 +113,7 @@ class LoopLosses:
             change = (segment.asked - segment.action).square().sum(-1).clamp_min(1e-8).sqrt()
             terms["corrected"] = self.corrected * mean(change)
         if bank.grids:
-            near = BODY_RADIUS + self.wall_margin - wall_distances(segment, bank)
+            near = segment.radius.unsqueeze(-1) + self.wall_margin - wall_distances(segment, bank)
             terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
         if self.side and noise is not None and noise.shape[-1] > 1:
             terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
@@ -186,7 +186,8 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     )
     begin, move = (values.unsqueeze(2) - values.unsqueeze(3) for values in (here, way))  # (T, B, A, A, 2)
     closest = begin + nearest_part(begin, move).unsqueeze(-1) * move
-    gap = (closest.square().sum(-1) + 1e-8).sqrt() - 2 * BODY_RADIUS
+    bodies = segment.radius.unsqueeze(2) + segment.radius.unsqueeze(3)
+    gap = (closest.square().sum(-1) + 1e-8).sqrt() - bodies
     if meeting_margin:
         speed = move.detach().norm(dim=-1) / STEP_SECONDS
         gap = gap - meeting_margin * (speed / _MEETING).clamp_max(1)

@@ -55,11 +55,10 @@ class ForecastModule(L.LightningModule):
         self.score = ForecastScore(samples)
 
     def setup(self, stage: str) -> None:
-        """Bind the generator to the floor plans of the data and check their goal protocol."""
+        """Check the goal protocol of the data."""
         data: Any = getattr(self.trainer, "datamodule", None)
         if data is None:
             return
-        self.generator.bind(data.bank)
         asked, own = data.goal, self.generator.goal_protocol
         if stage == "fit" and "goal" in self.generator.needs and asked not in (own, "random_future"):
             raise UserError(

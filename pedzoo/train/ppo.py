@@ -173,7 +173,6 @@ class PPOModule(ForecastModule):
         loss, estimate, gatherers = self._parts
         optimizer, random = cast("Any", self.optimizers()), self.random()
         gatherer = gatherers[int(self.iteration) % len(gatherers)]
-        self._bind(gatherer)
         seen = gatherer.gather(self._seed_of_iteration())
         lived = rated(seen.to(self.device), self.reward, self.critic, estimate)
         self.set_lr(optimizer, self.lr)
@@ -184,7 +183,7 @@ class PPOModule(ForecastModule):
             found = cast("TensorDict", loss(lived[chosen]))
             if self.recorded:
                 part = parts[number % len(parts)]
-                found["loss_recorded"] = self.recorded * self._recorded_loss(part, gatherer, random)
+                found["loss_recorded"] = self.recorded * self.generator.loss(part, random) / len(part)
             terms = [found[key] for key in found.keys() if str(key).startswith("loss_")]
             self._update(optimizer, torch.stack(terms).sum())
             told.append(found.select(*_TOLD, strict=False).detach())
@@ -197,19 +196,6 @@ class PPOModule(ForecastModule):
             order = torch.randperm(count, generator=random).to(self.device)
             yield from order.tensor_split(self.minibatches)
 
-    def _bind(self, gatherer: Gatherer) -> None:
-        self._walker[0].bind(gatherer.env.bank)
-        self.critic.bind(gatherer.env.bank)
-
-    def _recorded_loss(self, batch: TensorDict, gatherer: Gatherer, random: torch.Generator) -> Tensor:
-        """Return the generator's loss per recorded scene, on the recordings' floor plans."""
-        data: Any = getattr(self.trainer, "datamodule", None)
-        if data is not None:
-            self.generator.bind(data.bank)
-        loss = self.generator.loss(batch, random) / len(batch)
-        self._bind(gatherer)
-        return loss
-
     def _update(self, optimizer: Any, loss: Tensor) -> None:
         """Make a step, unless its gradient is not finite; the norms of actor and critic are cut apart."""
         optimizer.zero_grad()
@@ -220,12 +206,6 @@ class PPOModule(ForecastModule):
             optimizer.step()
         else:
             self.skipped += 1
-
-    def on_validation_epoch_start(self) -> None:
-        """Forecast on the floor plans of the data again."""
-        data: Any = getattr(self.trainer, "datamodule", None)
-        if data is not None:
-            self.generator.bind(data.bank)
 
     def teardown(self, stage: str) -> None:
         """Close the environments; after an error, those of pybullet close when nobody has them any more."""

@@ -8,9 +8,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.batch import agents_of
 from pedzoo.errors import UserError
 from pedzoo.metrics.safety import nearest
-from pedzoo.models.base import agents_of
 
 
 class Reward:

@@ -26,6 +26,7 @@ class Segment(NamedTuple):
         velocity: Theirs when they decided (T, B, A, 2), m/s.
         progress: Way to the goal that was made (T, B, A), metres.
         pref_speed: The speed that people like (T, B, A), m/s.
+        radius: Radii of their bodies (T, B, A), metres.
         goal: Their short-term goals (T, B, A, 2), metres.
         present: Who is there when a decision is made (T, B, A) bool.
         moved: Whom the policy moves then (T, B, A) bool.
@@ -42,6 +43,7 @@ class Segment(NamedTuple):
     velocity: Tensor
     progress: Tensor
     pref_speed: Tensor
+    radius: Tensor
     goal: Tensor
     present: Tensor
     moved: Tensor
@@ -84,6 +86,7 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
                 agents["velocity"],
                 progress,
                 agents["pref_speed"][..., 0],
+                agents["radius"][..., 0],
                 agents["goal"],
                 there,
                 moved,

@@ -55,7 +55,6 @@ class Stage:
         """Return what ``walker`` does in the episodes; None where there are none."""
         if self._env is None:
             return None
-        walker.bind(self._env.bank)
         self._env.set_seed(self._seed)
         rollout = joined(list(walk(walker, self._env, self._episodes, deterministic)))
         return Walked(type(walker.model).__name__, rollout, self._env)

@@ -14,8 +14,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo import geometry
-from pedzoo.models.base import agents_of, goals_of
+from pedzoo.batch import agents_of, goals_of, maps_of, scene_batch
 from pedzoo.sim.scenario import SLOWEST
+from pedzoo.sim.state import TURNS_FROM
 from pedzoo.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 
 Walk = Callable[[TensorDict], Tensor]
@@ -59,11 +60,12 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
     Raises:
         UserError: The windows have no goals.
     """
-    agents, there = agents_of(batch), known_to_be_there(batch)
+    agents, maps, there = agents_of(batch), maps_of(batch), known_to_be_there(batch)
     destination = goals_of(batch, "walking on")[0]
     pref_speed = agents["pref_speed"].clamp_min(SLOWEST)
     top_speed = TOP_SPEED_RATIO * pref_speed[..., 0]
     history, valid, velocity = list(agents["history"].unbind(2)), agents["valid"], agents["velocity"]
+    heading = agents["heading"][..., 0]
     on_their_way = agents["mask"] & _controlled(history[-1], destination)
     slots = torch.arange(there.shape[1], device=there.device).expand(there.shape[:2])
     key = torch.arange(len(batch), device=there.device) if key is None else key
@@ -72,33 +74,33 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
         here = here & there[..., step]
         position, moving = history[-1], here & on_their_way
         unit = _towards(position, destination)
-        seen = {
-            "id": slots.where(here, -1),
-            "history": torch.stack(history[-valid.shape[2] :], 2),
-            "valid": valid,
-            "velocity": velocity,
-            "pref_speed": pref_speed,
-            "goal": position + unit * (pref_speed * AHEAD_SECONDS),
-            "desired_velocity": unit * pref_speed,
-            "mask": here,
-            "controlled": moving,
-        }
-        scene = {
-            "agents": TensorDict(seen, here.shape),
-            "map_id": batch["map_id"],
-            "scene_pose": batch["scene_pose"],
-            "scene_key": key.unsqueeze(1),
-            "time": pref_speed.new_full((len(batch), 1), step * STEP_SECONDS),
-        }
-        moved = (
-            geometry.limit_speed(walk(TensorDict(scene, len(batch))) / STEP_SECONDS, top_speed) * STEP_SECONDS
+        seen = scene_batch(
+            maps=maps,
+            map_id=batch["map_id"],
+            pose=batch["scene_pose"],
+            history=torch.stack(history[-valid.shape[2] :], 2),
+            valid=valid,
+            mask=here,
+            velocity=velocity,
+            heading=heading.unsqueeze(-1),
+            pref_speed=pref_speed,
+            radius=agents["radius"],
+            kind=agents["kind"],
+            goal=position + unit * (pref_speed * AHEAD_SECONDS),
+            desired_velocity=unit * pref_speed,
+            controlled=moving,
+            id=slots.where(here, -1),
+            key=key.unsqueeze(1),
+            time=pref_speed.new_full((len(batch), 1), step * STEP_SECONDS),
         )
+        moved = geometry.limit_speed(walk(seen) / STEP_SECONDS, top_speed) * STEP_SECONDS
         played = torch.where(here.unsqueeze(2), agents["future"][:, :, step], position)
         place = torch.where(moving.unsqueeze(2), position + moved, played)
         found.append((place, moving, here))
         here = here & ~(moving & _arrives(position.detach(), place.detach(), destination))
         history.append(place)
         velocity = (place - position) / STEP_SECONDS
+        heading = geometry.heading_of(velocity, heading, TURNS_FROM)
         valid = torch.cat((valid[..., 1:], here.unsqueeze(2)), 2)
     return Unrolled(*(torch.stack(values, 2) for values in zip(*found, strict=True)))
 

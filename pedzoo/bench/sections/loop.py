@@ -135,7 +135,6 @@ class _Walk:
         self.policy_name, self.title = policy, f"env + {policy}"
         self.policy = load_policy(policy)
         self.env: PedestrianEnv = make_env(scene, size.scenes, decision_dt=self.policy.decision_dt)
-        self.policy.bind(self.env.bank)
         self.now: TensorDictBase = self.env.reset()
         self.least = 1 if quick else round(TURN / self.env.decision_dt)
         for _ in range(2 if quick else round(WARM / self.env.decision_dt)):

@@ -46,7 +46,6 @@ class Profile(Section):
     def _size(self, size: Size) -> Iterator[Row]:
         env = make_env(scenario(size.people, self.settings.maps), size.scenes)
         policy = load_policy(MODEL)
-        policy.bind(env.bank)
         split = Split(self.settings.clock)
         least = 2 if self.settings.quick else round(EPISODE / STEP_SECONDS)
         with parts_timed(split, env):

@@ -16,6 +16,7 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
+from pedzoo.batch import scene_batch
 from pedzoo.bench.figures import Measured, Row
 from pedzoo.bench.original_sgan import Batch, Original, copy_weights, original
 from pedzoo.bench.section import NotGivenError, Section
@@ -24,6 +25,8 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Split
 from pedzoo.errors import UserError
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.displacement import MinADEScene, MinFDEScene, displacement_error
 from pedzoo.models.architectures import sgan as architecture
 from pedzoo.models.blocks.discriminator import Discriminator
@@ -244,5 +247,12 @@ def as_ours(batch: Batch) -> TensorDict:
     """Return scenes of equal size in the original's form as a scene batch."""
     scenes = len(batch[-1])
     history = batch[0].transpose(0, 1).unflatten(0, (scenes, -1)).contiguous()
-    agents = {"history": history, "mask": torch.ones(history.shape[:2], dtype=torch.bool)}
-    return TensorDict({"agents": TensorDict(agents, batch_size=history.shape[:2])}, batch_size=scenes)
+    return scene_batch(
+        maps=MapBank(),
+        map_id=torch.full((scenes, 1), -1),
+        pose=identity_pose(scenes),
+        history=history,
+        valid=torch.ones(history.shape[:3], dtype=torch.bool),
+        mask=torch.ones(history.shape[:2], dtype=torch.bool),
+        pref_speed=history.new_ones(*history.shape[:2], 1),
+    )

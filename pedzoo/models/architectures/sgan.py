@@ -13,10 +13,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from pedzoo.batch import agents_of, goals_of, maps_of
 from pedzoo.data.goals import TIMED
 from pedzoo.errors import UserError
-from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, agents_of, arguments, goals_of
+from pedzoo.models.base import Forecaster, arguments
 from pedzoo.models.blocks import frame as frames
 from pedzoo.models.blocks import lines
 from pedzoo.models.blocks.approach import ApproachPooling
@@ -166,11 +166,6 @@ class SGAN(Forecaster):
             nn.init.zeros_(self.decoder.output.weight)
             nn.init.zeros_(self.decoder.output.bias)
 
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans that ``map_id`` speaks of."""
-        if self.map is not None:
-            self.map.bind(bank)
-
     def encode(self, batch: TensorDict, steps: int, folded: Folded = NOTHING) -> Encoded:
         """Return all that does not depend on the noise; ``folded`` saves time, see `Folded`."""
         agents = agents_of(batch)
@@ -201,7 +196,7 @@ class SGAN(Forecaster):
             features.append(self.goal(torch.cat((frames.into(frame, goal), frames.into(frame, wanted)), -1)))
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
-            features.append(self.map_dropout(self.map(position, heading, map_id, pose)))
+            features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
         if self.approach is not None:
             features.append(self.approach(position, last_step, heading, hidden, crowd))
         context = self.to_decoder(torch.cat(features, -1), folded.to_decoder)

@@ -23,9 +23,9 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal, kl_divergence
 
+from pedzoo.batch import agents_of, maps_of
 from pedzoo.errors import UserError
-from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import Forecaster, agents_of, arguments, known_displacements, true_displacements
+from pedzoo.models.base import Forecaster, arguments, known_displacements, true_displacements
 from pedzoo.models.blocks import frame as frames
 from pedzoo.models.blocks import lines
 from pedzoo.models.blocks.crowd import Crowd
@@ -113,11 +113,6 @@ class SocialVRNN(Forecaster):
         self.posterior = LatentHead(width + state_dim, hidden_dim, latent_dim)
         self.decoder = MixtureDecoder(width, latent_dim, hidden_dim, components, min_scale)
 
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans that ``map_id`` speaks of."""
-        if self.map is not None:
-            self.map.bind(bank)
-
     def see(self, batch: TensorDict) -> Seen:
         """Return what is known about everybody."""
         agents = agents_of(batch)
@@ -131,7 +126,7 @@ class SocialVRNN(Forecaster):
             features.append(self.others(position, moved[:, -1], heading, crowd))
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
-            features.append(self.map_dropout(self.map(position, heading, map_id, pose)))
+            features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
         joined = torch.cat(features, -1)
         return Seen(joined, self.prior(joined), own[:, -1], heading, crowd)
 

@@ -6,8 +6,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.batch import goals_of
 from pedzoo.data.goals import TIMED
-from pedzoo.models.base import Forecaster, for_all_samples, goals_of
+from pedzoo.models.base import Forecaster, for_all_samples
 from pedzoo.models.blocks import lines
 from pedzoo.types import GoalProtocol
 

@@ -13,6 +13,7 @@ from torch.nn import functional as F
 from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.per_bank import PerBank
 from pedzoo.models.blocks import alexnet
 from pedzoo.models.blocks.map_encoder import MapEncoder
 
@@ -46,10 +47,13 @@ class AlexNetEncoder(MapEncoder):
         self.head = nn.Sequential(nn.Linear(alexnet.CHANNELS, dim), nn.ReLU())
         self.weights, self.cell = weights, cell
         self._encoded: dict[tuple[int, str], Tensor] = {}
-        self._atlas: Atlas | None = None
+        self._atlases: PerBank[Atlas] = PerBank()
 
-    def bind(self, bank: MapBank) -> None:
-        """Encode every floor plan of ``bank`` (about a second each), but for those of earlier banks."""
+    def atlas(self, bank: MapBank) -> Atlas:
+        """Return the features of every floor plan of ``bank``, about a second for each that is new."""
+        return self._atlases.of(bank, self._encode)
+
+    def _encode(self, bank: MapBank) -> Atlas:
         known, needed = self._encoded, {(grid.map_id, bank.unknown): grid for grid in bank.grids}
         new = {key: grid for key, grid in needed.items() if key not in known}
         weights = alexnet.load(self.weights) if new else {}
@@ -57,19 +61,17 @@ class AlexNetEncoder(MapEncoder):
             known[key] = encode(grid, bank, weights, self.cell)
         nowhere = torch.zeros(alexnet.CHANNELS)
         to_pixel = [map_to_feature(grid, self.cell) for grid in bank.grids]
-        self._atlas = Atlas.stack([known[key] for key in needed], to_pixel, nowhere)
-        super().bind(bank)
+        return Atlas.stack([known[key] for key in needed], to_pixel, nowhere).to(bank.device)
 
-    def features(self, position: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def features(self, bank: MapBank, position: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return AlexNet's features (P, 256) at each person's place; zeros without a map."""
-        row = self.bank(position.device).index(map_id)
-        assert self._atlas is not None  # bank() raised otherwise
-        self._atlas = self._atlas.to(position.device)
-        return self._atlas.sample(position, row, pose)
+        return self.atlas(bank).sample(position, bank.index(map_id), pose)
 
-    def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def forward(
+        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
+    ) -> Tensor:
         """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
-        return self.head(self.features(position, map_id, pose))
+        return self.head(self.features(bank, position, map_id, pose))
 
 
 @torch.no_grad()

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from pedzoo.errors import UserError
+from pedzoo.maps.bank import MapBank
 from pedzoo.models.blocks.map_encoder import MapEncoder
 
 CLIP = 1.5
@@ -49,15 +50,17 @@ class PatchEncoder(MapEncoder):
         width = convolutions(torch.zeros(1, 1, cells, cells)).shape[1]
         self.net = nn.Sequential(convolutions, nn.Linear(width, dim))
 
-    def patch(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def patch(self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return distances to walls (P, 1, cells, cells) in units of ``CLIP``, negative inside walls.
 
         Columns go ahead (the last one is in front of the person), rows go left (the last one is to the left).
         Arguments as in `MapEncoder.forward`.
         """
-        distance = self.distances_at(self.get_buffer("offsets"), position, heading, map_id, pose)
+        distance = self.distances_at(bank, self.get_buffer("offsets"), position, heading, map_id, pose)
         return (distance.clamp(-CLIP, CLIP) / CLIP).reshape(-1, 1, self._cells, self._cells)
 
-    def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def forward(
+        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
+    ) -> Tensor:
         """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
-        return self.net(self.patch(position, heading, map_id, pose))
+        return self.net(self.patch(bank, position, heading, map_id, pose))

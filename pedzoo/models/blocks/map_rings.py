@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from pedzoo.maps.bank import MapBank
 from pedzoo.models.blocks.map_encoder import MapEncoder
 
 RADII = (0.3, 0.6, 1.0, 1.6)
@@ -33,14 +34,18 @@ class RingEncoder(MapEncoder):
             nn.Linear(offsets.shape[1], hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, dim), nn.ReLU()
         )
 
-    def distances(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def distances(
+        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
+    ) -> Tensor:
         """Return distances to walls (P, 49), metres, at most ``CLIP``: here, then rings, anticlockwise.
 
         Arguments as in `MapEncoder.forward`.
         """
-        distance = self.distances_at(self.get_buffer("offsets"), position, heading, map_id, pose)
+        distance = self.distances_at(bank, self.get_buffer("offsets"), position, heading, map_id, pose)
         return distance.clamp(-CLIP, CLIP)
 
-    def forward(self, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def forward(
+        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
+    ) -> Tensor:
         """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
-        return self.net(self.distances(position, heading, map_id, pose))
+        return self.net(self.distances(bank, position, heading, map_id, pose))

@@ -7,7 +7,8 @@ from typing import Literal, cast
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.models.base import agents_of, known_displacements, true_displacements
+from pedzoo.batch import agents_of
+from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.blocks.crowd import Crowd
 
 Kind = Literal["squared_displacement", "distance"]

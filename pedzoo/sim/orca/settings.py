@@ -6,9 +6,11 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from pedzoo.errors import UserError, unknown
+from pedzoo.types import BODY_RADIUS
 
 
 @dataclass(frozen=True)
@@ -16,7 +18,8 @@ class OrcaSettings:
     """Parameters of ORCA, in RVO2's meaning and mostly with its names.
 
     Attributes:
-        radius: Of everybody's disk, metres. It is ORCA's own: bodies and planners have theirs.
+        radius: Of the disk of every person that ORCA moves, metres. It is ORCA's own: bodies and planners
+            have theirs.
         time_step: Seconds in which people who already overlap are to be apart again: the time for which
             the velocities are held.
         neighbor_dist: Metres between centres from which on others are ignored.
@@ -58,9 +61,29 @@ class OrcaSettings:
             raise unknown("ORCA preset", name, PRESETS)
         return cls(**(PRESETS[name] | changes))
 
-    def wall_reach(self, max_speed: Tensor) -> Tensor:
-        """Return the distance (...) within which walls matter to people of ``max_speed`` (...), metres."""
-        return self.time_horizon_obst * max_speed + self.radius
+    def radii(self, body: Tensor, robot: Tensor, controlled: Tensor) -> Tensor:
+        """Return the radii (...) of the disks that ORCA avoids, metres.
+
+        ``radius`` stands for persons with the usual body. Robots, and agents of another body that ORCA does
+        not move, count with their own one, and wider persons with at least that.
+
+        Args:
+            body: Radii of the bodies (...), metres.
+            robot: Which agents are robots (...) bool.
+            controlled: Which agents ORCA moves (...) bool.
+        """
+        other = (body - BODY_RADIUS).abs() > 1e-6
+        own = torch.where(controlled & ~robot, body.clamp_min(self.radius), body)
+        return torch.where(robot | other, own, self.radius)
+
+    def wall_reach(self, max_speed: Tensor, radius: Tensor | None = None) -> Tensor:
+        """Return the distance (...) within which walls matter, metres.
+
+        Args:
+            max_speed: Top speeds (...), m/s.
+            radius: Radii of the disks (...), metres; None for ``radius`` of the settings.
+        """
+        return self.time_horizon_obst * max_speed + (self.radius if radius is None else radius)
 
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -25,6 +25,7 @@ def orca_velocity(
     settings: OrcaSettings,
     walls: Segments | None = None,
     passive: Tensor | None = None,
+    radius: Tensor | None = None,
 ) -> Tensor:
     """Return the velocities (B, A, 2) that ORCA chooses, m/s; 0 for absent people. No gradient flows.
 
@@ -41,11 +42,15 @@ def orca_velocity(
         walls: The wall segments near each of the B * A people, within `OrcaSettings.wall_reach` of their top
             speeds; None: walls are not seen.
         passive: Who does not avoid anybody (B, A) bool: their velocity is returned as it is. The others do
-            their half of avoiding them, as they do for everybody.
+            all of avoiding them, and half of avoiding each other; None: nobody.
+        radius: Radii of the disks (B, A), metres; None for that of the settings.
     """
     # A scene of few people takes hundreds of short operations: not to track them at all saves a sixth.
     with torch.inference_mode():
-        chosen = _velocity(position, velocity, pref_velocity, max_speed, mask, settings, walls, passive)
+        if radius is None:
+            radius = max_speed.new_full(mask.shape, settings.radius)
+        state = position, velocity, pref_velocity, max_speed, radius.to(position)
+        chosen = _velocity(*state, mask, settings, walls, passive)
     return chosen.clone()  # a tensor as any other again
 
 
@@ -54,6 +59,7 @@ def _velocity(
     velocity: Tensor,
     pref_velocity: Tensor,
     max_speed: Tensor,
+    radius: Tensor,
     mask: Tensor,
     settings: OrcaSettings,
     walls: Segments | None,
@@ -64,14 +70,17 @@ def _velocity(
     rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
     if rows is not None:  # whatever stands in for absent people
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
-    lines = agent_lines(position, velocity, mask, rows, settings)
-    state = position, velocity, pref_velocity, max_speed[..., None]
+    share = torch.full_like(radius, 0.5)
+    if passive is not None:
+        share = torch.where(passive, 1.0, share)
+    lines = agent_lines(position, velocity, radius, share, mask, rows, settings)
+    state = position, velocity, pref_velocity, max_speed[..., None], radius[..., None]
     people = torch.cat([part.flatten(0, 1).T for part in state])
     people = people if rows is None else people.index_select(1, rows)
     obstacles = 0
     if walls is not None:
         walls = walls if rows is None else walls.select(rows)
-        beside_walls = wall_lines(walls, people[2:4], settings)
+        beside_walls = wall_lines(walls, people[2:4], people[7], settings)
         obstacles, lines = beside_walls.shape[1], torch.cat((beside_walls, lines), dim=1)
     chosen = solve(lines, obstacles, people[4:6], people[6]).T
     if rows is None:

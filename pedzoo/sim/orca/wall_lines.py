@@ -25,30 +25,31 @@ _TOUCHING = 1e-6
 """Metres: nearer to a wall nobody is. Those who stand for no wall may be anywhere."""
 
 
-def wall_lines(walls: Segments, velocity: Tensor, settings: OrcaSettings) -> Tensor:
+def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
     Args:
         walls: K segments of each person, nearest first.
         velocity: Velocities (2, N), m/s.
-        settings: Radius, horizon and how many segments are heeded.
+        radius: Radii of the disks (N,), metres.
+        settings: Horizon and how many segments are heeded.
     """
     walls = walls.nearest(settings.max_obstacles)
     right, ahead = walls.direction, walls.side * left(walls.direction)
     own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
-    x, y, dx, dy, counts = _lines(walls, own_x, own_y, settings)
+    x, y, dx, dy, counts = _lines(walls, own_x, own_y, radius, settings)
     # a mirror changes which side of a line is left
     point = (x * right).add_(y * ahead)
     lines = torch.cat((point, (dx.mul_(walls.side) * right).add_(dy * left(right))))
-    return lines.mul_(_uncovered(walls, ahead, lines, counts, settings))
+    return lines.mul_(_uncovered(walls, ahead, lines, counts, radius, settings))
 
 
 def _uncovered(
-    walls: Segments, ahead: Tensor, lines: Tensor, counts: Tensor, settings: OrcaSettings
+    walls: Segments, ahead: Tensor, lines: Tensor, counts: Tensor, radius: Tensor, settings: OrcaSettings
 ) -> Tensor:
     """Return which lines count (K, N), 1 or 0: not those of what lies behind the line of a nearer segment."""
     scale = 1 / settings.time_horizon_obst
-    margin = max(settings.radius * scale - EPSILON, torch.finfo(lines.dtype).tiny)
+    margin = (radius * scale - EPSILON).clamp_min(torch.finfo(lines.dtype).tiny)
     one = (walls.apart * ahead).sub_(walls.along * walls.direction).mul_(scale)
     other = one + scale * walls.length * walls.direction
     x, y = torch.stack((one, other), dim=1)  # (2 corners, K, N)
@@ -59,12 +60,14 @@ def _uncovered(
     return counts
 
 
-def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, settings: OrcaSettings) -> tuple[Tensor, ...]:
+def _lines(
+    walls: Segments, own_x: Tensor, own_y: Tensor, radius: Tensor, settings: OrcaSettings
+) -> tuple[Tensor, ...]:
     """Return each segment's line by itself, in its frame, and whether there is one, 1 or 0; all (K, N).
 
     In order: x and y of a point of the line, x and y of its direction, whether it counts.
     """
-    radius, scale = settings.radius, 1 / settings.time_horizon_obst
+    scale = 1 / settings.time_horizon_obst
     apart = walls.apart.clamp_min(_TOUCHING)
     corner = torch.stack((-walls.along, walls.along - walls.length))
     apart2 = apart * apart

@@ -5,7 +5,6 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 
 from pedzoo.errors import UserError
-from pedzoo.maps.bank import MapBank
 from pedzoo.models.safety import safe
 from pedzoo.sim.policy import Policy
 from pedzoo.types import STEP_SECONDS
@@ -29,16 +28,11 @@ class GoToGoal(Policy):
         if safety and dt != STEP_SECONDS:
             raise UserError(f"dt {dt}: the safety layer looks {STEP_SECONDS} s ahead; leave out dt or safety")
         self.safety = safety
-        self._bank: MapBank | None = None
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans; only the safety layer uses them."""
-        self._bank = bank
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
         velocity = tensordict["agents", "desired_velocity"]
         if self.safety:
-            velocity = safe(tensordict, velocity * STEP_SECONDS, self._bank) / STEP_SECONDS
+            velocity = safe(tensordict, velocity * STEP_SECONDS) / STEP_SECONDS
         tensordict["agents", "action"] = velocity
         return tensordict

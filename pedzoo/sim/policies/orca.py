@@ -8,10 +8,11 @@ import torch
 from tensordict import TensorDictBase
 
 from pedzoo import draws
+from pedzoo.batch import ROBOT, ids_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.per_bank import PerBank
 from pedzoo.maps.segments import WallSegments
-from pedzoo.models.base import ids_of
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.policy import Policy
@@ -19,7 +20,10 @@ from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
 
 
 class Orca(Policy):
-    """Everybody takes half of the avoidance; the preferred velocity is the planner's desired one.
+    """Everybody takes half of the avoidance, and all of it for agents that this policy does not move.
+
+    The preferred velocity is the planner's desired one. Robots, and other bodies that the policy does not
+    move, count with their own radius.
 
     People who have the same preferred velocity and are each other's mirror image stop for ever: a small
     ``jitter`` of the preferred velocity, usual with RVO2, frees most of them.
@@ -42,7 +46,7 @@ class Orca(Policy):
         """Set the constants; what is not given is the preset's.
 
         Args:
-            radius: Of everybody's disk, metres.
+            radius: Of the disk of every person that it moves, metres; others have their own.
             walls: Whether walls are avoided. iGibson's ORCA never sees them.
             dt: Seconds between decisions.
             jitter: Standard deviation of noise on the preferred velocity, m/s.
@@ -74,11 +78,7 @@ class Orca(Policy):
         self.settings = OrcaSettings.preset(preset, time_step=dt, **changes)
         self.jitter, self.top_speed_ratio = jitter, top_speed_ratio
         self._sees_walls = walls
-        self._walls: WallSegments | None = None
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans whose walls are avoided."""
-        self._walls = WallSegments(bank, most=self.settings.max_obstacles) if self._sees_walls else None
+        self._segments: PerBank[WallSegments] = PerBank()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -93,11 +93,14 @@ class Orca(Policy):
             key = draws.join(key.unsqueeze(-1), torch.arange(2, device=key.device))
             wanted = wanted + self.jitter * draws.normal(key)
         walls = None
-        if self._walls is not None:
+        body, controlled = agents["radius"][..., 0], agents["controlled"]
+        radius = self.settings.radii(body, agents["kind"] == ROBOT, controlled)
+        if self._sees_walls:
             map_id = tensordict["map_id"].expand(scenes, slots).flatten()
             pose = tensordict["scene_pose"].repeat_interleave(slots, 0)
-            reach = self.settings.wall_reach(top_speed).flatten()
-            walls = self._walls.near(position.flatten(0, 1), map_id, pose, reach)
+            reach = self.settings.wall_reach(top_speed, radius).flatten()
+            segments = self._segments.of(maps_of(tensordict), self._outlined)
+            walls = segments.near(position.flatten(0, 1), map_id, pose, reach)
         velocity = orca_velocity(
             position,
             agents["velocity"],
@@ -106,7 +109,11 @@ class Orca(Policy):
             mask,
             self.settings,
             walls,
-            passive=mask & ~agents["controlled"],
+            passive=mask & ~controlled,
+            radius=radius,
         )
         tensordict["agents", "action"] = velocity
         return tensordict
+
+    def _outlined(self, bank: MapBank) -> WallSegments:
+        return WallSegments(bank, most=self.settings.max_obstacles)

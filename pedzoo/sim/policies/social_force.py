@@ -9,16 +9,17 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo import draws
+from pedzoo.batch import agents_of, ids_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.base import ids_of
+from pedzoo.maps.per_bank import PerBank
 from pedzoo.sim.policy import Policy
 from pedzoo.sim.social_force.borders import Borders
-from pedzoo.sim.social_force.forces import wall_force
+from pedzoo.sim.social_force.forces import closer, wall_force
 from pedzoo.sim.social_force.settings import Anisotropy, SocialForceSettings
 from pedzoo.sim.social_force.velocity import social_force_velocity
-from pedzoo.types import TRACE_SECONDS
+from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
 
 class SocialForce(Policy):
@@ -99,11 +100,7 @@ class SocialForce(Policy):
                 "for longer than it takes to change it follows no forces"
             )
         self._sees_walls = walls
-        self._borders: Borders | None = None
-
-    def bind(self, bank: MapBank) -> None:
-        """Take the floor plans whose walls are avoided."""
-        self._borders = Borders(bank, self.settings.wall_reach) if self._sees_walls else None
+        self._borders: PerBank[Borders] = PerBank()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -127,21 +124,29 @@ class SocialForce(Policy):
             self.settings,
             self.decision_dt,
             identity,
-            None if self._borders is None else lambda place, rows: self._walls(tensordict, place, rows),
+            None if not self._sees_walls else lambda place, rows: self._walls(tensordict, place, rows),
             fluctuation,
+            agents["radius"][..., 0],
         )
         return tensordict
 
     def _walls(self, tensordict: TensorDictBase, place: Tensor, rows: Tensor | None) -> Tensor:
         """Return the walls' forces (2, N) on the people ``rows`` (N,) of B * A, at ``place`` (2, N)."""
-        assert self._borders is not None
+        borders = self._borders.of(maps_of(tensordict), self._outlined)
         mask, poses, ids = (
             cast("Tensor", tensordict[key]) for key in (("agents", "mask"), "scene_pose", "map_id")
         )
+        radius = cast("Tensor", agents_of(tensordict)["radius"]).flatten()
+        radius = radius if rows is None else radius[rows]
         slots = mask.shape[1]
         scene = torch.arange(len(mask), device=mask.device).repeat_interleave(slots)
         scene = scene if rows is None else scene[rows]
         pose = poses[scene]
-        points = self._borders.near(move_to_map(place.T, pose).T.contiguous(), ids.flatten()[scene])
-        force = wall_force(*points, place.shape[1], self.settings.wall_strength, self.settings.wall_range)
+        points = borders.near(move_to_map(place.T, pose).T.contiguous(), ids.flatten()[scene])
+        offset = closer(points.offset, radius.index_select(0, points.person) - BODY_RADIUS)
+        strength, reach = self.settings.wall_strength, self.settings.wall_range
+        force = wall_force(points.person, offset, points.weight, place.shape[1], strength, reach)
         return turn_to_scene(force.T, pose).T
+
+    def _outlined(self, bank: MapBank) -> Borders:
+        return Borders(bank, self.settings.wall_reach)

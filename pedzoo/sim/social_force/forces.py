@@ -26,6 +26,12 @@ def direction(vector: Tensor) -> Tensor:
     return vector / length(vector, 1e-6)
 
 
+def closer(offset: Tensor, by: Tensor) -> Tensor:
+    """Return offsets (2, ...) that are shorter ``by`` (...) metres, but not shorter than a hundredth."""
+    share = (by / length(offset, CLOSEST)).clamp_max(0.99)
+    return offset * (1 - share)
+
+
 def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
     """Return what makes people take up their desired velocity (2, N), m/s (eq. 2).
 

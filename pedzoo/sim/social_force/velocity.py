@@ -12,6 +12,7 @@ from pedzoo import draws
 from pedzoo.sim.neighbors import Neighbors, nearest
 from pedzoo.sim.social_force.forces import (
     CLOSEST,
+    closer,
     direction,
     driving_force,
     length,
@@ -20,6 +21,7 @@ from pedzoo.sim.social_force.forces import (
     view_weight,
 )
 from pedzoo.sim.social_force.settings import SocialForceSettings
+from pedzoo.types import BODY_RADIUS
 
 LONGEST_STEP = 0.1
 """Seconds: longer decisions are integrated in equal parts. Near walls the forces change within 0.2 s."""
@@ -36,6 +38,7 @@ def social_force_velocity(
     identity: Tensor,
     walls: Callable[[Tensor, Tensor | None], Tensor] | None = None,
     fluctuation: Tensor | None = None,
+    radius: Tensor | None = None,
 ) -> Tensor:
     """Return the velocities (B, A, 2) that the forces lead to after ``seconds``, m/s; 0 for absent people.
 
@@ -55,7 +58,10 @@ def social_force_velocity(
         walls: Gives the walls' forces (2, N) on people at places (2, N), who are ``rows`` (N,) of all B * A;
             None: no walls.
         fluctuation: A further acceleration (B, A, 2), m/s^2.
+        radius: Radii of the bodies (B, A), metres. The forces are those between people of `BODY_RADIUS`:
+            what both are wider is taken off their distance. None for people of that radius.
     """
+    wider = torch.zeros_like(pref_speed) if radius is None else radius - BODY_RADIUS
     rows = None if mask.all() else mask.flatten().nonzero()[:, 0]
     if rows is not None:  # whatever stands in for absent people
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
@@ -69,7 +75,9 @@ def social_force_velocity(
         own_place, own_speed = _of(place, rows), _of(speed, rows)
         force = driving_force(own_speed, desired, settings.tau)
         if len(others.index):
-            force = force + _people(place, speed, heading, others, rows, identity.flatten(), settings)
+            force = force + _people(
+                place, speed, heading, others, rows, identity.flatten(), wider.flatten(), settings
+            )
         if walls is not None:
             force = force + walls(own_place, rows)
         if fluctuation is not None:
@@ -94,6 +102,7 @@ def _people(
     others: Neighbors,
     rows: Tensor | None,
     identity: Tensor,
+    wider: Tensor,
     settings: SocialForceSettings,
 ) -> Tensor:
     """Return the sum of the others' forces (2, N)."""
@@ -105,6 +114,8 @@ def _people(
     together = together if near is None else together & near
     if bool(together.any()):
         offset = offset + _apart(together, index, rows, identity, offset.dtype)
+    more = wider.index_select(0, index.flatten()).view(index.shape) + _of(wider[None], rows)
+    offset = closer(offset, more)
     force, away = repulsion(offset, theirs[2:], settings.strength, settings.sigma)
     if settings.anisotropy == "view":
         force = force * view_weight(away, heading, settings.view_angle, settings.out_of_view)
