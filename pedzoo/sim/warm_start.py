@@ -50,7 +50,9 @@ def rolled(state: State, physics: World, rules: kernel.Rules, walls: WallSegment
         reach = ORCA.wall_reach(top_speed, radius).flatten()
         near = walls.near(state.position.flatten(0, 1), map_id, poses, reach)
         wanted = torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
-        action = orca_velocity(state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius)
+        action = orca_velocity(
+            state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius
+        )
         before = state.position
         state, guidance, _ = kernel.step(state, action, physics, rules)
         state = state._replace(velocity=(state.position - before) / STEP_SECONDS)
