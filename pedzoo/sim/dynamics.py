@@ -42,9 +42,9 @@ def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
 def blended(velocity: Tensor, command: Tensor, ticks: int) -> Tensor:
     """Return velocities (2, S, ...) of the S trace steps of a decision, blended instead of switched.
 
-    The first step lies half-way between old and new velocity. The others make up for it, so that the decision
-    ends where the command alone would lead. An agent that brakes to a stop does not walk backwards for it:
-    what is made up is at most half of the commanded velocity.
+    The first step lies half-way between old and new velocity, the last one has the new velocity. Those between
+    make up for the first, so that the decision ends where the command alone would lead. An agent that brakes
+    to a stop does not walk backwards for it: what is made up is at most half of the commanded velocity.
 
     Args:
         velocity: Of the last 0.1 s (2, ...), m/s.
@@ -53,12 +53,13 @@ def blended(velocity: Tensor, command: Tensor, ticks: int) -> Tensor:
     """
     if ticks == 1:
         return command.unsqueeze(1)
+    between = max(1, ticks - 2)
     half = 0.5 * (velocity - command)
     size = (half.square().sum(0) + 1e-12).sqrt()
     speed = (command.square().sum(0) + 1e-12).sqrt()
-    half = half * (0.5 * (ticks - 1) * speed / size).clamp_max(1.0)
-    others = command - half / (ticks - 1)
-    return torch.stack([command + half, *[others] * (ticks - 1)], dim=1)
+    half = half * (0.5 * between * speed / size).clamp_max(1.0)
+    rest = [command - half / between] * between + [command] * (ticks - 1 - between)
+    return torch.stack([command + half, *rest], dim=1)
 
 
 def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:

@@ -89,7 +89,7 @@ class Episodes:
         )
 
     def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
-        """Return the state in which no goal is nearer than `LEAST_WAY`, if there is another one; its guidance."""
+        """Return the state and its guidance, with another goal where one is nearer than `LEAST_WAY`."""
         for _ in range(TRIES):
             near = state.mask & (state.goal_id >= 0) & (guidance.distance < LEAST_WAY)
             near = near & (state.next_goal >= 0)
