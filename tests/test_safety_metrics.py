@@ -105,3 +105,14 @@ def test_time_to_collision_is_when_discs_that_walk_on_first_touch(
     meets = there & (there.sum(1, keepdim=True) > 1)
     assert (found[~meets] == INF).all() and (found[meets] < 9.9).sum() > 20
     torch.testing.assert_close(found[meets], first[meets], atol=0.02, rtol=0)
+
+
+def test_wide_bodies_touch_earlier() -> None:
+    """2 m apart, 2 m/s towards each other: bodies of 0.15 and 0.5 m touch after 1.35 m."""
+    position = torch.tensor([[[[0.0, 0.0]], [[2.0, 0.0]]]])
+    velocity = torch.tensor([[[[1.0, 0.0]], [[-1.0, 0.0]]]])
+    there = torch.ones(1, 2, 1, dtype=torch.bool)
+    found = time_to_collision(position, velocity, there, torch.tensor([[0.15, 0.5]]))
+    assert found.flatten().tolist() == pytest.approx([0.675, 0.675])
+    people = time_to_collision(position, velocity, there)
+    assert people.flatten().tolist() == pytest.approx([0.85, 0.85])

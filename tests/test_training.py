@@ -351,12 +351,14 @@ def test_another_goal_protocol_than_the_models_is_refused(capsys: pytest.Capture
     make_trainer(max_epochs=1, limit_train_batches=1).fit(module, make_data(goal="random_future"))
 
 
-def test_a_map_model_is_bound_to_the_floor_plans_of_the_data() -> None:
-    module = make_module("gan")
+def test_batches_bring_the_floor_plans_of_the_data() -> None:
+    module, seen = make_module("gan"), []
     module.generator = SGAN(map="patch", best_k=2)
+    assert module.generator.map is not None
+    module.generator.map.register_forward_pre_hook(lambda part, given: seen.append(given[0]))
     data = make_data()
     make_trainer(max_epochs=1, limit_train_batches=1).fit(module, data)
-    assert module.generator.map is not None and module.generator.map.bank(torch.device("cpu")) is data.bank
+    assert seen and all(bank is data.bank for bank in seen)
 
 
 def test_a_model_without_variety_loss_is_for_the_other_module() -> None:
