@@ -26,7 +26,7 @@ ENVIRONMENT_BARS = {
 
 POLICY_BAR, CONTROLLER_BAR, SHARE_BAR = 1.5, 2.0, 25.0
 POLICY_SIZE = "64 x 5"
-WIDTH = 180
+WIDTH = 200
 """Columns of the table where the terminal has fewer."""
 
 

@@ -85,9 +85,7 @@ def section(name: str, scenes: int, people: int) -> Iterator[Case]:
             yield Case(f"env {policy}", scenes, people, dt, variant, build, round(TURN / dt))
     if name == "controller":
         plan = PLANS.get(people, PLAN)
-        yield Case(
-            f"controller {MODEL} in {plan}", 1, people, DECISION, "", lambda: steering(plan, people), CALLS
-        )
+        yield Case(f"controller in {plan}", 1, people, DECISION, "", lambda: steering(plan, people), CALLS)
 
 
 def variants() -> tuple[str, ...]:
