@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -97,8 +97,22 @@ class PeerCase(NamedTuple):
 class Peer:
     """A running script; close it, or use `running`."""
 
-    def __init__(self, script: Path, python: str, threads: int, patience: float = PATIENCE) -> None:
+    def __init__(
+        self,
+        script: Path,
+        python: str,
+        threads: int,
+        patience: float = PATIENCE,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         """Start it.
+
+        Args:
+            script: What it runs.
+            python: The interpreter; this one if empty.
+            threads: It is told to use so many.
+            patience: Seconds that an answer may take beyond the time that it is to work.
+            environment: Variables that it gets beside those of this process.
 
         Raises:
             UserError: There is no such script or interpreter.
@@ -112,7 +126,12 @@ class Peer:
         pipe = subprocess.PIPE
         try:
             self._process = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=self._complaints, text=True, env=os.environ | one
+                command,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=self._complaints,
+                text=True,
+                env=os.environ | one | dict(environment or {}),
             )
         except OSError as error:
             self._complaints.close()
@@ -176,6 +195,7 @@ class Peer:
             self._process.kill()
             raise self._refused(f"did not answer within {patience:g} s when asked for {what}") from None
         if line is None:
+            self._lines.put(None)  # the next question need not wait for it
             code = self._process.wait()
             raise self._refused(f"ended with exit code {code} when asked for {what}")
         try:

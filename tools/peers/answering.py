@@ -7,8 +7,10 @@ not ours.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -43,8 +45,15 @@ class Case:
 def serve(
     name: str, versions: dict[str, str], cases: Callable[[list[dict[str, Any]], int], list[Case]]
 ) -> None:
-    """Answer until nobody asks any more; ``cases`` says what can be done of given scenes and threads."""
-    answers, sys.stdout = sys.stdout, sys.stderr  # nothing else may come between the answers
+    """Answer until no question comes any more.
+
+    Args:
+        name: Of the program.
+        versions: Of it and of what it depends on.
+        cases: Says what can be done of given scenes with so many threads.
+    """
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # nothing else may come between the answers, whatever a library prints to
     known: list[Case] = []
     built: dict[int, tuple[Step, Step | None]] = {}
     now = time.perf_counter
@@ -60,11 +69,15 @@ def serve(
             answer: dict[str, Any] = {"name": name, "versions": versions, "cases": about}
         else:
             case = known[question["run"]]
-            if question["run"] not in built:
-                built[question["run"]] = case.build()
-                timed(case, built[question["run"]], 0.0, now)
-            speed = timed(case, built[question["run"]], question["seconds"], now)
-            answer = {"agent_steps_per_s": speed}
+            try:
+                if question["run"] not in built:
+                    built[question["run"]] = case.build()
+                    timed(case, built[question["run"]], 0.0, now)
+                speed = timed(case, built[question["run"]], question["seconds"], now)
+                answer = {"agent_steps_per_s": speed}
+            except Exception as error:  # the other cases may still work
+                traceback.print_exc()
+                answer = {"error": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), file=answers, flush=True)
 
 
