@@ -24,7 +24,8 @@ def guide_compiled(
     """Return what `Planner.guide_scenes` does."""
     from pedzoo.maps.compiled import guide
 
-    made = Guidance(*(torch.empty(*goal_id.shape, 2) for _ in range(4)), torch.empty(goal_id.shape))
+    carrot, desired, waypoint, goal = (torch.empty(*goal_id.shape, 2) for _ in range(4))
+    made = Guidance(carrot, desired, waypoint, goal, torch.empty(goal_id.shape))
     given = (points.float(), goal_id, row, pose.float(), pref_speed.float())
     guide(
         *(value.detach().numpy() for value in given),

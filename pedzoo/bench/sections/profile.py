@@ -1,4 +1,4 @@
-"""Where the time goes when SGAN+goal+map walks: network, planner, contacts, walking, resets, the rest."""
+"""Where the time goes when SGAN+goal+map walks: network, planner, bodies, resets, the rest."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from pedzoo.bench.figures import Measured, Row
 from pedzoo.bench.scenes import LARGEST, Size, scenario, sizes
 from pedzoo.bench.section import Section
 from pedzoo.bench.turns import Clock
-from pedzoo.sim import simulation
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import load_policy
 from pedzoo.types import STEP_SECONDS
 
 MODEL = "sgan_goal_map.zara1"
-NETWORK, PLANNER, CONTACTS = "network", "planner (guide, look)", "contacts"
-WALKING, RESETS, REST = "dynamics (walk)", "resets", "observation and bookkeeping"
-PARTS = (NETWORK, PLANNER, CONTACTS, WALKING, RESETS, REST)
+NETWORK, PLANNER = "network", "planner (guide, look)"
+WALKING, RESETS, REST = "bodies (advance: paths, contacts)", "resets", "observation and bookkeeping"
+PARTS = (NETWORK, PLANNER, WALKING, RESETS, REST)
 SUMS = {
-    "planner + contacts + bookkeeping": (PLANNER, CONTACTS, REST),
+    "planner + bodies + bookkeeping": (PLANNER, WALKING, REST),
     "everything but the network": PARTS[1:],
 }
 BAR = 30.0
@@ -142,10 +141,9 @@ def parts_timed(split: Split, env: PedestrianEnv) -> Iterator[None]:
     """Time the parts of an environment's steps within the block."""
     planner = env.scenario.planner
     calls = (
-        (PLANNER, planner, "guide"),
+        (PLANNER, planner, "guide_scenes"),
         (PLANNER, planner, "look"),
-        (CONTACTS, env.world, "contacts"),
-        (WALKING, simulation, "walk"),
+        (WALKING, env.world, "advance"),
         (RESETS, env, "_reset"),
     )
     with ExitStack() as stack:

@@ -17,13 +17,13 @@ from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.dynamics import walk
+from pedzoo.sim.dynamics import integrate
 from pedzoo.sim.scenarios.goals import Goals
 from pedzoo.sim.worlds.base import People, World
 from pedzoo.sim.worlds.bullet import BulletWorld
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.grid import GridWorld
-from pedzoo.types import STEP_SECONDS
+from pedzoo.types import BODY_RADIUS
 
 WORLDS: dict[str, type[World]] = {"grid": GridWorld, "bullet": BulletWorld}
 TRACE, STEPS, RAYS, PICTURE = 4, 4, 128, (640, 480)
@@ -85,9 +85,12 @@ def walks(world: World, people: People) -> Tensor:
     """Return where they go in a decision (B, A, S, M, 2)."""
     angle = torch.rand(people.mask.shape, generator=torch.Generator().manual_seed(0)) * 2 * math.pi
     velocity = SPEED * torch.stack((angle.cos(), angle.sin()), dim=-1)
-    walls = world.bank.walls_of_people(people.map_id[:, 0], people.pose, people.mask.shape[1])
-    path = walk(people.position, velocity, STEP_SECONDS, TRACE * STEPS, walls)
-    return path.unflatten(2, (TRACE, STEPS))
+    row = world.bank.index(people.map_id[:, 0])
+    walls = world.bank.walls_of_state(*world.bank.walls_of_scenes(row, people.pose))
+    radius = torch.full(people.mask.shape, BODY_RADIUS)
+    wanted = velocity.movedim(-1, 0).unsqueeze(1).expand(2, TRACE, *people.mask.shape)
+    path, _ = integrate(people.position.movedim(-1, 0), wanted, radius, STEPS, walls)
+    return path.permute(2, 3, 1, 0).unflatten(2, (TRACE, STEPS))
 
 
 def lidar(people: People) -> tuple[Tensor, Tensor]:
