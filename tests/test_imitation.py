@@ -225,7 +225,9 @@ def test_nobody_walks_faster_than_they_can(windows: SceneSet) -> None:
     batch = windows.batch(torch.tensor([0]), "destination")
     walked = unroll(lambda seen: 5 * toward(seen), batch, 1)
     moved = (walked.xy[0, :, 0] - agents_of(batch)["history"][0, :, -1]).norm(dim=-1)
-    assert float(moved[FAST - 1]) == pytest.approx(1.3 * 0.5, abs=1e-4)
+    # the first tenth of a second lies half-way between their velocity and the top speed
+    before = float(agents_of(batch)["velocity"][0, FAST - 1].norm())
+    assert float(moved[FAST - 1]) == pytest.approx(1.3 * 0.5 - 0.05 * (1.3 * 0.5 / 0.4 - before), abs=1e-3)
 
 
 def test_gradients_reach_back_through_what_others_see(windows: SceneSet) -> None:
@@ -380,7 +382,8 @@ def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
     terms = Imitation(distribution=0.0)(Walker(ConstantVelocity()), batch, torch.Generator())
     walked = unroll(constant, batch, 12)
     assert terms.keys() == {"loss", "displacement"}
-    assert float(terms["loss"]) == float(Imitation()._displacement(walked, recorded(batch, 12)))
+    expected = float(Imitation()._displacement(walked, recorded(batch, 12)))
+    assert float(terms["loss"]) == pytest.approx(expected, rel=1e-5)
 
 
 def test_weights_by_name() -> None:

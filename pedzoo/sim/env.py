@@ -10,7 +10,6 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from pedzoo.batch import scene_batch
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
@@ -18,6 +17,7 @@ from pedzoo.maps.guidance import Guidance
 from pedzoo.sim import kernel, specs
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.observation import observed
 from pedzoo.sim.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
@@ -227,25 +227,7 @@ class PedestrianEnv(EnvBase):
             "late": state.late,
             "way": state.way,
         }
-        batch = scene_batch(
-            maps=self.bank,
-            map_id=state.map_id.unsqueeze(1),
-            pose=state.pose,
-            history=state.history,
-            valid=state.valid,
-            mask=state.mask,
-            velocity=state.velocity,
-            heading=state.heading.unsqueeze(-1),
-            pref_speed=state.pref_speed.unsqueeze(-1),
-            radius=state.radius.unsqueeze(-1),
-            kind=state.kind,
-            goal=guidance.goal,
-            desired_velocity=guidance.desired_velocity,
-            controlled=state.decides & ~state.failed.unsqueeze(1),
-            id=state.person,
-            key=state.key.unsqueeze(1),
-            time=state.clock.unsqueeze(1),
-        )
+        batch = observed(state, guidance, self.bank)
         batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
         batch["failed"] = state.failed.unsqueeze(1)
         return batch

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -18,10 +18,9 @@ from pedzoo.geometry import heading_of
 from pedzoo.maps.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import blended, driven, limited
+from pedzoo.sim.motion import Motion
 from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.script import Script
 from pedzoo.sim.state import TURNS_FROM, State
-from pedzoo.sim.worlds.base import World
 from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
 
 CONTACT_COST = 1.0
@@ -53,6 +52,32 @@ class Events(NamedTuple):
     truncated: Tensor
 
 
+class Playback(Protocol):
+    """Agents who come, go and are played back; see `pedzoo.sim.script.Script`."""
+
+    def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
+        """Return the paths (B, A, S, M, 2) of agents that no policy moves."""
+        ...
+
+    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+        """Let agents come, go and be taken over; return which were taken over, too (B, A) bool."""
+        ...
+
+    def over(self, state: State) -> Tensor:
+        """Return which scenes have ended (B,) bool."""
+        ...
+
+
+class Physics(Protocol):
+    """Moves bodies; see `pedzoo.sim.worlds.base.World`."""
+
+    def advance(
+        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+    ) -> Motion:
+        """Return where agents are every 0.1 s, what they touch and which reach their goals."""
+        ...
+
+
 @dataclass(frozen=True)
 class Rules:
     """What holds for all scenes of a simulation.
@@ -76,7 +101,7 @@ class Rules:
     leave: bool = True
     keep_goal: bool = False
     wheels: bool = False
-    script: Script | None = None
+    script: Playback | None = None
 
 
 def rules_of(scenario: Scenario, ticks: int, substeps: int) -> Rules:
@@ -98,7 +123,7 @@ def _guided(scenario: Scenario, state: State) -> Guidance:
     )
 
 
-def step(state: State, commands: Tensor, physics: World, rules: Rules) -> tuple[State, Guidance, Events]:
+def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
     """Return what comes of a decision.
 
     A scene in which the command of a controlled agent is not finite stays as it is and is truncated. Agents

@@ -8,16 +8,16 @@ import torch
 from torch import Tensor
 
 from pedzoo.draws import Draws
+from pedzoo.geometry import nearest_part
+from pedzoo.maps.guidance import Guidance
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim import kernel
-from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
-from pedzoo.sim.worlds.base import People
 from pedzoo.sim.worlds.grid import GridWorld
 from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
@@ -30,51 +30,80 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
 
     On the same slots and trace as any rollout of them. ``controlled`` are the people whom a policy would
     have, for as long as it would have them if it walked as they did: until they come within 0.3 m of their
-    goal. From there on they have ``reached`` it, and are met by others until they really leave: who stands
-    about at the exit does so where no policy has anybody. Who never comes so near, because the goal is not
-    quite where they left, reaches it by leaving.
+    goal. From there on they have ``reached`` it, and are met by others until they really leave: people who
+    stand about at the exit do so where no policy has anybody. People who never come so near, because the goal
+    is not quite where they left, reach it by leaving.
     """
     assert scenario.script is not None
-    fine = substeps(scenario.fastest * TOP_SPEED_RATIO)
-    world = GridWorld(scenario.bank)
-    episodes = Episodes(scenario, "recorded", world, kernel.rules_of(scenario, TRACE_PER_STEP, fine))
+    script = AsRecorded.of(scenario.script)
+    fine, physics = substeps(scenario.fastest * TOP_SPEED_RATIO), GridWorld(scenario.bank)
+    planned = kernel.rules_of(scenario, TRACE_PER_STEP, fine)
+    episodes = Episodes(scenario, "recorded", physics, planned)
+    rules = kernel.Rules(_still, TRACE_PER_STEP, fine, script=script)
     for number in torch.arange(scenes).split(_AT_ONCE):
         start = episodes.begin(Draws.of(0, number))
-        yield _walked(scenario, scenario.script, world, start, fine)
+        yield _walked(scenario, script, physics, rules, start)
 
 
-def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, fine: int) -> Rollout:
-    """Return what really happened in scenes that begin so, with ``fine`` sub-steps per trace point."""
+class AsRecorded(Script):
+    """The script in which no policy takes anybody over: people come and go as they really did."""
+
+    @classmethod
+    def of(cls, script: Script) -> AsRecorded:
+        """Return the script of the same people."""
+        return cls(script.people, script.xy, script.who, script.scenes)
+
+    def due(self, scene: Tensor, frame: Tensor) -> Tensor:
+        """Return the people in the slots until they really leave; see `Script.due`."""
+        due = super().due(scene, frame)
+        at = frame.unsqueeze(1)
+        # nobody whom a policy would have is there any more in the frame `left`
+        there = (due >= 0) & (at < self.people.last[due]) & (at < self.scenes.left[scene].unsqueeze(1))
+        return torch.where(there, due, -1)
+
+    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
+        return torch.zeros_like(person, dtype=torch.bool)
+
+
+def _still(state: State) -> Guidance:
+    """Return goals where people are: nobody is told to walk."""
+    position = state.position
+    return Guidance(
+        position, torch.zeros_like(position), position, state.goal_point, torch.zeros_like(state.way)
+    )
+
+
+def _walked(
+    scenario: Scenario, script: Script, physics: kernel.Physics, rules: kernel.Rules, start: State
+) -> Rollout:
+    """Return what really happened in scenes that begin so."""
     people, scene = script.people, start.scene
-    origin = script.scenes.origin[scene]
     goal_point = people.goal.float()
     planned = (people.way.float() - GOAL_RADIUS).clamp_min(0)
+    origin = script.scenes.origin[scene]
+    due = script.due(scene, origin)
+    state = start._replace(
+        person=due, mask=due >= 0, controlled=torch.zeros_like(start.mask), goal_id=torch.full_like(due, -1)
+    )
+    still = torch.zeros_like(state.position)
     steps: list[dict[str, Tensor]] = []
-    position, before, done = start.position, start.person, torch.zeros_like(start.mask)
-    # nobody whom a policy would have is there any more in the frame `end`
-    end = script.scenes.left[scene]
-    for frame in range(int((end - origin).max())):
-        now = origin + frame
-        person = script.due(scene, now)
-        at = now.unsqueeze(1).expand_as(person)
-        there = (person >= 0) & (at < people.last[person]) & (now < end).unsqueeze(1)
-        tick = torch.full_like(scene, frame * TRACE_PER_STEP)
-        path = script.path(scene, person, tick, TRACE_PER_STEP, fine)
-        path = torch.where(there[..., None, None, None], path, position[:, :, None, None])
-        position = torch.where(there.unsqueeze(2), script.places(person, at), position)
-        contacts = world.contacts(path, People(position, there, start.map_id.unsqueeze(1), start.pose))
-        position = path[:, :, -1, -1]
+    before, done = start.person, torch.zeros_like(start.mask)
+    for frame in range(int((script.scenes.left[scene] - origin).max())):
+        person, there = state.person, state.mask
+        at = (origin + frame).unsqueeze(1).expand_as(person)
+        begin = script.places(person, at)
+        state, _, events = kernel.step(state, still, physics, rules)
         had = script.scored(scene, person) & there & (at >= people.taken[person])
         done = done & (person == before)
         leaves = had & (at + 1 == people.last[person])
-        reached = arrived(path, goal_point[person], had) | done.unsqueeze(2)
+        reached = _arrived(begin, events.trace, goal_point[person], had) | done.unsqueeze(2)
         reached[..., -1] |= leaves
         walks = had.unsqueeze(2) & ~torch.cat((done.unsqueeze(2), reached[..., :-1]), dim=2)
         before, done = person, reached[..., -1]
         step = {
-            "trace": path[:, :, :, -1],
-            "agent_contact": contacts.agent,
-            "wall_contact": contacts.wall,
+            "trace": events.trace,
+            "agent_contact": events.agent_contact,
+            "wall_contact": events.wall_contact,
             "reached": reached.long(),
             "controlled": walks,
         }
@@ -90,3 +119,12 @@ def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, 
         }
         steps.append(step)
     return rollout_of(scenario, start, steps, torch.zeros_like(start.mask), torch.zeros_like(start.failed))
+
+
+def _arrived(begin: Tensor, trace: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
+    """Return who has come within 0.3 m of the goal on straight lines until each trace point (B, A, S) bool."""
+    points = torch.cat((begin.unsqueeze(2), trace), dim=2)
+    move, away = points.diff(dim=2), points[:, :, :-1] - goal.unsqueeze(2)
+    nearest = away + nearest_part(away, move).unsqueeze(-1) * move
+    near = (nearest.square().sum(-1) < GOAL_RADIUS**2) & wanted.unsqueeze(2)
+    return near.cummax(2).values

@@ -7,12 +7,12 @@ from typing import Literal
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from pedzoo.batch import ROBOT
 from pedzoo.errors import UserError
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim import kernel
+from pedzoo.sim.observation import dense
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.scenario import Layout
@@ -72,6 +72,4 @@ def recorded(layout: Layout) -> Tensor:
     """
     if layout.history is None:
         raise UserError("warm_start recorded: this scenario has no recorded histories; use orca or static")
-    planes = layout.history.flatten(0, 1).transpose(1, 2)
-    dense = F.interpolate(planes, size=PAST_LEN, mode="linear", align_corners=True)
-    return dense.transpose(1, 2).view(*layout.history.shape[:2], PAST_LEN, 2)
+    return dense(layout.history)

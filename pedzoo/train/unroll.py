@@ -14,9 +14,14 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo import geometry
-from pedzoo.batch import agents_of, goals_of, maps_of, scene_batch
+from pedzoo.batch import agents_of, goals_of, maps_of
+from pedzoo.maps.guidance import Guidance
+from pedzoo.sim import kernel
+from pedzoo.sim.dynamics import STRIDE
+from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.scenario import SLOWEST
-from pedzoo.sim.state import TURNS_FROM
+from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+from pedzoo.sim.worlds.open_floor import OpenFloor
 from pedzoo.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 
 Walk = Callable[[TensorDict], Tensor]
@@ -62,47 +67,77 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
     """
     agents, maps, there = agents_of(batch), maps_of(batch), known_to_be_there(batch)
     destination = goals_of(batch, "walking on")[0]
-    pref_speed = agents["pref_speed"].clamp_min(SLOWEST)
-    top_speed = TOP_SPEED_RATIO * pref_speed[..., 0]
-    history, valid, velocity = list(agents["history"].unbind(2)), agents["valid"], agents["velocity"]
-    heading = agents["heading"][..., 0]
-    on_their_way = agents["mask"] & _controlled(history[-1], destination)
-    slots = torch.arange(there.shape[1], device=there.device).expand(there.shape[:2])
+    walks = agents["mask"] & _controlled(agents["history"][:, :, -1], destination)
     key = torch.arange(len(batch), device=there.device) if key is None else key
-    here, found = agents["mask"], []
-    for step in range(steps):
-        here = here & there[..., step]
-        position, moving = history[-1], here & on_their_way
-        unit = _towards(position, destination)
-        seen = scene_batch(
-            maps=maps,
-            map_id=batch["map_id"],
-            pose=batch["scene_pose"],
-            history=torch.stack(history[-valid.shape[2] :], 2),
-            valid=valid,
-            mask=here,
-            velocity=velocity,
-            heading=heading.unsqueeze(-1),
-            pref_speed=pref_speed,
-            radius=agents["radius"],
-            kind=agents["kind"],
-            goal=position + unit * (pref_speed * AHEAD_SECONDS),
-            desired_velocity=unit * pref_speed,
-            controlled=moving,
-            id=slots.where(here, -1),
-            key=key.unsqueeze(1),
-            time=pref_speed.new_full((len(batch), 1), step * STEP_SECONDS),
+    state = state_of(batch, destination, walks, key)
+    liked = state.pref_speed.clamp_min(SLOWEST)
+    windows = _Windows(agents["future"], there)
+    here = state.mask & there[..., 0]
+    state = state._replace(
+        pref_speed=liked,
+        top_speed=TOP_SPEED_RATIO * liked,
+        mask=here,
+        controlled=walks & here,
+        person=state.person.where(here, -1),
+    )
+    rules = kernel.Rules(_straight, TRACE_PER_STEP, STRIDE, script=windows)
+    guidance, physics, result = _straight(state), OpenFloor(), []
+    for _ in range(steps):
+        moving, here = state.controlled, state.mask
+        action = walk(observed(state, guidance, maps)) / STEP_SECONDS
+        state, guidance, _ = kernel.step(state, action, physics, rules)
+        result.append((state.position, moving, here))
+    return Unrolled(*(torch.stack(values, 2) for values in zip(*result, strict=True)))
+
+
+def _straight(state: State) -> Guidance:
+    """Return goals on the straight line to where people go, and beyond it."""
+    position, goal = state.position, state.goal_point
+    way = goal - position
+    unit = _towards(position, goal)
+    ahead = unit * state.pref_speed.unsqueeze(-1)
+    distance = way.square().sum(-1).clamp_min(_NEAR**2).sqrt()
+    return Guidance(position + ahead * AHEAD_SECONDS, ahead, goal, goal, distance)
+
+
+class _Windows(NamedTuple):
+    """Plays back who is not controlled, and takes away people in the moment in which they really left.
+
+    Attributes:
+        future: Where everybody really was (B, A, T, 2), metres.
+        there: Who was there from begin to end of each step (B, A, T) bool.
+    """
+
+    future: Tensor
+    there: Tensor
+
+    def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
+        """Return paths (B, A, S, M, 2), straight to where they really were at the end of the step."""
+        end = self.future.gather(2, self._step(state.clock, self.future.shape[2:]))[:, :, 0]
+        part = torch.arange(1, points * substeps + 1, device=end.device) / (points * substeps)
+        path = torch.lerp(state.position.unsqueeze(2), end.unsqueeze(2), part.view(-1, 1).to(end))
+        return path.unflatten(2, (points, substeps))
+
+    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+        """Take away who is not seen in the next step."""
+        steps = self.there.shape[2:]
+        still = self.there.gather(2, self._step(after.clock, steps))[..., 0]
+        mask = after.mask & still
+        known = (after.known + points).clamp_max(PAST_LEN)
+        after = after._replace(
+            mask=mask, controlled=after.controlled & mask, person=after.person.where(mask, -1), known=known
         )
-        moved = geometry.limit_speed(walk(seen) / STEP_SECONDS, top_speed) * STEP_SECONDS
-        played = torch.where(here.unsqueeze(2), agents["future"][:, :, step], position)
-        place = torch.where(moving.unsqueeze(2), position + moved, played)
-        found.append((place, moving, here))
-        here = here & ~(moving & _arrives(position.detach(), place.detach(), destination))
-        history.append(place)
-        velocity = (place - position) / STEP_SECONDS
-        heading = geometry.heading_of(velocity, heading, TURNS_FROM)
-        valid = torch.cat((valid[..., 1:], here.unsqueeze(2)), 2)
-    return Unrolled(*(torch.stack(values, 2) for values in zip(*found, strict=True)))
+        return after, torch.zeros_like(mask)
+
+    def over(self, state: State) -> Tensor:
+        """Return the scenes that have ended (B,) bool: none before the windows do."""
+        return torch.zeros_like(state.failed)
+
+    def _step(self, clock: Tensor, shape: torch.Size) -> Tensor:
+        """Return the number of the step that begins now, to gather by (B, A, 1, ...)."""
+        number = (clock / STEP_SECONDS).round().long().clamp_max(shape[0] - 1)
+        agents = self.there.shape[1]
+        return number.view(-1, 1, 1, *[1] * (len(shape) - 1)).expand(-1, agents, 1, *shape[1:])
 
 
 def recorded(batch: TensorDict, steps: int) -> Unrolled:
