@@ -71,6 +71,7 @@ class Planner:
         self._rows: set[int] = set()  # maps that the tables know
         self._with_fields = 0  # goals that they know
         self._tables: Tables | None = None
+        self._copies: dict[torch.device, tuple[Tables, Tables]] = {}  # of which tables, on which device
 
     @property
     def goals(self) -> int:
@@ -188,14 +189,16 @@ class Planner:
         Raises:
             UserError: One is not in the bank.
         """
-        # the tables follow the agents to their device, and so does the bank
-        self.bank = self.bank.to(map_id.device)
-        return self.bank.index(map_id)
+        return self.bank.to(map_id.device).index(map_id)
 
     def _on(self, device: torch.device) -> Tables:
         """Return the tables of all goals, on a device."""
-        self._tables = tables = self._prepared().to(device)
-        return tables
+        tables = self._prepared()
+        if tables.waypoint.device == device:
+            return tables
+        if self._copies.get(device, (None,))[0] is not tables:
+            self._copies[device] = tables, tables.to(device)
+        return self._copies[device][1]
 
     @torch.no_grad()
     def _find(self, points: Tensor, goal: Tensor, row: Tensor, frame: Frame) -> tuple[Tensor, Found]:
@@ -291,7 +294,7 @@ class Planner:
             rest = (ahead - length).clamp_min(0)
             rest = torch.where(found.last, rest, rest.minimum(second_length))
             if self.bank.grids:
-                walls = self.bank.walls_on_map(row).per_scene()
+                walls = self.bank.to(row.device).walls_on_map(row).per_scene()
                 farthest = fastest * look_ahead_seconds
                 rest = seen_beyond(walls, home, found.waypoint, beyond, rest, farthest)
             places = torch.stack((found.waypoint, found.goal, found.waypoint + beyond * rest), dim=1)

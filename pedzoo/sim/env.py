@@ -42,6 +42,23 @@ class _Scenes(NamedTuple):
         return _Scenes(self.state.with_rows(index, other.state), guidance)
 
 
+def usable(device: torch.device | str) -> torch.device:
+    """Return the device.
+
+    Raises:
+        UserError: There is no such device here.
+    """
+    try:
+        device = torch.device(device)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:  # torch without CUDA asserts
+        reason = str(error).partition("\n")[0]
+        raise UserError(
+            f"device {str(device)!r} cannot be used here ({reason}): expected cpu, cuda, cuda:1, ..."
+        ) from error
+    return device
+
+
 class PedestrianEnv(EnvBase):
     """A policy decides everybody's velocity, people walk, and a world says whom and what they touch.
 
@@ -69,6 +86,7 @@ class PedestrianEnv(EnvBase):
         first_episode: int = 0,
         stride: int | None = None,
         body_radius: float = BODY_RADIUS,
+        device: torch.device | str = "cpu",
     ) -> None:
         """Take a prepared scenario and the world that watches it; `pedzoo.make_env` does both.
 
@@ -83,6 +101,7 @@ class PedestrianEnv(EnvBase):
             stride: A scene that ends is followed by the one this many numbers on: ``num_envs`` by default,
                 and ``num_envs`` times the number of workers where several share a seed.
             body_radius: Of a person, metres.
+            device: Where scenes are, and everything that they are looked up in.
 
         Raises:
             UserError: A setting is out of range.
@@ -101,25 +120,25 @@ class PedestrianEnv(EnvBase):
             )
         if num_envs < 1 or (stride is not None and stride < 1):
             raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
+        super().__init__(device=usable(device), batch_size=torch.Size([num_envs]))
         agents = scenario.people
         self.scenario, self.world, self.decision_dt = scenario, world, decision_dt
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
         fine = substeps(scenario.fastest * TOP_SPEED_RATIO, body_radius)
-        self.rules = kernel.rules_of(scenario, trace_points, fine)
-        self._episodes = Episodes(scenario, warm_start, world, self.rules)
+        self.rules = kernel.rules_of(scenario, trace_points, fine, self.device)
+        self._episodes = Episodes(scenario, warm_start, world, self.rules, self.device)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
-        self.observation_spec = specs.observation(num_envs, agents, trace_points, scenario.bank)
-        self.action_spec = specs.action(num_envs, agents)
-        self.reward_spec = specs.reward(num_envs, agents)
-        self.done_spec = specs.done(num_envs)
+        self.observation_spec = specs.observation(num_envs, agents, trace_points, self.bank).to(self.device)
+        self.action_spec = specs.action(num_envs, agents).to(self.device)
+        self.reward_spec = specs.reward(num_envs, agents).to(self.device)
+        self.done_spec = specs.done(num_envs).to(self.device)
 
     @property
     def bank(self) -> MapBank:
         """The floor plans, for models and policies that look at them."""
-        return self.scenario.bank
+        return self.scenario.bank.to(self.device)
 
     @property
     def state(self) -> State:
@@ -156,7 +175,7 @@ class PedestrianEnv(EnvBase):
             self._scenes = self._next(everybody)
         elif bool(flags.any()):
             rows = flags.view(-1).nonzero().view(-1)
-            self._scenes = self._scenes.with_rows(rows, self._next(rows))
+            self._scenes = self._scenes.with_rows(rows, self._next(rows.cpu()))
         return self._observation(*self._scenes)
 
     def _reset_proc_data(
@@ -180,10 +199,10 @@ class PedestrianEnv(EnvBase):
         if self._ahead is None or bool(self._used[rows].any()):
             empty = self._used.nonzero().view(-1)
             made = self._begin(empty)
-            self._ahead = made if self._ahead is None else self._ahead.with_rows(empty, made)
+            self._ahead = made if self._ahead is None else self._ahead.with_rows(empty.to(self.device), made)
             self._used = torch.zeros_like(self._used)
         self._used = self._used.index_fill(0, rows, True)
-        return self._ahead.rows(rows)
+        return self._ahead.rows(rows.to(self.device))
 
     def _begin(self, rows: Tensor) -> _Scenes:
         draws = Draws.of(self._seed, self._number[rows])
@@ -218,7 +237,7 @@ class PedestrianEnv(EnvBase):
     ) -> TensorDict:
         scenes, agents = state.mask.shape
         points = self.rules.ticks
-        nothing = torch.zeros(scenes, agents, points, dtype=torch.bool)
+        nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
         info = {
             "trace": outcome.trace if outcome else state.past[:, :, -points:],
             "agent_contact": outcome.agent_contact if outcome else nothing,

@@ -29,7 +29,12 @@ class Episodes:
     """Makes the first state of any episode of a scenario, for as many at once as are asked for."""
 
     def __init__(
-        self, scenario: Scenario, warm_start: warm.WarmStart, physics: World, rules: kernel.Rules
+        self,
+        scenario: Scenario,
+        warm_start: warm.WarmStart,
+        physics: World,
+        rules: kernel.Rules,
+        device: torch.device | str = "cpu",
     ) -> None:
         """Take a prepared scenario.
 
@@ -38,6 +43,7 @@ class Episodes:
             warm_start: Where the first observed steps come from.
             physics: Moves agents in the warm start.
             rules: Of the scenes.
+            device: Where the scenes will be. They are laid out on the CPU, alike for every device.
 
         Raises:
             UserError: There is no such warm start.
@@ -45,7 +51,7 @@ class Episodes:
         if warm_start not in get_args(warm.WarmStart):
             raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
         self._scenario, self._warm_start = scenario, warm_start
-        self._physics, self._rules = physics, rules
+        self._physics, self._rules, self._device = physics, rules, torch.device(device)
         self._walls = WallSegments(scenario.bank, most=warm.ORCA.max_obstacles)
 
     @torch.no_grad()
@@ -59,7 +65,8 @@ class Episodes:
         opening = layout.opening or _everybody(layout)
         recorded = self._warm_start == "recorded" or layout.opening is not None
         past = warm.recorded(layout) if recorded else warm.standing(layout.start)
-        state = self._placed(draws.key, layout, opening, past)
+        state = self._placed(draws.key, layout, opening, past).to(self._device)
+        opening = opening.to(self._device)
         if not recorded and self._warm_start == "orca":
             state = warm.rolled(state, self._physics, self._rules, self._walls)
         guidance = self._rules.guide(state)

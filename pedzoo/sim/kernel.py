@@ -104,10 +104,12 @@ class Rules:
     script: Playback | None = None
 
 
-def rules_of(scenario: Scenario, ticks: int, substeps: int) -> Rules:
-    """Return the rules of a prepared scenario for decisions of S ``ticks``."""
-    leave = scenario.finished == "leave"
-    return Rules(partial(_guided, scenario), ticks, substeps, scenario.goals, leave, script=scenario.script)
+def rules_of(scenario: Scenario, ticks: int, substeps: int, device: torch.device | str = "cpu") -> Rules:
+    """Return the rules of a prepared scenario for decisions of S ``ticks``, for scenes on a device."""
+    leave, script = scenario.finished == "leave", scenario.script
+    if script is not None:
+        script = script.to(device)
+    return Rules(partial(_guided, scenario), ticks, substeps, scenario.goals, leave, script=script)
 
 
 def _guided(scenario: Scenario, state: State) -> Guidance:

@@ -68,9 +68,8 @@ class AsRecorded(Script):
 def _still(state: State) -> Guidance:
     """Return goals where people are: nobody is told to walk."""
     position = state.position
-    return Guidance(
-        position, torch.zeros_like(position), position, state.goal_point, torch.zeros_like(state.way)
-    )
+    still, way = torch.zeros_like(position), torch.zeros_like(state.way)
+    return Guidance(position, still, position, state.goal_point, way)
 
 
 def _walked(

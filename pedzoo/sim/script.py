@@ -51,6 +51,10 @@ class Opening(NamedTuple):
     velocity: Tensor | None = None
     deadline: Tensor | None = None
 
+    def to(self, device: torch.device) -> Opening:
+        """Return the opening on a device."""
+        return Opening(*(None if value is None else value.to(device) for value in self))  # type: ignore[arg-type]
+
 
 class Script:
     """Moves people as they were recorded, and says who is there.
@@ -73,6 +77,15 @@ class Script:
         self.people, self.xy, self.who, self.scenes = people, xy, who, scenes
         self._begin = torch.cumsum(people.last - people.first + 1, 0) - (people.last - people.first + 1)
         self._pref_speed = people.pref_speed.float()
+
+    def to(self, device: torch.device | str) -> Script:
+        """Return the script on a device: itself where it is there already."""
+        if self.xy.device == torch.device(device):
+            return self
+        people, scenes = (
+            type(part)(*(value.to(device) for value in part)) for part in (self.people, self.scenes)
+        )
+        return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
 
     def due(self, scene: Tensor, frame: Tensor) -> Tensor:
         """Return who has each slot (B, A) long at a recording's frame (B,); -1 for nobody."""
@@ -105,7 +118,7 @@ class Script:
         at = self.scenes.origin[scene] * TRACE_PER_STEP + tick
         frame, part = (at // TRACE_PER_STEP).unsqueeze(1).expand_as(person), at % TRACE_PER_STEP
         here, there = self.places(person, frame), self.places(person, frame + 1)
-        share = part.unsqueeze(1) + torch.arange(1, points * substeps + 1) / substeps
+        share = part.unsqueeze(1) + torch.arange(1, points * substeps + 1, device=at.device) / substeps
         share = (share / TRACE_PER_STEP)[:, None, :, None]
         return torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
 
@@ -115,7 +128,7 @@ class Script:
         person = self.due(scene, frame)
         there = person >= 0
         at = frame.unsqueeze(1).expand_as(person)
-        frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1)
+        frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
         history = self.places(person.unsqueeze(2).expand_as(frames), frames)
         seen = (at - self.people.first[person]).clamp_max(OBS_LEN - 1)
         # who has come in this moment is on the way already

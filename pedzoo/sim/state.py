@@ -140,4 +140,6 @@ class State(NamedTuple):
 
     def to(self, device: torch.device | str) -> State:
         """Return the state on a device."""
-        return State(*(value.to(device) for value in self))
+        return (
+            self if self.key.device == torch.device(device) else State(*(value.to(device) for value in self))
+        )

@@ -121,7 +121,7 @@ class World(ABC):
         self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None
     ) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
-        walls = self.bank.walls_of_state(state.wall_frame, state.wall_place)
+        walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
         position = state.position.movedim(-1, 0)
         path, gap = integrate(position, velocity * moving, state.radius, substeps, walls)
         if played is not None:
