@@ -20,7 +20,7 @@ from pedzoo.bench.section import NotGivenError, Section, Settings
 from pedzoo.bench.sections.loop import BARE, MODEL, ORCA, SHORT, Loop
 from pedzoo.bench.sections.memory import Memory, cells
 from pedzoo.bench.sections.orca import Orca
-from pedzoo.bench.sections.profile import CONTACTS, NETWORK, PLANNER, RESETS, REST, Split
+from pedzoo.bench.sections.profile import NETWORK, PLANNER, RESETS, REST, WALKING, Split
 from pedzoo.bench.turns import in_turns, ratio, repeated, versus
 from pedzoo.cli.bench_tables import print_bench
 from pedzoo.cli.main import main
@@ -173,7 +173,7 @@ def test_the_profile_gives_every_moment_to_one_part() -> None:
 
     def guide() -> None:
         clock.works(1.0)
-        split.timed(CONTACTS, clock.works)(2.0)
+        split.timed(WALKING, clock.works)(2.0)
         clock.works(0.5)
 
     split.timed(PLANNER, guide)()
@@ -184,7 +184,7 @@ def test_the_profile_gives_every_moment_to_one_part() -> None:
     clock.works(0.5)
     shares = split.shares()
     assert split.total == 15.0 and sum(shares.values()) == pytest.approx(1)
-    wanted = {NETWORK: 5, PLANNER: 1.5, CONTACTS: 2, RESETS: 5, REST: 1.5}
+    wanted = {NETWORK: 5, PLANNER: 1.5, WALKING: 2, RESETS: 5, REST: 1.5}
     assert {part: share * 15 for part, share in shares.items() if share} == pytest.approx(wanted)
 
 

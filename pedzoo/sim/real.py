@@ -121,7 +121,7 @@ def _walked(
 
 
 def _arrived(begin: Tensor, trace: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
-    """Return who has come within 0.3 m of the goal on straight lines until each trace point (B, A, S) bool."""
+    """Return who has come within 0.3 m of the goal until each trace point (B, A, S) bool."""
     points = torch.cat((begin.unsqueeze(2), trace), dim=2)
     move, away = points.diff(dim=2), points[:, :, :-1] - goal.unsqueeze(2)
     nearest = away + nearest_part(away, move).unsqueeze(-1) * move

@@ -15,7 +15,7 @@ from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
-from pedzoo.sim.scenario import Layout
+from pedzoo.sim.scenario import WARM_SECONDS, Layout
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import OBS_LEN, STEP_SECONDS
@@ -36,6 +36,7 @@ def rolled(state: State, physics: World, rules: kernel.Rules, walls: WallSegment
         rules: Of the scenes.
         walls: Walls for ORCA.
     """
+    state = state._replace(clock=state.clock - WARM_SECONDS)
     rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None)
     agents = state.mask.shape[1]
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)

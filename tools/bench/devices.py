@@ -2,9 +2,9 @@
 
     python tools/bench/devices.py --devices cpu cuda --json devices.json
 
-Agent-steps per second of environments with walls, contacts, carrots and resets. On the CPU compiled loops run,
-on other devices torch. `agree` is the largest distance (m) between where people are after 20 decisions on that
-device and on the CPU, over the 99 % nearest; a rounding that decides at a wall may send somebody elsewhere.
+Agent-steps per second of environments with walls, contacts, carrots and resets. On the CPU compiled loops
+run, on other devices torch. `agree` is how far apart people are after 20 decisions on that device and on the
+first one (m), the 99 % quantile: a rounding that decides at a wall may send an agent elsewhere.
 """
 
 from __future__ import annotations
