@@ -65,3 +65,28 @@ def test_compiled_loops_and_torch_agree(env: PedestrianEnv) -> None:
         del mine
     planner.compiled = True
     assert worst < 1e-4
+
+
+def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:
+    """Over two decisions, from where some agents have walked into walls."""
+    env.reset()
+    generator = torch.Generator().manual_seed(1)
+
+    def drawn(*more: int) -> torch.Tensor:
+        return torch.randn(*env.state.mask.shape, *more, generator=generator)
+
+    state = env.state
+    for _ in range(8):
+        state, _, _ = kernel.step(state, 1.6 * drawn(2), env.world, env.rules)
+    action, weight = (1.2 * drawn(2)).requires_grad_(), drawn(4, 2)
+    found = []
+    for compiled in (True, False):
+        env.world.compiled = env.scenario.planner.compiled = compiled
+        after, guidance, events = kernel.step(state, action, env.world, env.rules)
+        again = action + 0.1 * guidance.desired_velocity
+        _, seen, then = kernel.step(after, again, env.world, env.rules)
+        total = ((events.trace + then.trace) * weight).sum() + then.reward.sum() + 0.1 * seen.goal.sum()
+        found.append(torch.autograd.grad(total, action)[0])
+    env.scenario.planner.compiled = True
+    assert found[0].norm() > 1
+    torch.testing.assert_close(found[0], found[1], atol=1e-3, rtol=1e-3)

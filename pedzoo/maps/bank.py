@@ -76,6 +76,9 @@ class MapBank:
     def __hash__(self) -> int:
         return self._hash
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> MapBank:
+        return self  # it never changes, and TensorDict copies what is no tensor at every step
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._content, self.grids, self._ids, self.unknown, self.max_distance)
 

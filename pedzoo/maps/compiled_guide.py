@@ -7,7 +7,7 @@ from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.carrot import BODY_CLEARANCE
-from pedzoo.maps.guidance import Guidance
+from pedzoo.maps.guidance import EPSILON, Guidance
 from pedzoo.maps.tables import Tables
 
 
@@ -35,4 +35,19 @@ def guide_compiled(
         *bank.map_arrays,
         *(value.numpy() for value in made),
     )
+    if torch.is_grad_enabled() and (points.requires_grad or pref_speed.requires_grad):
+        return _differentiable(made, points, pref_speed, seconds)
     return made
+
+
+def _differentiable(made: Guidance, points: Tensor, pref_speed: Tensor, seconds: float) -> Guidance:
+    """Return the same guidance as a function of points and speeds; waypoints are constants."""
+    way = made.waypoint - points
+    length = way.square().sum(-1, keepdim=True).clamp_min(EPSILON**2).sqrt()
+    there = length.detach() <= EPSILON
+    speed, ahead = pref_speed.unsqueeze(-1), pref_speed.unsqueeze(-1) * seconds
+    beyond = made.desired_velocity / speed.detach()
+    unit = torch.where(there, beyond, way / length)
+    carrot = torch.where(length.detach() >= ahead.detach(), points + unit * ahead, made.goal)
+    distance = made.distance + (length - length.detach())[..., 0]
+    return Guidance(carrot, unit * speed, made.waypoint, made.goal_point, distance)

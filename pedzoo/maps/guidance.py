@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.maps.planar import Frame
 from pedzoo.maps.tables import Found
 
-_EPSILON = 1e-6
+EPSILON = 1e-6
 """Metres: whoever is so near to a point is on it."""
 
 
@@ -48,9 +48,9 @@ def segments(home: Tensor, found: Found) -> tuple[Tensor, Tensor, Tensor]:
     length, second_length = torch.hypot(*way), torch.hypot(*second)
     # beyond the goal the way goes on as it came
     beyond = torch.where(
-        second_length < _EPSILON,
-        way / length.clamp_min(_EPSILON),
-        second / second_length.clamp_min(_EPSILON),
+        second_length < EPSILON,
+        way / length.clamp_min(EPSILON),
+        second / second_length.clamp_min(EPSILON),
     )
     return length, second_length, beyond
 
@@ -61,7 +61,7 @@ def heading(
     """Return where agents walk (..., 2), unit vectors, and how far it is to their waypoints (...,)."""
     way = waypoint - points
     distance = way.norm(dim=-1)
-    unit = way / distance.clamp_min(_EPSILON)[..., None]
+    unit = way / distance.clamp_min(EPSILON)[..., None]
     # on the waypoint the way goes on along the second segment
-    there = length < _EPSILON
+    there = length < EPSILON
     return torch.where(there[..., None], frame.turn_to_scene(beyond), unit), distance

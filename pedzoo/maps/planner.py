@@ -35,7 +35,7 @@ class Planner:
         snap: Metres that a goal may be moved to the nearest open cell.
         cell: Metres to which finer cells are joined before ways are looked for.
         share: Side of squares, metres, in which all goals have the ways to one of them.
-        compiled: Whether compiled loops are used on the CPU where no gradients are asked for.
+        compiled: Whether compiled loops are used on the CPU.
     """
 
     compiled = True
@@ -268,7 +268,8 @@ class Planner:
         next waypoint it is moved back until the line to it keeps a body's radius from walls: a half of what
         is beyond, a quarter, or to the waypoint itself. People without a goal, or without a way to it, stay.
 
-        Nothing is read back to the host. On the CPU, where no gradient is asked for, compiled loops answer.
+        Nothing is read back to the host. On the CPU compiled loops answer. Carrots, velocities and distances
+        are differentiable with respect to points and speeds; waypoints are constants.
 
         Args:
             points: Scene positions (B, A, 2), metres.
@@ -279,8 +280,7 @@ class Planner:
             look_ahead_seconds: How far ahead the carrot is.
             fastest: No ``pref_speed`` is above it, m/s.
         """
-        needs_gradient = torch.is_grad_enabled() and (points.requires_grad or pref_speed.requires_grad)
-        if self.compiled and not needs_gradient and points.device.type == "cpu":
+        if self.compiled and points.device.type == "cpu":
             tables = self._on(points.device)
             return guide_compiled(
                 self.bank, tables, points, goal_id, row, pose, pref_speed, look_ahead_seconds

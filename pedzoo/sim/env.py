@@ -24,6 +24,9 @@ from pedzoo.sim.warm_start import WarmStart
 from pedzoo.sim.worlds.base import World
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
+_MADE = 16
+"""Episodes that are begun together at least, once scenes end one by one."""
+
 
 class _Scenes(NamedTuple):
     """What B scenes are like, and what the planner says in them."""
@@ -166,7 +169,8 @@ class PedestrianEnv(EnvBase):
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: _Scenes | None = None
-        self._used = torch.ones(self.batch_size[0], dtype=torch.bool)
+        self._depth = max(1, _MADE // self.batch_size[0])
+        self._taken = torch.full(self.batch_size, self._depth)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
@@ -192,22 +196,26 @@ class PedestrianEnv(EnvBase):
         """Return the next episodes of some rows.
 
         A warm start costs as much for one scene as for a hundred. So when a row asks for an episode that is
-        not there, those of all rows that have none are made together.
+        not there, those of all rows that have none are made together, and for few rows several of each.
         """
         if self._ahead is None and len(rows) == self.batch_size[0]:
-            return self._begin(rows)
-        if self._ahead is None or bool(self._used[rows].any()):
-            empty = self._used.nonzero().view(-1)
-            made = self._begin(empty)
-            self._ahead = made if self._ahead is None else self._ahead.with_rows(empty.to(self.device), made)
-            self._used = torch.zeros_like(self._used)
-        self._used = self._used.index_fill(0, rows, True)
-        return self._ahead.rows(rows.to(self.device))
+            return self._begin(rows, 1)
+        depth = self._depth
+        if self._ahead is None or bool((self._taken[rows] >= depth).any()):
+            empty = (self._taken >= depth).nonzero().view(-1)
+            made = self._begin(empty, depth)
+            place = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(self.device)
+            self._ahead = made if self._ahead is None else self._ahead.with_rows(place, made)
+            self._taken = self._taken.index_fill(0, empty, 0)
+        place = rows * depth + self._taken[rows]
+        self._taken = self._taken.index_add(0, rows, torch.ones_like(rows))
+        return self._ahead.rows(place.to(self.device))
 
-    def _begin(self, rows: Tensor) -> _Scenes:
-        draws = Draws.of(self._seed, self._number[rows])
-        self._number = self._number.index_add(0, rows, torch.full_like(rows, self._stride))
-        state = self._episodes.begin(draws)
+    def _begin(self, rows: Tensor, episodes: int) -> _Scenes:
+        """Return the next ``episodes`` of some rows, those of a row one after the other."""
+        number = self._number[rows].unsqueeze(1) + self._stride * torch.arange(episodes)
+        self._number = self._number.index_add(0, rows, torch.full_like(rows, episodes * self._stride))
+        state = self._episodes.begin(Draws.of(self._seed, number.view(-1)))
         return _Scenes(state, self.rules.guide(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -73,7 +73,7 @@ class World(ABC):
     Attributes:
         bank: The floor plans.
         body_radius: Radius of a body where nothing else is said, metres.
-        compiled: Whether compiled loops are used on the CPU where no gradients are asked for.
+        compiled: Whether compiled loops are used on the CPU; they are differentiable, too.
     """
 
     compiled = True

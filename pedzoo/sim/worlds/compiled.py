@@ -15,13 +15,13 @@ from pedzoo.sim.state import State
 from pedzoo.types import GOAL_RADIUS, TRACE_SECONDS
 
 _NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
+_NO_SLOPES = np.zeros((0, 0, 0, 8), np.float32)
 _NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
 
 
 def compiles(*tensors: Tensor) -> bool:
-    """Return whether the compiled loops may take these: float32 on the CPU, and no gradient is asked for."""
-    plain = all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
-    return plain and not (torch.is_grad_enabled() and any(value.requires_grad for value in tensors))
+    """Return whether the compiled loops may take these: float32 on the CPU."""
+    return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
 
 
 def advance_compiled(
@@ -32,8 +32,62 @@ def advance_compiled(
     substeps: int,
     played: Tensor | None,
     paths: Tensor | None = None,
+    slopes: Tensor | None = None,
 ) -> Motion:
-    """Return what `World.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given."""
+    """Return what `World.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
+
+    The trace is differentiable with respect to positions, velocities and played paths.
+    """
+    position = state.past[:, :, -1]
+    if torch.is_grad_enabled() and any(
+        part is not None and part.requires_grad for part in (position, velocity, played)
+    ):
+        slopes = torch.zeros(*moving.shape, velocity.shape[1], 8)
+        with torch.no_grad():
+            motion = _advance(bank, state, velocity, moving, substeps, played, paths, slopes)
+        trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
+        if played is not None:
+            scripted = (state.mask & ~moving)[..., None, None]
+            trace = torch.where(scripted, played[:, :, :, -1], trace)
+        return motion._replace(trace=trace)
+    return _advance(bank, state, velocity, moving, substeps, played, paths, None)
+
+
+class _Trace(torch.autograd.Function):
+    """Hands a trace (B, A, S, 2) on, with the gradients that its slopes say."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Any) -> Tensor:
+        """Keep the slopes; ``given`` are positions, velocities, the trace, its slopes and who is moved."""
+        _, _, trace, slopes, moving = given
+        ctx.save_for_backward(slopes, moving)
+        return trace.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
+        """Go back from the last trace point to the first."""
+        slopes, moving = ctx.saved_tensors
+        of_place, of_velocity = slopes.unflatten(3, (2, 2, 2)).unbind(3)
+        moved = moving[..., None]
+        carried = torch.zeros_like(gradients[0][:, :, 0])
+        velocity = []
+        for tick in reversed(range(slopes.shape[2])):
+            carried = (carried + gradients[0][:, :, tick]).unsqueeze(-1)
+            velocity.append(torch.where(moved, (of_velocity[:, :, tick] * carried).sum(2), 0.0))
+            carried = torch.where(moved, (of_place[:, :, tick] * carried).sum(2), carried[..., 0])
+        return carried, torch.stack(velocity[::-1]).permute(3, 0, 1, 2), None, None, None
+
+
+def _advance(
+    bank: MapBank,
+    state: State,
+    velocity: Tensor,
+    moving: Tensor,
+    substeps: int,
+    played: Tensor | None,
+    paths: Tensor | None,
+    slopes: Tensor | None,
+) -> Motion:
     scenes, agents = moving.shape
     ticks = velocity.shape[1]
     return _run(
@@ -50,6 +104,7 @@ def advance_compiled(
         (scenes, agents, ticks),
         (state.wall_frame, state.wall_place),
         paths,
+        slopes,
     )
 
 
@@ -71,7 +126,7 @@ def contacts_compiled(
 def _run(
     bank: MapBank, position: Tensor, velocity: Tensor, radius: Tensor, present: Tensor, moving: Tensor,
     played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, shape: tuple[int, int, int],
-    walls: tuple[Tensor, Tensor], paths: Tensor | None = None,
+    walls: tuple[Tensor, Tensor], paths: Tensor | None = None, slopes: Tensor | None = None,
 ) -> Motion:  # fmt: skip
     from pedzoo.sim.worlds.compiled_loops import advance
 
@@ -88,5 +143,6 @@ def _run(
         frames, places, *tables,
         trace.numpy(), agent.numpy(), wall.numpy(), reached.numpy(),
         _NO_PATHS if paths is None else paths.numpy(),
+        _NO_SLOPES if slopes is None else slopes.numpy(),
     )  # fmt: skip
     return Motion(trace, agent, wall, reached)

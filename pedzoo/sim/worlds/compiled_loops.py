@@ -14,15 +14,18 @@ _NO_WALL = 1e6
 @compiled(
     "void(f4[:,:,:], f4[:,:,:,:], f4[:,:], b1[:,:], b1[:,:], f4[:,:,:,:,:], f4[:,:,:], b1[:,:], f8,"
     " i8, i8, f8, f8, f8, f8, f4[:,:], i4[:,:], i4[:], f4[:,:], f4[:], f8,"
-    " f4[:,:,:,:], b1[:,:,:], b1[:,:,:], b1[:,:,:], f4[:,:,:,:,:])"
+    " f4[:,:,:,:], b1[:,:,:], b1[:,:,:], b1[:,:,:], f4[:,:,:,:,:], f4[:,:,:,:])"
 )
 def advance(
     position, velocity, radius, present, moved, played, goal, wanted, goal_radius2,
     steps, strides, skin, rounding, creep, tick_seconds,
     frames, places, choice, option, least, limit,
-    trace, agent_contact, wall_contact, reached, paths,
+    trace, agent_contact, wall_contact, reached, paths, slopes,
 ):  # fmt: skip
     """Write traces (B, A, S, 2), contacts and goals reached (B, A, S), paths (B, A, S, M, 2) if asked for.
+
+    Also if asked for, ``slopes`` (B, A, S, 8): how the position at the end of each trace step depends on the
+    one at its beginning and on its velocity, two matrices row by row.
 
     Args are the arrays of the agents: positions (B, A, 2), velocities (2, S, B, A), radii, who is there, who
     is moved (B, A), played paths (B, A, S, M, 2) or none (size 0), goals (B, A, 2) and who has one; numbers;
@@ -69,6 +72,8 @@ def advance(
                                 found = wall_gap(here[a, 0], here[a, 1], frame, place, choice, option, limit)
                                 wall_contact[b, a, s] = found[0] < radius[b, a]
                     continue
+                if slopes.size > 0:
+                    m00, m01, m10, m11, n00, n01, n10, n11 = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
                 full_x, full_y = velocity[0, s, b, a] * seconds, velocity[1, s, b, a] * seconds
                 length = math.hypot(full_x, full_y)
                 for n in range(strides):
@@ -77,6 +82,8 @@ def advance(
                         _, _, index = quarter(old_x, old_y, frame, place)
                     if not has_walls or least[index] > radius[b, a] + length + 1e-3:
                         here[a, 0], here[a, 1] = old_x + full_x, old_y + full_y
+                        if slopes.size > 0:
+                            n00, n11 = n00 + seconds, n11 + seconds
                         gap[a], blocked_gap[a], allowed[a] = np.nan, _NO_WALL, radius[b, a] - skin
                     else:
                         if math.isnan(gap[a]):
@@ -87,11 +94,24 @@ def advance(
                         move_x, move_y = full_x * share, full_y * share
                         lacking = max(allowed[a] - gap[a] - move_x * away[a, 0] - move_y * away[a, 1], 0.0)
                         x, y = old_x + move_x + lacking * away[a, 0], old_y + move_y + lacking * away[a, 1]
+                        # what is left of moves: all but what the walls take
+                        p00, p01, p11 = 1.0, 0.0, 1.0
+                        if lacking > 0:
+                            p00, p01, p11 = 1 - away[a, 0] ** 2, -away[a, 0] * away[a, 1], 1 - away[a, 1] ** 2
+                        p10 = p01
                         if blocked_gap[a] < _NO_WALL:
                             bx, by = blocked_away[a, 0], blocked_away[a, 1]
                             ahead = blocked_gap[a] + (x - blocked_at[a, 0]) * bx + (y - blocked_at[a, 1]) * by
                             lacking = max(allowed[a] - ahead, 0.0)
                             x, y = x + lacking * bx, y + lacking * by
+                            if lacking > 0:
+                                q0, q1 = bx * p00 + by * p10, bx * p01 + by * p11
+                                p00, p01, p10, p11 = (
+                                    p00 - bx * q0,
+                                    p01 - bx * q1,
+                                    p10 - by * q0,
+                                    p11 - by * q1,
+                                )
                         new_gap, new_x, new_y = wall_gap(x, y, frame, place, choice, option, limit)
                         if new_gap < allowed[a] - rounding:
                             blocked_gap[a], blocked_at[a, 0], blocked_at[a, 1] = new_gap, x, y
@@ -101,6 +121,12 @@ def advance(
                             here[a, 0], here[a, 1] = x, y
                             gap[a], away[a, 0], away[a, 1] = new_gap, new_x, new_y
                             allowed[a] = max(min(new_gap, radius[b, a] - skin), allowed[a])
+                            if slopes.size > 0:
+                                m00, m10 = p00 * m00 + p01 * m10, p10 * m00 + p11 * m10
+                                m01, m11 = p00 * m01 + p01 * m11, p10 * m01 + p11 * m11
+                                n00, n11 = n00 + share * seconds, n11 + share * seconds
+                                n00, n10 = p00 * n00 + p01 * n10, p10 * n00 + p11 * n10
+                                n01, n11 = p00 * n01 + p01 * n11, p10 * n01 + p11 * n11
                         if gap[a] < radius[b, a]:
                             wall_contact[b, a, s] = True
                     half = steps // strides
@@ -114,6 +140,9 @@ def advance(
                             if least[index] < radius[b, a]:
                                 found = wall_gap(x, y, frame, place, choice, option, limit)
                                 wall_contact[b, a, s] = found[0] < radius[b, a]
+                if slopes.size > 0:
+                    for k, value in enumerate((m00, m01, m10, m11, n00, n01, n10, n11)):
+                        slopes[b, a, s, k] = value
             for a in range(agents):
                 extent[a] = 0.0
                 for m in range(1, steps):

@@ -26,7 +26,7 @@ class GridWorld(World):
     """Exact distances to the grid's squares, for all scenes at once and on the people's device.
 
     Attributes:
-        compiled: Whether compiled loops are used on the CPU where no gradients are asked for.
+        compiled: Whether compiled loops are used on the CPU; they are differentiable, too.
     """
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS, compiled: bool = True) -> None:
@@ -66,7 +66,7 @@ class GridWorld(World):
     def advance(
         self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
     ) -> Motion:
-        """See `World.advance`: compiled loops on the CPU, torch elsewhere and for gradients."""
+        """See `World.advance`: compiled loops on the CPU, torch on other devices."""
         if self.compiled and compiles(state.past, velocity):
             return advance_compiled(self.bank, state, velocity, moving, substeps, played)
         path, gap = self._walked(state, velocity, moving, substeps, played)
