@@ -1,0 +1,110 @@
+"""Writes checkpoints/KERNEL.md: the numbers of every shipped card, as the card has them and as they are now.
+
+    pedzoo evaluate NAME ... --from-card --json FILE     # as many files as you like
+    python tools/kernel_page.py FILE... --out checkpoints/KERNEL.md
+
+The cards were measured before the kernel (pedzoo/sim/kernel.py); what has changed since and why stands in
+`WHY`, and every number outside of the card's 95 % interval is listed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+COLUMNS = {
+    "success": "success",
+    "agent_contacts_per_min": "contacts / min",
+    "wall_contacts_per_min": "wall contacts / min",
+    "time_ratio": "time ratio",
+    "path_ratio": "path ratio",
+    "ade_m": "ADE, m",
+    "fde_m": "FDE, m",
+}
+
+WHY = """What changed between the two, in the order of how much it moves:
+
+1. **Goals**: no agent starts within 1 m of its first goal, and later goals are drawn ahead. `goals drawn`
+   has other goals than before, so its numbers are of other episodes.
+2. **Ratios of sums**: `time_ratio` and `path_ratio` were means of ratios over people.
+3. **Walls**: an agent slides along the wall that it is nearest to and the one that it ran into last; before,
+   it was pushed out of walls up to three times. Agents that scrape along corners touch them at other moments.
+4. **Blending**: velocities blend over 0.1 s between two decisions. Decisions end where they ended before,
+   except where the top speed forbids to catch up. The paths between differ by up to 0.05 s times the change
+   of velocity: contacts between two decisions move.
+5. **ORCA's part**: ORCA takes all of the avoidance of agents that it does not move, which moves the warm start
+   of scenes in which somebody stands.
+6. **Stochastic models** whose first step crosses a threshold by a rounding walk another way from there on.
+
+Forecasts do not pass through the kernel: they are the same to the last digit shown."""
+
+
+def main() -> None:
+    """Read the reports and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    rows = [row for file in given.files for row in json.loads(file.read_text())["rows"] if "card" in row]
+    given.out.write_text("\n".join(page(rows)) + "\n")
+    print(f"{given.out}: {len({row['name'] for row in rows})} cards")
+
+
+def page(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the page."""
+    same = [value for row in rows for value in row["same"].values()]
+    names = sorted({row["name"] for row in rows})
+    yield "# Shipped cards before and after the kernel"
+    yield ""
+    agree, differ, unsure = (sum(value is one for value in same) for one in (True, False, None))
+    yield (
+        f"{len(names)} cards measured again by `pedzoo evaluate NAME --from-card`: {agree} of {len(same)} numbers "
+        f"are equal or lie in the card's 95 % interval, {differ} do not, {unsure} differ and have no interval."
+    )
+    yield ""
+    yield WHY
+    yield ""
+    yield from main_table(rows)
+    yield ""
+    yield "## Every number outside of its interval"
+    yield ""
+    yield "| model | case | number | card | now |"
+    yield "|---|---|---|---|---|"
+    for row in rows:
+        for metric, agrees in row["same"].items():
+            if agrees is not True:
+                case, now = row["case"]["evaluation"], row["metrics"].get(metric)
+                yield f"| `{row['name']}` | {case} | {metric} | {shown(row['card'][metric])} | {shown(now)} |"
+
+
+def main_table(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield the table of all cards: before, an arrow, and now; one value where both are the same."""
+    yield "| model | case | n | " + " | ".join(COLUMNS.values()) + " |"
+    yield "|---" * (3 + len(COLUMNS)) + "|"
+    for row in rows:
+        cells = [both(row["card"].get(key), row["metrics"].get(key)) for key in COLUMNS]
+        if any(cells):
+            start = f"| `{row['name']}` | {row['case']['evaluation']} | {row['n']:.0f} | "
+            yield start + " | ".join(cells) + " |"
+
+
+def both(before: float | None, now: float | None) -> str:
+    """Return the two values of a cell."""
+    if before is None and now is None:
+        return ""
+    first, second = shown(before), shown(now)
+    return first if first == second else f"{first} → {second}"
+
+
+def shown(value: float | None) -> str:
+    """Return a value with three significant digits."""
+    return "-" if value is None else f"{value:.3g}"
+
+
+if __name__ == "__main__":
+    main()
