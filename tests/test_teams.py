@@ -186,10 +186,8 @@ def test_shares_come_true_over_many_people() -> None:
     theirs = crowd.assigned(scene(keys=range(4000), people=5))
     assert torch.equal(torch.stack(theirs).long().sum(0), torch.ones(4000, 5).long())
     for team, share in zip(theirs, (0.5, 0.2, 0.3), strict=True):
-        # 4 standard deviations of 20,000 draws
-        assert team.float().mean().item() == pytest.approx(
-            share, abs=4 * (share * (1 - share) / 20000) ** 0.5
-        )
+        four_deviations = 4 * (share * (1 - share) / 20000) ** 0.5
+        assert team.float().mean().item() == pytest.approx(share, abs=four_deviations)
         assert team.float().var(0).min() > 0, "whatever the number of the person"
 
 
@@ -309,17 +307,13 @@ def test_a_crowd_asked_twice_says_the_same() -> None:
 
 @pytest.mark.parametrize("fast", [0.1, 0.2])
 def test_blending_leads_where_the_command_leads(fast: float) -> None:
-    command = torch.tensor([1.0, 0.6])
+    before, command = torch.tensor([0.8, 0.0]), torch.tensor([1.0, 0.6])
     crowd = Teams(people=f"{TOLD}:dt=0.4,x=1.0,y=0.6", robots=Told(fast))
     moved = torch.zeros(2)
     for step in range(round(0.4 / fast)):
         told = answer(crowd, scene(time=fast * step))[0, 0]
         if step == 0:
-            assert (
-                0.2
-                < (told - torch.tensor([0.8, 0.0])).norm() / (command - torch.tensor([0.8, 0.0])).norm()
-                < 1
-            )
+            assert 0.4 < (told - before).norm() / (command - before).norm() < 1
         moved += fast * told
     torch.testing.assert_close(moved, 0.4 * command)
 
