@@ -28,6 +28,14 @@ class Written(NamedTuple):
     settings: Mapping[str, str]
 
 
+def name_of(text: str) -> str:
+    """Return the name in a text with settings: a word, a path, an address or ``path/to/file.py:Class``."""
+    address = _ADDRESS.match(text)
+    name = address[0] if address else text.partition(":")[0]
+    inside = text.removeprefix(name).removeprefix(":").partition(":")[0]
+    return f"{name}:{inside}" if name.endswith(".py") else name
+
+
 def parse(text: str) -> Written:
     """Return the parts of ``name``, ``name:key=value,key=[a,b]`` or ``path/to/file.py:Class:key=value``.
 
@@ -36,12 +44,8 @@ def parse(text: str) -> Written:
     Raises:
         UserError: A setting without ``=``, or given twice.
     """
-    address = _ADDRESS.match(text)
-    name = address[0] if address else text.partition(":")[0]
+    name = name_of(text)
     _, colon, rest = text.removeprefix(name).partition(":")
-    if name.endswith(".py"):
-        inside, colon, rest = rest.partition(":")
-        name = f"{name}:{inside}"
     settings: dict[str, str] = {}
     for part in split(rest) if colon else []:
         key, equals, value = part.partition("=")

@@ -44,7 +44,7 @@ def evaluate(
     """Evaluate policies in closed loop and return the report that ``pedzoo evaluate`` prints and writes.
 
     Args:
-        policies: Names with settings, as of `pedzoo.sim.policy.load_policy`.
+        policies: Names with settings, or mixed crowds, as of `pedzoo.sim.policy.load_policy`.
         suites: ``door``, ``goals``, ``cards`` and ``replay``, or ``file.py:Class``.
         episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.

@@ -18,6 +18,7 @@ from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
+from pedzoo.sim.teams import Teams
 from pedzoo.sim.traces import rollout_of
 from pedzoo.spec import Spec
 
@@ -42,7 +43,7 @@ def rollout(
     Its world, ``env.world``, is still open: pictures are taken there.
 
     Args:
-        policy: Its name with settings.
+        policy: Its name with settings, or a mixed crowd, as of `pedzoo.sim.policy.load_policy`.
         scenario: Its name with settings.
         world: ``bullet`` or ``grid``.
         episodes: E.
@@ -68,8 +69,11 @@ def prepare(
     walks = load_policy(policy)
     wanted = settings.pop("decision_dt", None)
     if wanted is not None and not math.isclose(wanted, walks.decision_dt):
-        learned = isinstance(walks, Walker)
-        why = "it was trained on that step" if learned else f"its setting dt says so, {policy}:dt=..."
+        why = f"its setting dt says so, {policy}:dt=..."
+        if isinstance(walks, Teams):
+            why = "its fastest team does"
+        elif isinstance(walks, Walker):
+            why = "it was trained on that step"
         raise UserError(f"{policy} decides every {walks.decision_dt} s, not every {wanted} s: {why}")
     runs = -(-episodes // AT_ONCE.get(world, 1))
     settings |= {"world": world, "seed": seed, "decision_dt": walks.decision_dt}

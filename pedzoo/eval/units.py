@@ -13,6 +13,7 @@ from pedzoo.eval.suite import Tell, Unit
 from pedzoo.fetch import sha256_of
 from pedzoo.models.store import find
 from pedzoo.registry import SUITES
+from pedzoo.sim.crowd import parts
 from pedzoo.spec import Spec, parse
 from pedzoo.versions import versions
 
@@ -48,7 +49,8 @@ def digest(unit: Unit) -> str:
     pedzoo's code and the versions of what it uses.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
-    files = [_model_sum(unit.walks), _file_sum(unit.case.suite), _file_sum(unit.case.scenario)]
+    walking = [_model_sum(policy) for policy in parts(unit.walks)]
+    files = [*walking, _file_sum(unit.case.suite), _file_sum(unit.case.scenario)]
     return fingerprint(known, files)
 
 

@@ -10,6 +10,7 @@ from pedzoo.models.header import read_config
 from pedzoo.models.store import find
 from pedzoo.models.zoo import read_checkpoint
 from pedzoo.paths import weight_files
+from pedzoo.sim.crowd import parts
 from pedzoo.spec import parse
 
 
@@ -18,8 +19,12 @@ def for_fold(policy: str, fold: str) -> str:
 
     Weights are named after the fold that they did not see: for ``sgan_goal.zara1:noise=step`` on hotel that
     is ``sgan_goal.hotel:noise=step``, and for ``sgan_goal.indoor`` of all recordings it is
-    ``sgan_goal.indoor_hotel``. Anything else stays as it is.
+    ``sgan_goal.indoor_hotel``. Anything else stays as it is. In a mixed crowd it is so for each policy.
     """
+    return "+".join(_for_fold(part, fold) for part in parts(policy))
+
+
+def _for_fold(policy: str, fold: str) -> str:
     name = parse(policy).name
     if name not in weight_files() or (held_out := _held_out(name)) in (None, fold):
         return policy
@@ -31,7 +36,11 @@ def for_fold(policy: str, fold: str) -> str:
 
 
 def has_seen(policy: str, fold: str) -> bool:
-    """Return whether the weights of a policy were trained on the test recordings of a fold of ETH/UCY."""
+    """Return whether weights in a policy were trained on the test recordings of a fold of ETH/UCY."""
+    return any(_has_seen(part, fold) for part in parts(policy))
+
+
+def _has_seen(policy: str, fold: str) -> bool:
     if fold not in SCENES:
         return False
     name = parse(policy).name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fnmatch import fnmatch
 from typing import Any, ClassVar
 
 from tensordict.nn import TensorDictModuleBase
@@ -11,6 +12,7 @@ from pedzoo.models.store import find, is_file
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import baselines, list_models, load
 from pedzoo.registry import MODELS, POLICIES
+from pedzoo.sim.crowd import is_crowd
 from pedzoo.spec import build, make, parse
 
 
@@ -34,20 +36,41 @@ class Policy(TensorDictModuleBase):
 
 
 def load_policy(name: str) -> Policy | Walker:
-    """Return a policy of the registry, or any model as one.
+    """Return a policy of the registry, any model as one, or a mixed crowd.
 
     Args:
-        name: ``orca:radius=0.3``, or whatever `pedzoo.load` takes with settings of `Walker`
-            (``sgan_goal.zara1:noise=step``).
+        name: ``orca:radius=0.3``; whatever `pedzoo.load` takes with settings of `Walker`
+            (``sgan_goal.zara1:noise=step``); or several of these, joined by ``+``, each with the share of
+            agents that it moves (``orca:share=0.5+sgan_goal_map.indoor``), see `pedzoo.sim.crowd`.
 
     Raises:
-        UserError: Unknown name or setting; the message has the nearest spelling.
+        UserError: Unknown name or setting, with the nearest spelling in the message; shares that cannot be.
     """
+    if is_crowd(name):
+        from pedzoo.sim.teams import Teams  # a team's policy is made here
+
+        return Teams(name)
     spec = parse(name)
     if spec.name in POLICIES.names():
         return build(POLICIES, name, Policy)
     if ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy):
         return build(POLICIES, name, Policy)
     if not (is_file(spec.name) or spec.name in MODELS.names() or find(spec.name)):
-        raise unknown("policy", spec.name, [*POLICIES.names(), *list_models(), *baselines()])
+        raise unknown("policy", spec.name, list_policies())
     return make(Walker, "walker", spec, model=load(spec.name))
+
+
+def list_policies(pattern: str = "*") -> list[str]:
+    """Return the names of all policies that match ``pattern``: those that are no models come first."""
+    models = sorted({*list_models(), *baselines()})
+    return [name for name in (*POLICIES.names(), *models) if fnmatch(name, pattern)]
+
+
+def walkers(policy: Policy | Walker) -> list[Walker]:
+    """Return the learned policies that are in a policy: itself, or those of its teams."""
+    return [part for part in policy.modules() if isinstance(part, Walker)]
+
+
+def has_noise(policy: Policy | Walker) -> bool:
+    """Return whether the learned policies in a policy draw noise."""
+    return any(walker.model.noise_dim > 0 for walker in walkers(policy))

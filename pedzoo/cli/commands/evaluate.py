@@ -31,7 +31,12 @@ def run(argv: list[str]) -> int:
         f"       pedzoo evaluate NAME... --from-card\nexample: {EXAMPLE}"
     )
     parser = ArgumentParser(prog="pedzoo evaluate", usage=usage, description=HELP, **PARSER_SETTINGS)
-    parser.add_argument("policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model.")
+    parser.add_argument(
+        "policies",
+        nargs="+",
+        type=str,
+        help="orca:radius=0.3, go_to_goal, or any model; mixed crowds: orca:share=0.5+sgan_goal.indoor.",
+    )
     parser.add_argument(
         "--suite",
         type=str,

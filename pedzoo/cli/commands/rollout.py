@@ -29,7 +29,11 @@ def run(argv: list[str]) -> int:
     usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--world WORLD] [...]\nexample: {EXAMPLE}"
     parser = ArgumentParser(prog="pedzoo rollout", usage=usage, description=HELP, **PARSER_SETTINGS)
     parser.add_argument(
-        "policies", nargs="+", type=str, help="orca:radius=0.3, go_to_goal, or any model, one row each."
+        "policies",
+        nargs="+",
+        type=str,
+        help="orca:radius=0.3, go_to_goal, or any model, one row each; or mixed: "
+        "orca:share=0.5+sgan_goal.indoor.",
     )
     parser.add_argument(
         "--scenario",

@@ -19,8 +19,7 @@ from pedzoo.metrics.choices import first_through, passing_side, varied
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.models.walker import Walker
-from pedzoo.sim.policy import load_policy
+from pedzoo.sim.policy import has_noise, load_policy, walkers
 
 DRAWS = 10
 """Of the noise, for each scene."""
@@ -76,7 +75,7 @@ class LoopNoise(Suite):
 
     def units(self, case: Case, policies: Any, seeds: tuple[int, ...], deterministic: bool) -> list[Unit]:
         """Return the work on a case, of policies that have noise."""
-        noisy = [] if deterministic else [name for name in policies if _has_noise(name)]
+        noisy = [] if deterministic else [name for name in policies if has_noise(load_policy(name))]
         return super().units(case, noisy, seeds, deterministic)
 
     def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
@@ -95,8 +94,9 @@ class LoopNoise(Suite):
             walked = []
             for number, seed in enumerate(unit.seeds):
                 policy, env = prepare(unit.walks, scenario, case.world, case.episodes, seed)
-                assert isinstance(policy, Walker)  # see units
-                policy.noise_seed, step = draw, env.decision_dt
+                for walker in walkers(policy):
+                    walker.noise_seed = draw
+                step = env.decision_dt
                 try:
                     walked.extend(walk(policy, env, case.episodes))
                 finally:
@@ -126,8 +126,3 @@ class LoopNoise(Suite):
                 "per_agent": [],
             }
         ]
-
-
-def _has_noise(name: str) -> bool:
-    policy = load_policy(name)
-    return isinstance(policy, Walker) and policy.model.noise_dim > 0

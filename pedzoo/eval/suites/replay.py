@@ -18,8 +18,7 @@ from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism_crowds import TAIL
 from pedzoo.metrics.realism_features import FEATURES
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.models.walker import Walker
-from pedzoo.sim.policy import load_policy
+from pedzoo.sim.policy import has_noise, load_policy
 from pedzoo.sim.scenarios.replay import Replay as Recorded
 from pedzoo.spec import Spec
 
@@ -147,7 +146,7 @@ class Replay(Suite):
         if unit.walks == REAL:
             return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
         model = load_policy(unit.walks)
-        noise = isinstance(model, Walker) and model.model.noise_dim > 0 and not unit.deterministic
+        noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
 
         def walked() -> Iterator[Rollout]:

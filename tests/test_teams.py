@@ -1,0 +1,514 @@
+"""Mixed crowds: who moves whom, and when each team decides."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+import pedzoo
+from pedzoo.batch import ROBOT, agents_of, ids_of, scene_batch
+from pedzoo.cli.main import main
+from pedzoo.errors import UserError
+from pedzoo.eval.rollout import prepare, rollout, run
+from pedzoo.eval.suite import Case, Unit
+from pedzoo.eval.units import digest
+from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+from pedzoo.metrics.rollout import Rollout
+from pedzoo.models.controller import Controller
+from pedzoo.sim.crowd import Member, is_crowd, members, parts
+from pedzoo.sim.dynamics import blended
+from pedzoo.sim.make import make_env
+from pedzoo.sim.policy import Policy, has_noise, load_policy, walkers
+from pedzoo.sim.teams import Teams
+
+
+class Told(Policy):
+    """Tells its agents one velocity, and notes when it was asked about which scenes, and for whom."""
+
+    def __init__(self, dt: float = 0.4, x: float = 1.0, y: float = 0.0) -> None:
+        """Say how often it decides, and the velocity, m/s."""
+        super().__init__(dt)
+        self.command, self.calls, self.moved = (x, y), [], []
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the velocity."""
+        agents = agents_of(tensordict)
+        self.calls.append([round(float(time), 3) for time in tensordict["time"]])
+        self.moved.append(agents["controlled"].clone())
+        agents["action"] = torch.tensor(self.command).expand(*agents["mask"].shape, 2).clone()
+        return tensordict
+
+
+class Clock(Told):
+    """Tells its agents a velocity that says when it was told: 1 + time along x, m/s."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the velocity."""
+        super().forward(tensordict)
+        agents_of(tensordict)["action"][..., 0] = 1 + cast("Tensor", tensordict["time"])
+        return tensordict
+
+
+TOLD, CLOCK = f"{__file__}:Told", f"{__file__}:Clock"
+
+
+def scene(time: float | list[float] = 0.0, keys: Any = (7, 8, 9), people: int = 4, **more: Any) -> TensorDict:
+    """Return scenes of people who walk along x at 0.8 m/s."""
+    size = (len(keys), people)
+    velocity = torch.tensor([0.8, 0.0]).expand(*size, 2)
+    history = torch.arange(people)[:, None, None] + torch.arange(8)[:, None] * 0.4 * velocity.unsqueeze(2)
+    fields: dict[str, Any] = {
+        "velocity": velocity,
+        "mask": torch.ones(size, dtype=torch.bool),
+        "id": torch.arange(people).expand(size),
+        "goal": history[:, :, -1] + 4.0,
+        "desired_velocity": velocity,
+    }
+    return scene_batch(
+        maps=MapBank(),
+        map_id=torch.full((len(keys), 1), -1),
+        pose=identity_pose(len(keys)),
+        history=history,
+        valid=torch.ones(*size, 8, dtype=torch.bool),
+        pref_speed=torch.full((*size, 1), 1.3),
+        key=torch.tensor(keys).unsqueeze(1),
+        time=torch.as_tensor(time).float().expand(len(keys)).reshape(-1, 1),
+        **fields | more,
+    )
+
+
+def policies(crowd: Teams) -> list[Any]:
+    """Return the policies of the teams."""
+    return [cast("Any", team).policy for team in crowd.teams]
+
+
+def answer(crowd: Any, batch: TensorDictBase) -> Tensor:
+    """Return what a crowd tells scenes (B, A, 2)."""
+    return crowd(batch)["agents", "action"].clone()
+
+
+# --- the grammar
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("orca", ["orca"]),
+        ("orca:share=0.5+go_to_goal", ["orca:share=0.5", "go_to_goal"]),
+        ("orca + go_to_goal", ["orca", "go_to_goal"]),
+        ("orca:time_horizon=1e+1+go_to_goal", ["orca:time_horizon=1e+1", "go_to_goal"]),
+        ("orca+sgan_gaol.indoor", ["orca", "sgan_gaol.indoor"]),
+        ("a:b=[x+orca]+orca", ["a:b=[x+orca]", "orca"]),
+        ("hf://me/zoo@v1/sgan.mall+orca", ["hf://me/zoo@v1/sgan.mall", "orca"]),
+        ("https://a.b/c+d/sgan.mall+orca", ["https://a.b/c+d/sgan.mall", "orca"]),
+        ("https://a.b/c+orca/sgan.mall:share=.2+orca", ["https://a.b/c+orca/sgan.mall:share=.2", "orca"]),
+        ("orca+https://a.b/sgan.x+hf://me/zoo", ["orca", "https://a.b/sgan.x", "hf://me/zoo"]),
+        ("/not/here+x/mine.py:Mine+go_to_goal", ["/not/here+x/mine.py:Mine", "go_to_goal"]),
+        ("/not/here/mine.py:Mine:a=1+orcaa", ["/not/here/mine.py:Mine:a=1", "orcaa"]),
+        ("/not/here/mine.py:Mine+orcaa", ["/not/here/mine.py:Mine", "orcaa"]),
+        ("/not/here/a.ckpt+sgan.mall", ["/not/here/a.ckpt", "sgan.mall"]),
+    ],
+)
+def test_a_plus_joins_policies_outside_brackets_numbers_paths_and_addresses(
+    text: str, found: list[str]
+) -> None:
+    assert parts(text) == found
+    assert is_crowd(text) == (len(found) > 1 or "share" in text)
+
+
+def test_a_plus_in_the_name_of_a_file_that_exists_is_part_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a+orca", "deep"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "my+file.py").write_text(Path(__file__).read_text())
+    (tmp_path / "best+last.ckpt").touch()
+    for name in (
+        "best+last.ckpt",
+        "a+orca/my+file.py:Told",
+        "./deep/my+file.py:Told",
+        str(tmp_path / "a+orca"),
+    ):
+        assert parts(f"{name}:share=0.5+orca+{name}") == [f"{name}:share=0.5", "orca", name]
+    crowd = load_policy("a+orca/my+file.py:Told:dt=0.1,share=0.5+orca")
+    assert [type(policy).__name__ for policy in policies(cast("Teams", crowd))] == ["Told", "Orca"]
+
+
+def test_teams_without_a_share_have_equal_parts_of_the_rest() -> None:
+    assert members("orca:share=0.5,radius=0.3+go_to_goal+sgan.zara1") == [
+        Member("orca:radius=0.3", 0.5),
+        Member("go_to_goal", 0.25),
+        Member("sgan.zara1", 0.25),
+    ]
+    assert members("orca:share=1") == [Member("orca", 1.0)]
+    thirds = members("orca+orca+orca")
+    assert [member.share for member in thirds] == pytest.approx([1 / 3] * 3)
+
+
+@pytest.mark.parametrize(
+    ("crowd", "told"),
+    [
+        ("orca:share=0.8+go_to_goal:share=0.5", "the shares sum to 1.3: expected at most 1"),
+        ("orca:share=0.3+go_to_goal:share=0.5", "sum to 0.8, and the rest has no policy: leave out one"),
+        ("orca:share=1+go_to_goal", "nothing is left for 'go_to_goal'"),
+        ("orca:share=0+go_to_goal", "share 0: expected a number above 0"),
+        ("orca:share=-1+go_to_goal", "share -1: expected a number above 0"),
+        ("orca:share=half+go_to_goal", "share half: expected a number above 0"),
+        ("orca:share=nan+go_to_goal", "share nan: expected a number above 0"),
+        ("orca+", "a policy is missing beside '\\+'"),
+        ("orca+go_to_gaol", "unknown policy 'go_to_gaol': did you mean 'go_to_goal'"),
+        ("orca:share=0.5+sgan_goal.indor", "did you mean 'sgan_goal.indoor'"),
+        ("orca:share=0.5,raduis=1+go_to_goal", "did you mean 'radius'"),
+        ("orca:dt=0.3+go_to_goal", "teams decide every 0.3, 0.4 s: expected multiples of the shortest"),
+        ("orca+sgan_goal.zara1:execute_steps=2", "execute_steps 2: a team decides anew"),
+    ],
+)
+def test_what_cannot_be_is_refused(crowd: str, told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        load_policy(crowd)
+
+
+# --- who moves whom
+
+
+def test_shares_come_true_over_many_people() -> None:
+    crowd = Teams("orca:share=0.5+go_to_goal:share=0.2+social_force")
+    theirs = crowd.assigned(scene(keys=range(4000), people=5))
+    assert torch.equal(torch.stack(theirs).long().sum(0), torch.ones(4000, 5).long())
+    for team, share in zip(theirs, (0.5, 0.2, 0.3), strict=True):
+        four_deviations = 4 * (share * (1 - share) / 20000) ** 0.5
+        assert team.float().mean().item() == pytest.approx(share, abs=four_deviations)
+        assert team.float().var(0).min() > 0, "whatever the number of the person"
+
+
+def test_a_person_has_a_team_whatever_the_batch_and_the_slot() -> None:
+    crowd = Teams("orca+go_to_goal")
+    whole = crowd.assigned(scene(keys=range(50), people=6))[0]
+    alone = [crowd.assigned(scene(time=3.7, keys=[key], people=2))[0] for key in range(50)]
+    assert torch.equal(torch.cat(alone), whole[:, :2])
+    order = torch.randperm(6, generator=torch.Generator().manual_seed(0))
+    shuffled = crowd.assigned(scene(keys=range(50), people=6, id=order.expand(50, 6)))[0]
+    assert torch.equal(shuffled, whole[:, order])
+
+
+def test_every_agent_is_moved_by_exactly_one_team_which_sees_all_others() -> None:
+    crowd = Teams(f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1+{TOLD}:x=0.3,dt=0.1")
+    batch = scene(keys=range(20), people=6)
+    controlled = torch.rand(20, 6, generator=torch.Generator().manual_seed(1)) < 0.8
+    agents_of(batch)["controlled"] = controlled
+    action = answer(crowd, batch)
+    moved = torch.stack([policy.moved[0] for policy in policies(crowd)])
+    assert torch.equal(moved.sum(0), controlled.long())
+    wanted = (moved * torch.tensor([0.1, 0.2, 0.3]).view(3, 1, 1)).sum(0)
+    assert torch.allclose(action[..., 0], wanted)
+    assert torch.equal(cast("Any", batch)["agents", "controlled"], controlled), "the batch stays as it was"
+
+
+def test_robots_have_their_own_policy() -> None:
+    crowd = Teams(people=f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1", robots=Told(0.1, x=9.0))
+    kind = torch.tensor([0, ROBOT, 0, ROBOT]).expand(3, 4)
+    action = answer(crowd, scene(kind=kind))[..., 0]
+    assert torch.equal(action == 9.0, kind == ROBOT)
+    assert torch.equal(policies(crowd)[2].moved[0], kind == ROBOT)
+    mixed = answer(Teams(people=f"{TOLD}:x=0.1,dt=0.1"), scene(kind=kind))[..., 0]
+    assert torch.allclose(mixed, torch.tensor(0.1)), "else robots are moved as people"
+
+
+# --- when teams decide
+
+
+def test_each_team_decides_at_its_own_interval() -> None:
+    crowd = Teams(f"{TOLD}:dt=0.4+{TOLD}:dt=0.1+{TOLD}:dt=0.2")
+    assert crowd.decision_dt == 0.1
+    for step in range(9):
+        answer(crowd, scene(time=0.1 * step, keys=range(30)))
+    slow, fast, middle = ([calls[0] for calls in policy.calls] for policy in policies(crowd))
+    assert slow == [0.0, 0.4, 0.8]
+    assert fast == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    assert middle == [0.0, 0.2, 0.4, 0.6, 0.8]
+
+
+def test_a_team_without_agents_is_not_asked() -> None:
+    crowd = Teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
+    answer(crowd, scene())
+    assert [len(policy.calls) for policy in policies(crowd)] == [1, 0]
+    answer(crowd, scene(controlled=torch.zeros(3, 4, dtype=torch.bool), time=0.4))
+    assert [len(policy.calls) for policy in policies(crowd)] == [1, 0]
+
+
+def test_people_who_come_or_are_taken_over_decide_at_once_and_then_with_their_team() -> None:
+    crowd = Teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1))
+    slow, person = policies(crowd)[0], torch.tensor([[0, 1, 2]])
+    some = torch.tensor([[True, True, False]])
+    told = {}
+    for step in range(5):
+        time = 0.1 * step
+        more = {"controlled": some | (step >= 2), "id": torch.where(person == 0, 5 * (step >= 3), person)}
+        told[step] = answer(crowd, scene(time=time, keys=[7], people=3, **more))[0, :, 0]
+    assert [calls[0] for calls in slow.calls] == [0.0, 0.2, 0.3, 0.4]
+
+    def walked(decided: float, step: int) -> float:
+        plan = blended(torch.tensor([0.8, 0.0]), torch.tensor([1 + decided, 0.0]), 4)
+        return plan[0, step].item()
+
+    assert told[2].tolist() == pytest.approx([walked(0.0, 2), walked(0.0, 2), walked(0.2, 0)])
+    assert told[3].tolist() == pytest.approx([walked(0.3, 0), walked(0.0, 3), walked(0.2, 1)]), (
+        "another person"
+    )
+    assert told[4].tolist() == pytest.approx([walked(0.4, 0)] * 3)
+
+
+def test_scenes_in_which_nobody_decides_are_not_asked_about() -> None:
+    crowd = Teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
+    for step in range(6):
+        answer(crowd, scene(time=[0.1 * step, 0.1 * step + 0.2, 0.1 * step + 4.0]))
+    # the second scene is two steps ahead, but all begin with the first call
+    assert policies(crowd)[0].calls == [[0.0, 0.2, 4.0], [0.4, 0.6, 4.4]]
+    answer(crowd, scene(time=[0.6, 0.0, 4.6]))  # the second begins anew
+    assert policies(crowd)[0].calls[2:] == [[0.0]]
+
+
+def test_other_environments_parts_of_a_batch_and_changed_slots_do_not_mix_plans() -> None:
+    """What a scene is told does not depend on what else the crowd is asked about in between."""
+    times = [0.1 * step for step in range(12)]
+    alone = Teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
+    wanted = [answer(alone, scene(time=time, keys=range(6))) for time in times]
+    crowd = Teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
+    order = torch.tensor([2, 0, 3, 1])
+    for step, time in enumerate(times):
+        if step % 3 == 2:
+            found = torch.cat(
+                [answer(crowd, scene(time=time, keys=range(low, low + 2))) for low in (4, 0, 2)]
+            ).roll(-2, 0)
+        elif step % 3 == 1:
+            found = answer(crowd, scene(time=time, keys=range(6), id=order.expand(6, 4)))[:, order.argsort()]
+        else:
+            found = answer(crowd, scene(time=time, keys=range(6)))
+        answer(crowd, scene(time=time + 0.1, keys=range(20, 29), people=7))
+        torch.testing.assert_close(found, wanted[step])
+
+
+def test_a_crowd_asked_twice_says_the_same() -> None:
+    crowd = Teams(f"{CLOCK}:dt=0.4+{TOLD}:dt=0.1")
+    for step in range(6):
+        batch = scene(time=0.1 * step)
+        assert torch.equal(answer(crowd, batch), answer(crowd, batch))
+
+
+@pytest.mark.parametrize("fast", [0.1, 0.2])
+def test_blending_leads_where_the_command_leads(fast: float) -> None:
+    before, command = torch.tensor([0.8, 0.0]), torch.tensor([1.0, 0.6])
+    crowd = Teams(people=f"{TOLD}:dt=0.4,x=1.0,y=0.6", robots=Told(fast))
+    moved = torch.zeros(2)
+    for step in range(round(0.4 / fast)):
+        told = answer(crowd, scene(time=fast * step))[0, 0]
+        if step == 0:
+            assert 0.4 < (told - before).norm() / (command - before).norm() < 1
+        moved += fast * told
+    torch.testing.assert_close(moved, 0.4 * command)
+
+
+def test_the_commands_of_robots_are_held() -> None:
+    """They may be the speeds of wheels, (v, omega), which are no velocity to blend."""
+    crowd = Teams(people=Told(0.1), robots=Told(0.4, x=0.5, y=-0.7))
+    kind = torch.full((3, 4), ROBOT)
+    for step in range(4):
+        told = answer(crowd, scene(time=0.1 * step, kind=kind))
+        assert torch.equal(told, torch.tensor([0.5, -0.7]).expand(3, 4, 2))
+
+
+# --- whole episodes
+
+
+def walked(policy: str, scenario: str = "hallway", scenes: int = 3, **settings: Any) -> Rollout:
+    """Return episodes of a policy."""
+    made, env = prepare(policy, scenario, "grid", scenes, **settings)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        return run(made, env)
+
+
+@pytest.mark.parametrize("policy", ["orca", "sgan_goal_map.indoor", "sgan_goal.zara1:execute_steps=2"])
+def test_a_crowd_of_one_team_is_that_team(policy: str) -> None:
+    setting = "," if "=" in policy else ":"
+    one, crowd = walked(policy), walked(f"{policy}{setting}share=1")
+    assert torch.equal(one.trace, crowd.trace) and torch.equal(one.reached, crowd.reached)
+
+
+def test_a_slow_team_among_fast_ones_walks_as_it_does_alone() -> None:
+    """Between its decisions velocities blend as in the kernel; only goals are noticed earlier."""
+    scenario = "intersection"
+    alone, crowd = walked("go_to_goal", scenario), walked("go_to_goal+orca:share=1e-9", scenario)
+    points = min(alone.trace.shape[2], crowd.trace.shape[2])
+    before = (alone.reached[..., :points] == 0).all(1).sum(1).min().item() // 4 * 4
+    assert before > 20
+    torch.testing.assert_close(alone.trace[:, :, :before], crowd.trace[:, :, :before], atol=1e-4, rtol=0)
+
+
+def test_an_episode_is_the_same_in_every_batch() -> None:
+    crowd = "orca:share=0.4+social_force:preset=indoor+go_to_goal"
+    whole = walked(crowd, "perpendicular:people=6", scenes=4)
+    for first in (0, 3):
+        alone = walked(crowd, "perpendicular:people=6", scenes=1, first_episode=first)
+        points = min(alone.trace.shape[2], whole.trace.shape[2])
+        there = alone.present[0, :, :points]
+        torch.testing.assert_close(
+            alone.trace[0, :, :points][there], whole.trace[first, :, :points][there], atol=1e-4, rtol=0
+        )
+
+
+def test_learned_people_walk_beside_orca_and_resets_mix_nothing_up() -> None:
+    crowd = load_policy("orca:share=0.5+sgan_goal.indoor")
+    assert crowd.decision_dt == pytest.approx(0.1) and has_noise(crowd) and len(walkers(crowd)) == 1
+    env = make_env("hallway", num_envs=3, decision_dt=0.1)
+    with torch.no_grad():
+        steps: Any = env.rollout(150, crowd, break_when_any_done=False)
+    assert steps["next", "done"].any() and not steps["next", "failed"].any()
+    assert steps["agents", "action"].isfinite().all()
+
+
+def test_an_environment_of_another_step_is_refused() -> None:
+    crowd = load_policy("orca+sgan_goal.indoor")
+    with pytest.raises(UserError, match=r"this crowd decides every 0.1 s, not every 0.4 s.*decision_dt=0.1"):
+        crowd(make_env("door").reset())
+    with pytest.raises(UserError, match="its fastest team does"):
+        prepare("orca+sgan_goal.indoor", "door", "grid", 1, decision_dt=0.4)
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.4])
+@pytest.mark.parametrize("value", [".nan", ".inf"])
+def test_a_team_that_fails_ends_its_scenes_alone(dt: float, value: str) -> None:
+    made, env = prepare(f"{TOLD}:share=0.15,dt={dt},x={value}+orca", "hallway", "grid", 6)
+    theirs = cast("Teams", made).assigned(env.reset())[0].any(1)
+    assert 0 < theirs.sum() < 6
+    with pytest.warns(UserWarning, match="gave the action"):
+        broken = walked(f"{TOLD}:share=0.15,dt={dt},x={value}+orca", scenes=6)
+    whole = walked(f"{TOLD}:share=0.15,dt={dt}+orca", scenes=6)
+    assert torch.equal(broken.failed, theirs)
+    points = min(broken.trace.shape[2], whole.trace.shape[2])
+    assert torch.equal(broken.trace[~theirs, :, :points], whole.trace[~theirs, :, :points])
+
+
+def test_the_safety_layer_of_one_team_does_all_of_the_avoidance_of_another() -> None:
+    """Two people meet head-on, a little aside: only the first has the layer, the second keeps its course."""
+    crowd = Teams("go_to_goal:safety=true,share=0.5+go_to_goal:dt=0.1")
+    keys = [
+        key for key in range(40) if crowd.assigned(scene(keys=[key], people=2))[0].tolist() == [[True, False]]
+    ]
+    size = (len(keys), 2)
+    ahead = torch.tensor([[1.2, 0.0], [-1.2, 0.0]]).expand(*size, 2)
+    begin = torch.tensor([[-0.5, 0.0], [0.5, 0.1]]).expand(*size, 2)
+    ago = torch.arange(-7, 1).view(8, 1) * 0.4
+    way = {
+        "velocity": ahead,
+        "desired_velocity": ahead,
+        "history": begin.unsqueeze(2) + ago * ahead.unsqueeze(2),
+    }
+    moved = torch.zeros(*size, 2)
+    for step in range(4):
+        batch = scene(time=0.1 * step, keys=keys, people=2)
+        agents_of(batch).update(TensorDict(way, size))
+        moved += 0.1 * answer(crowd, batch)
+    torch.testing.assert_close(moved[:, 1], 0.4 * ahead[:, 1])
+    parts_of_step = torch.linspace(0, 1, 50).view(-1, 1, 1)
+    apart = begin[:, 0] - begin[:, 1] + parts_of_step * (moved[:, 0] - moved[:, 1])
+    assert keys and 0.3 < apart.norm(dim=-1).min() < 0.4
+
+
+def test_recorded_people_stay_with_their_team() -> None:
+    """In a replay slots are used again: teams are of persons."""
+    env = make_env("replay:fold=embedded", decision_dt=0.1)
+    crowd = cast("Teams", load_policy("orca:share=0.5+go_to_goal"))
+    found: dict[int, set[bool]] = {}
+    slots: dict[int, set[int]] = {}
+    now = env.reset()
+    for _ in range(120):
+        team, person, there = crowd.assigned(now)[0][0], ids_of(now)[0], agents_of(now)["mask"][0]
+        for slot in there.nonzero()[:, 0].tolist():
+            found.setdefault(int(person[slot]), set()).add(bool(team[slot]))
+            slots.setdefault(slot, set()).add(int(person[slot]))
+        result = env.step(crowd(now))
+        now = env.step_mdp(result)
+    assert all(len(teams) == 1 for teams in found.values())
+    assert {team for teams in found.values() for team in teams} == {True, False}
+
+
+def test_a_mixed_crowd_replays_a_recording() -> None:
+    found, env = rollout("orca:share=0.5+sgan_goal.indoor", "replay:fold=embedded", "grid", episodes=1)
+    env.world.close()
+    assert not found.failed.any()
+    assert (found.controlled & (found.reached > 0)).any(), "somebody arrives"
+
+
+def test_a_mixed_crowd_is_a_controller() -> None:
+    """People come and go, and their numbers change slots."""
+    crowd = cast("Teams", load_policy("orca:share=0.5+go_to_goal"))
+    controller = Controller(crowd, dt=0.1)
+    people = {name: (float(x), 0.0) for x, name in enumerate("abcdef")}
+    for step in range(8):
+        if step == 3:
+            del people["b"]
+        goals = dict.fromkeys(people, (30.0, 5.0))
+        velocity = controller.step(people, goals)
+        people = {
+            name: (xy[0] + 0.1 * velocity[name][0], xy[1] + 0.1 * velocity[name][1])
+            for name, xy in people.items()
+        }
+    assert all(xy[0] > x + 0.3 for x, (name, xy) in enumerate(sorted(people.items())))
+
+
+# --- wherever a policy is named
+
+
+def test_rollout_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    crowd, report = "orca:share=0.5+sgan_goal_map.indoor", tmp_path / "report.json"
+    command = ["rollout", crowd, "--scenario", "door", "--world", "grid", "--episodes", "3"]
+    assert main([*command, "--json", str(report)]) == 0
+    row = json.loads(report.read_text())["rows"][0]
+    assert (row["name"], row["decision_dt_s"], row["n"]) == (crowd, 0.1, 3)
+    assert crowd in capsys.readouterr().out
+    assert main(["rollout", "orca:share=0.5+sgan_goal_map.indor"]) == 2
+    assert "did you mean 'sgan_goal_map.indoor'" in capsys.readouterr().err
+
+
+def test_evaluate_of_the_command_line_refuses_a_misspelt_part(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "orcaa:share=0.5+go_to_goal", "--suite", "door"]) == 2
+    assert "did you mean 'orca'" in capsys.readouterr().err
+
+
+def test_evaluate_from_python() -> None:
+    crowd = "orca:share=0.5+go_to_goal"
+    report = pedzoo.evaluate([crowd], suites=["door"], episodes=2, world="grid")
+    assert {row["name"] for row in report["rows"]} == {crowd}
+    assert "rollout" in dir(pedzoo) and pedzoo.rollout is rollout
+    assert {"orca", "sgan_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
+    assert pedzoo.list_policies("orc*") == ["orca"]
+
+
+def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:
+    crowd = "orca:share=0.5+sgan_goal.zara1:noise=step"
+    assert for_fold(crowd, "hotel") == "orca:share=0.5+sgan_goal.hotel:noise=step"
+    assert (
+        has_seen(crowd, "hotel") and not has_seen(crowd, "zara1") and not has_seen("orca+go_to_goal", "eth")
+    )
+
+
+def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = Case("door", "door", "door", "grid", 1, {})
+    units = [
+        Unit(crowd, crowd, case, (0,), False)
+        for crowd in ("orca+sgan_goal.zara1", f"orca+{TOLD}", "orca:share=0.4+sgan_goal.zara1")
+    ]
+    before = [digest(unit) for unit in units]
+    assert len(set(before)) == 3 and before == [digest(unit) for unit in units]
+    monkeypatch.setattr("pedzoo.eval.units.sha256_of", lambda path: "another file")
+    assert digest(units[0]) == before[0] and digest(units[1]) != before[1]
