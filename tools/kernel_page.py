@@ -34,9 +34,9 @@ WHY = """What changed between the two, in the order of how much it moves:
    it was pushed out of walls up to three times. Agents that scrape along corners touch them at other moments.
 4. **Blending**: velocities blend over 0.1 s between two decisions. Decisions end where they ended before,
    except where the top speed forbids to catch up. The paths between differ by up to 0.05 s times the change
-   of velocity: contacts between two decisions move.
-5. **ORCA's part**: ORCA takes all of the avoidance of agents that it does not move, which moves the warm start
-   of scenes in which somebody stands.
+   of velocity, so contacts between two decisions move.
+5. **ORCA's part**: ORCA takes all of the avoidance of agents that it does not move. That changes the warm
+   start of scenes in which somebody stands.
 6. **Stochastic models** whose first step crosses a threshold by a rounding walk another way from there on.
 
 Forecasts do not pass through the kernel: they are the same to the last digit shown."""
@@ -63,8 +63,9 @@ def page(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield ""
     agree, differ, unsure = (sum(value is one for value in same) for one in (True, False, None))
     yield (
-        f"{len(names)} cards measured again by `pedzoo evaluate NAME --from-card`: {agree} of {len(same)} numbers "
-        f"are equal or lie in the card's 95 % interval, {differ} do not, {unsure} differ and have no interval."
+        f"{len(names)} cards measured again by `pedzoo evaluate NAME --from-card`: {agree} of {len(same)} "
+        f"numbers are equal or lie in the card's 95 % interval, {differ} do not, {unsure} differ and have no "
+        "interval."
     )
     yield ""
     yield WHY

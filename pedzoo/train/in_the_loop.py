@@ -121,7 +121,7 @@ class LoopModule(ForecastModule):
 
     def _walk(self) -> dict[str, Tensor]:
         """Return the terms of a segment."""
-        running = self.mixture.at(int(self.iteration), self.current_epoch)
+        running = self.mixture.at(int(self.iteration), self.current_epoch, self.device)
         seen = running.begin(self.keep)
         noise = self.walker.noise_of(seen)
         segment = unrolled(running.env, self.walker, seen, self.steps)

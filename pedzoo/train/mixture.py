@@ -71,13 +71,14 @@ class Running:
             return seen
         seen = self.env.cut()
         if bool(fresh.any()):
-            seen = self.env.reset(TensorDict({"_reset": fresh.unsqueeze(1)}, fresh.shape))
+            flags = TensorDict({"_reset": fresh.unsqueeze(1)}, fresh.shape).to(self.env.device)
+            seen = self.env.reset(flags)
             self.age = torch.where(fresh, 0, self.age)
         return seen
 
     def end(self, done: Tensor) -> None:
         """Take note of a segment, and of the scenes (B,) bool that were over at its end."""
-        self.age = torch.where(done, -1, self.age + 1)
+        self.age = torch.where(done.cpu(), -1, self.age + 1)
 
 
 class Mixture:
@@ -102,8 +103,8 @@ class Mixture:
         self._shares = torch.tensor([course.share for course in courses]).cumsum(0)
         self._epoch: int | None = None
 
-    def at(self, update: int, epoch: int) -> Running:
-        """Return the course of an update; in a new epoch all scenes are new."""
+    def at(self, update: int, epoch: int, device: torch.device | str = "cpu") -> Running:
+        """Return the course of an update, its scenes on a device; in a new epoch all scenes are new."""
         if epoch != self._epoch:
             self._epoch = epoch
             for number, running in self._running.items():
@@ -113,7 +114,7 @@ class Mixture:
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
         if number not in self._running:
             course = self.courses[number]
-            running = Running(course, make_env(course.scenario, course.scenes, "grid"))
+            running = Running(course, make_env(course.scenario, course.scenes, "grid", device=device))
             running.env.policy_name = "the model in training"
             self._restart(running, number, epoch)
             self._running[number] = running

@@ -66,7 +66,7 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         steps: T.
     """
     found: list[tuple[Tensor, ...]] = []
-    over = torch.zeros(env.batch_size[0], dtype=torch.bool)
+    over = torch.zeros(env.batch_size[0], dtype=torch.bool, device=seen["map_id"].device)
     map_id, pose = seen["map_id"][:, 0], seen["scene_pose"]
     for _ in range(steps):
         agents = cast("TensorDict", seen["agents"])
