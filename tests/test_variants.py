@@ -70,7 +70,7 @@ def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
 def test_the_same_scenes_whatever_the_world() -> None:
     grid, _ = rollout("go_to_goal", "hallway", "grid", 4)
     bullet, env = rollout("go_to_goal", "hallway", "bullet", 4)
-    env.world.close()
+    env.physics.close()
     assert len(grid.map_id.unique()) > 1
     assert torch.equal(grid.map_id, bullet.map_id) and torch.equal(grid.trace, bullet.trace)
 

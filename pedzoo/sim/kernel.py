@@ -20,8 +20,8 @@ from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import blended, driven, limited
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
-from pedzoo.sim.state import TURNS_FROM, State
-from pedzoo.sim.worlds.base import World
+from pedzoo.sim.state import HOLONOMIC, TURNS_FROM, State
+from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
 
 CONTACT_COST = 1.0
@@ -65,7 +65,8 @@ class Rules:
         leave: An agent that has reached them all leaves the scene.
         keep_goal: An agent without a later goal keeps the one that it has reached; else it has none, and
             stands.
-        wheels: Some bodies have wheels or a limited acceleration.
+        wheels: Some bodies have wheels or a limited acceleration; without it `State.drive` and both
+            accelerations are not looked at.
         script: Plays recorded people back; None for none.
     """
 
@@ -82,7 +83,8 @@ class Rules:
 def rules_of(scenario: Scenario, ticks: int, substeps: int) -> Rules:
     """Return the rules of a prepared scenario for decisions of S ``ticks``."""
     leave = scenario.finished == "leave"
-    return Rules(partial(_guided, scenario), ticks, substeps, scenario.goals, leave, script=scenario.script)
+    guide, script = partial(_guided, scenario), scenario.script
+    return Rules(guide, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
 
 
 def _guided(scenario: Scenario, state: State) -> Guidance:
@@ -98,7 +100,7 @@ def _guided(scenario: Scenario, state: State) -> Guidance:
     )
 
 
-def step(state: State, commands: Tensor, physics: World, rules: Rules) -> tuple[State, Guidance, Events]:
+def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
     """Return what comes of a decision.
 
     A scene in which the command of a controlled agent is not finite stays as it is and is truncated. Agents
@@ -126,13 +128,20 @@ def step(state: State, commands: Tensor, physics: World, rules: Rules) -> tuple[
         heading, turn_rate = state.heading, state.turn_rate
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
-    motion = physics.advance(state, velocity, moving, rules.substeps, played)
+    motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
+    if motion.heading is not None and motion.turn_rate is not None:
+        theirs = ~motion.heading.isnan()
+        heading = torch.where(theirs, motion.heading, heading)
+        turn_rate = torch.where(theirs, motion.turn_rate, turn_rate)
     hits = motion.reached
     hit = hits[..., -1]
     after, taken_over = _arrived(state, hits, motion.trace, failed, rules)
-    if not rules.wheels:
-        heading = heading_of(after.velocity, heading, TURNS_FROM)
-    after = after._replace(heading=heading, turn_rate=turn_rate)
+    turned = heading_of(after.velocity, heading, TURNS_FROM)
+    if rules.wheels:
+        turned = torch.where(state.drive == HOLONOMIC, turned, heading)
+    if motion.heading is not None:
+        turned = torch.where(motion.heading.isnan(), turned, heading)
+    after = after._replace(heading=turned, turn_rate=turn_rate)
 
     guidance = rules.guide(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before

@@ -13,12 +13,12 @@ from pedzoo.sim import kernel
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
 from pedzoo.sim.worlds.base import People
-from pedzoo.sim.worlds.grid import GridWorld
 from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 _AT_ONCE = 64
@@ -36,14 +36,14 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     """
     assert scenario.script is not None
     fine = substeps(scenario.fastest * TOP_SPEED_RATIO)
-    world = GridWorld(scenario.bank)
-    episodes = Episodes(scenario, "recorded", world, kernel.rules_of(scenario, TRACE_PER_STEP, fine))
+    physics = Compiled(scenario.bank)
+    episodes = Episodes(scenario, "recorded", physics, kernel.rules_of(scenario, TRACE_PER_STEP, fine))
     for number in torch.arange(scenes).split(_AT_ONCE):
         start = episodes.begin(Draws.of(0, number))
-        yield _walked(scenario, scenario.script, world, start, fine)
+        yield _walked(scenario, scenario.script, physics, start, fine)
 
 
-def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, fine: int) -> Rollout:
+def _walked(scenario: Scenario, script: Script, physics: Compiled, start: State, fine: int) -> Rollout:
     """Return what really happened in scenes that begin so, with ``fine`` sub-steps per trace point."""
     people, scene = script.people, start.scene
     origin = script.scenes.origin[scene]
@@ -62,7 +62,7 @@ def _walked(scenario: Scenario, script: Script, world: GridWorld, start: State, 
         path = script.path(scene, person, tick, TRACE_PER_STEP, fine)
         path = torch.where(there[..., None, None, None], path, position[:, :, None, None])
         position = torch.where(there.unsqueeze(2), script.places(person, at), position)
-        contacts = world.contacts(path, People(position, there, start.map_id.unsqueeze(1), start.pose))
+        contacts = physics.contacts(path, People(position, there, start.map_id.unsqueeze(1), start.pose))
         position = path[:, :, -1, -1]
         had = script.scored(scene, person) & there & (at >= people.taken[person])
         done = done & (person == before)

@@ -47,7 +47,7 @@ class Running:
 
     Attributes:
         course: Which.
-        env: The environment, in the grid world.
+        env: The environment, with the default physics.
         age: Segments since each scene began (B,) long; negative ones begin next time.
     """
 
@@ -127,5 +127,5 @@ class Mixture:
     def close(self) -> None:
         """Let go of all environments."""
         for running in self._running.values():
-            running.env.world.close()
+            running.env.physics.close()
         self._running = {}

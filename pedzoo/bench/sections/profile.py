@@ -144,7 +144,7 @@ def parts_timed(split: Split, env: PedestrianEnv) -> Iterator[None]:
     calls = (
         (PLANNER, planner, "guide"),
         (PLANNER, planner, "look"),
-        (CONTACTS, env.world, "contacts"),
+        (CONTACTS, env.physics, "contacts"),
         (WALKING, simulation, "walk"),
         (RESETS, env, "_reset"),
     )

@@ -31,9 +31,10 @@ def advance_compiled(
     moving: Tensor,
     substeps: int,
     played: Tensor | None,
+    wanted: Tensor,
     paths: Tensor | None = None,
 ) -> Motion:
-    """Return what `World.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given."""
+    """Return what `Physics.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given."""
     scenes, agents = moving.shape
     ticks = velocity.shape[1]
     return _run(
@@ -45,7 +46,7 @@ def advance_compiled(
         moving,
         torch.empty(0, 0, 0, 0, 2) if played is None else played.float(),
         state.goal_point,
-        moving & (state.goal_id >= 0),
+        wanted,
         substeps,
         (scenes, agents, ticks),
         (state.wall_frame, state.wall_place),
@@ -56,7 +57,7 @@ def advance_compiled(
 def contacts_compiled(
     bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
 ) -> Contacts:
-    """Return what `World.contacts` does for agents who are present (B, A) bool."""
+    """Return what `Physics.contacts` does for agents who are present (B, A) bool."""
     scenes, agents, ticks, substeps = path.shape[:4]
     nothing = torch.zeros(scenes, agents, dtype=torch.bool)
     start = path[:, :, 0, 0]
