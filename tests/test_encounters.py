@@ -46,7 +46,7 @@ def begun(spec: str, episodes: int = 8, seed: int = 0) -> PedestrianEnv:
 
 @cache
 def walked(spec: str, episodes: int = 8, policy: str = "go_to_goal") -> Rollout:
-    walks, env = prepare(policy, made(spec), "grid", episodes)
+    walks, env = prepare(policy, made(spec), "compiled", episodes)
     return joined(list(walk(walks, env, episodes)))
 
 

@@ -11,11 +11,11 @@ import torch
 
 from pedzoo.cli.main import main
 from pedzoo.errors import UserError
-from pedzoo.eval import rollout as module
 from pedzoo.eval.closed_loop import Comparison, row
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.rollout import OVER_TIME, Rollout
 from pedzoo.sim.make import make_env
+from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.types import GOAL_RADIUS
 
 BROKEN = '''
@@ -60,7 +60,7 @@ def test_episodes_are_the_same_however_many_walk_together(
     scenario: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     together, _ = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
-    monkeypatch.setattr(module, "AT_ONCE", {"compiled": 2})
+    monkeypatch.setattr(Compiled, "scenes_at_once", 2)
     in_parts, env = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
     assert env.batch_size[0] == 2 and len(set(together.length.tolist())) > 1
     assert_same(together, in_parts, 1e-5)
@@ -229,7 +229,7 @@ def test_interrupted_command_prints_what_is_over(
         def __exit__(self, *error: object) -> None: ...
 
     monkeypatch.setattr("pedzoo.cli.progress.progress_bar", Quiet)
-    monkeypatch.setattr(module, "AT_ONCE", {"compiled": 1})
+    monkeypatch.setattr(Compiled, "scenes_at_once", 1)
     file = tmp_path / "out.json"
     words = ["rollout", "go_to_goal", "go_to_goal:dt=0.2", "orca", "--physics", "compiled", "--episodes", "2"]
     assert main([*words, "--json", str(file)]) == 130

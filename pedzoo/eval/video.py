@@ -178,7 +178,8 @@ class _Panel:
         if self._last is not None and i > self.length:
             return self._last
         present, rollout = self.present[:, :, i], self.rollout
-        people = People(self.trace[:, :, i], present, rollout.map_id.unsqueeze(1), rollout.pose)
+        where = rollout.map_id.unsqueeze(1), rollout.pose
+        people = People(self.trace[:, :, i], present, *where, rollout.radius)
         image = self.physics.image(people, 0, self.size, camera)
         if camera.view == "top" or camera.view not in self.physics.views:
             for person, first, last in self.stays:

@@ -43,8 +43,9 @@ def blended(velocity: Tensor, command: Tensor, ticks: int) -> Tensor:
     """Return velocities (2, S, ...) of the S trace steps of a decision, blended instead of switched.
 
     The first step lies half-way between old and new velocity, the last one has the new velocity. Those
-    between make up for the first, so that the decision ends where the command alone would lead. An agent that brakes
-    to a stop does not walk backwards for it: what is made up is at most half of the commanded velocity.
+    between make up for the first, so that the decision ends where the command alone would lead. An agent
+    that brakes to a stop does not walk backwards for it: what is made up is at most half of the commanded
+    velocity.
 
     Args:
         velocity: Of the last 0.1 s (2, ...), m/s.

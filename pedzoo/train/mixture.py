@@ -113,7 +113,7 @@ class Mixture:
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
         if number not in self._running:
             course = self.courses[number]
-            running = Running(course, make_env(course.scenario, course.scenes, "grid"))
+            running = Running(course, make_env(course.scenario, course.scenes, "compiled"))
             running.env.policy_name = "the model in training"
             self._restart(running, number, epoch)
             self._running[number] = running

@@ -235,34 +235,41 @@ class Bullet(Physics):
         """See `Physics.rays`: pybullet's batched ray test, at the height of the chest."""
         found = np.full(origin.shape[:2], reach)
         starts = _array(origin)
+        widths = self._radius(people).tolist()
         for asked in self._asked(people, self._present(people)):
+            width = [round(radius, 6) for radius in widths[asked.index]]
             start = _move(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
-            found[asked.index, which] = self._scene_rays(asked, start[which], along[which], reach)
+            found[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
         return torch.from_numpy(found).to(origin)
 
     def _scene_rays(
-        self, asked: _Asked, start: NDArray[np.float64], along: NDArray[np.float64], reach: float
+        self,
+        asked: _Asked,
+        radius: list[float],
+        start: NDArray[np.float64],
+        along: NDArray[np.float64],
+        reach: float,
     ) -> NDArray[np.float64]:
         asked.bullet.clear()
         for person in asked.present:
-            asked.bullet.place(person, *asked.places[person])
+            asked.bullet.place(person, *asked.places[person], radius=radius[person])
         # pybullet hits some bodies from inside and others not: whoever contains the start is taken away
         starts, of = np.unique(start, axis=0, return_inverse=True)
         apart = starts[:, None] - asked.places[None, asked.present]
-        holds = np.square(apart).sum(-1) <= self.body_radius**2
+        holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
         groups, group = np.unique(holds, axis=0, return_inverse=True)
         group = group.reshape(-1)[of.reshape(-1)]
         found = np.full(len(start), reach)
         for number, held in enumerate(groups):
             taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
             for person in taken:
-                asked.bullet.remove(person)
+                asked.bullet.remove(person, radius[person])
             rays = np.flatnonzero(group == number)
             found[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
             for person in taken:
-                asked.bullet.place(person, *asked.places[person])
+                asked.bullet.place(person, *asked.places[person], radius=radius[person])
         found[asked.bullet.in_wall(start)] = 0.0
         return found
 
@@ -279,8 +286,11 @@ class Bullet(Physics):
         for place in (eye, target):
             place[:2] = linear @ place[:2] + shift
         up[:2] = linear @ up[:2]
-        where = {person: (float(x), float(y)) for person, (x, y) in enumerate(asked.places)}
-        where = {person: where[person] for person in asked.present}
+        widths = [round(radius, 6) for radius in self._radius(one)[0].tolist()]
+        where = {
+            person: (float(asked.places[person][0]), float(asked.places[person][1]), widths[person])
+            for person in asked.present
+        }
         picture = asked.bullet.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
         # in a mirrored scene, left is right
         return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])

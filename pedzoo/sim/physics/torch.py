@@ -137,7 +137,7 @@ class Torch(Physics):
             people.pose[scene],
             people.position[scene],
             self._present(people)[scene],
-            self.body_radius,
+            self._radius(people)[scene],
             size,
             self._framed(people, scene, size, camera),
         )
