@@ -12,7 +12,7 @@ from importlib import import_module
 from pedzoo import __version__, renamed
 from pedzoo.errors import UserError
 from pedzoo.paths import config_names, weight_files
-from pedzoo.registry import DATASETS, MODELS, POLICIES, SCENARIOS, Registry
+from pedzoo.registry import DATASETS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
 
@@ -62,6 +62,7 @@ def overview() -> str:
         ("weights", list(weight_files())),
         ("policies (and every model)", POLICIES.names()),
         ("scenarios", SCENARIOS.names()),
+        ("physics", PHYSICS.names()),
         ("datasets", DATASETS.names()),
         ("configs", config_names()),
     ):
