@@ -11,7 +11,9 @@ from __future__ import annotations
 import ast
 import importlib
 import importlib.util
+import inspect
 import sys
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -86,22 +88,44 @@ def _entry_points() -> list[Any]:
     return list(entry_points(group="pedzoo.plugins"))
 
 
-@cache
+def function_in_file(spec: str) -> Callable[..., Any]:
+    """Return the function behind ``path/to/file.py:name``.
+
+    Raises:
+        UserError: No such file or function.
+    """
+    file, _, name = spec.rpartition(":")
+    functions = {key: value for key, value in _in_file(file, spec).items() if inspect.isfunction(value)}
+    if name not in functions:
+        raise unknown(f"function in {file}", name, functions)
+    return functions[name]
+
+
 def _class_in_file(spec: str) -> type:
     file, _, name = spec.rpartition(":")
+    classes = {key: value for key, value in _in_file(file, spec).items() if isinstance(value, type)}
+    if name not in classes:
+        raise unknown(f"class in {file}", name, classes)
+    return classes[name]
+
+
+def _in_file(file: str, spec: str) -> dict[str, Any]:
+    """Return all that a file defines; ``spec`` is what errors quote."""
     path = Path(file).expanduser().resolve()
     if not path.is_file():
-        raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:Class")
+        raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:NAME")
+    return _executed(path)
+
+
+@cache
+def _executed(path: Path) -> dict[str, Any]:
     module_name = f"pedzoo_user_{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
     module_spec = importlib.util.spec_from_file_location(module_name, path)
     assert module_spec and module_spec.loader
     module = importlib.util.module_from_spec(module_spec)
     sys.modules[module_name] = module
     module_spec.loader.exec_module(module)
-    classes = {key: value for key, value in vars(module).items() if isinstance(value, type)}
-    if name not in classes:
-        raise unknown(f"class in {file}", name, classes)
-    return classes[name]
+    return vars(module)
 
 
 MODELS = Registry("model", "pedzoo.models.architectures")
@@ -109,4 +133,5 @@ DATASETS = Registry("dataset", "pedzoo.data.datasets")
 SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios")
 POLICIES = Registry("policy", "pedzoo.sim.policies")
 SUITES = Registry("suite", "pedzoo.eval.suites")
+PHYSICS = Registry("physics", "pedzoo.sim.physics")
 BENCHMARKS = Registry("benchmark", "pedzoo.bench.sections")

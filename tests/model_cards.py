@@ -38,7 +38,7 @@ def make_card(name: str = "sgan_goal.zara1", **changed: Any) -> ModelCard:
             {
                 "name": name,
                 "table": "door",
-                "case": {"suite": "door", "world": "bullet"},
+                "case": {"suite": "door", "physics": "bullet"},
                 "n": 40,
                 "metrics": {"success": 0.975},
                 "ci95": {"success": [0.871, 0.996]},

@@ -96,7 +96,7 @@ def test_recordings_the_environment_and_the_controller_have_the_same_keys() -> N
     data = TrajectoryDataModule(fold="embedded", goal="destination")
     data.setup("test")
     recorded = next(iter(data.test_dataloader()))
-    env = make_env("door:people=2", 2, "grid")
+    env = make_env("door:people=2", 2, "compiled")
     check_env_specs(env)
     simulated = env.reset()
     seen: list[TensorDict] = []
@@ -133,7 +133,7 @@ def test_augmented_recordings_face_where_they_go() -> None:
 
 
 def test_bodies_of_the_environment_face_where_they_go_and_keep_it_when_they_stand() -> None:
-    env = make_env("door:people=2", 1, "grid")
+    env = make_env("door:people=2", 1, "compiled")
     now = env.reset()
     for speed in (1.0, 0.0):
         before = agents_of(now)["heading"]
@@ -163,7 +163,7 @@ def test_the_floor_plans_stay_with_the_batch() -> None:
     }
     for name, found in kept.items():
         assert maps_of(found) is bank, name
-    env = make_env("door:people=2", 2, "grid")
+    env = make_env("door:people=2", 2, "compiled")
     steps = env.rollout(3, load_policy("go_to_goal"), break_when_any_done=False)
     assert maps_of(steps) is maps_of(cast("TensorDict", steps["next"])) is env.bank
 

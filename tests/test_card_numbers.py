@@ -23,7 +23,7 @@ from pedzoo.models.card import ModelCard, read_card, write_card
 from pedzoo.models.store import find
 
 NAME = "sgan_goal_map.zara1"
-DOOR = {"suites": ["door"], "episodes": 3, "world": "grid"}
+DOOR = {"suites": ["door"], "episodes": 3, "physics": "compiled"}
 
 
 @pytest.fixture(autouse=True)
@@ -75,9 +75,9 @@ def test_a_card_gets_what_the_commands_say(measured: list[dict[str, Any]], repor
     (row,) = forecasts["rows"]
     assert row["name"] == NAME and row["n"] == report["rows"][1]["n"]
     assert row["metrics"] == pytest.approx(report["rows"][1]["metrics"], rel=1e-5)
-    walked = pedzoo.evaluate([NAME], ["door"], episodes=3, world="grid")["summary"][0]
+    walked = pedzoo.evaluate([NAME], ["door"], episodes=3, physics="compiled")["summary"][0]
     (row,) = walks["rows"]
-    assert row["case"] == {"suite": "door", "world": "grid"} and row["n"] == 3
+    assert row["case"] == {"suite": "door", "physics": "compiled"} and row["n"] == 3
     shown = {key: walked["metrics"][key] for key in row["metrics"]}
     assert row["metrics"] == pytest.approx(shown, rel=1e-5) and {"success", "time_ratio"} <= shown.keys()
     (said,) = reports["said"]  # the fold that its weights did not see

@@ -106,13 +106,14 @@ def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere: Path)
 
 
 @pytest.mark.parametrize(
-    ("world", "scenarios"), [("grid", ("door:width=0.9,people=3", "circle:people=2")), ("bullet", ("door",))]
+    ("physics", "scenarios"),
+    [("compiled", ("door:width=0.9,people=3", "circle:people=2")), ("bullet", ("door",))],
 )
-def test_values_are_those_of_pedzoo_rollout(world: str, scenarios: tuple[str, ...]) -> None:
+def test_values_are_those_of_pedzoo_rollout(physics: str, scenarios: tuple[str, ...]) -> None:
     """The weights of the latest epoch walk, not those of an earlier one, and validate says the same again."""
-    if world == "bullet":
+    if physics == "bullet":
         pytest.importorskip("pybullet")
-    options = [f"--rollout.world={world}", f"--rollout.scenarios={','.join(scenarios)}"]
+    options = [f"--rollout.physics={physics}", f"--rollout.scenarios={','.join(scenarios)}"]
     assert main([*FIT, *QUICK, "--trainer.max_epochs=2", "--model.lr=0.05", *options]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
     last = str(run / "checkpoints" / "last.ckpt")
@@ -121,14 +122,14 @@ def test_values_are_those_of_pedzoo_rollout(world: str, scenarios: tuple[str, ..
     assert "case" not in rows[0] and rows[0]["metrics"]["ade"] > 0
     for name, again in zip(scenarios, rows[1:], strict=True):
         first, second = measured(run, f"rollout/{name}/success")
-        walked, env = rollout(last, name, world, 2)
+        walked, env = rollout(last, name, physics, 2)
         wanted = row(last, walked, env.decision_dt)["metrics"]
-        env.world.close()
+        env.physics.close()
         for metric in METRICS:
             key = f"rollout/{name}/{metric}"
             assert float(second[key]) == pytest.approx(wanted.get(metric, math.nan), rel=1e-5, nan_ok=True)
         assert first[f"rollout/{name}/least_distance_m"] != second[f"rollout/{name}/least_distance_m"]
-        assert again["case"]["scenario"] == name and again["case"]["world"] == world and again["n"] == 2
+        assert again["case"]["scenario"] == name and again["case"]["physics"] == physics and again["n"] == 2
         assert again["metrics"] == pytest.approx({key: wanted[key] for key in METRICS if key in wanted})
 
 
@@ -257,12 +258,12 @@ def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_environments_are_made_once_and_closed_whatever_happens() -> None:
     pytest.importorskip("pybullet")
-    callback = ClosedLoopValidation(["door"], episodes=2, world="bullet")
-    worlds: set[Any] = set()
+    callback = ClosedLoopValidation(["door"], episodes=2, physics="bullet")
+    backends: set[Any] = set()
 
     class End(Callback):
         def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-            worlds.add(cast("Any", callback._stages[0]._env).world)
+            backends.add(cast("Any", callback._stages[0]._env).physics)
             for copied in (copy.deepcopy(callback), pickle.loads(pickle.dumps(callback))):
                 assert copied.names == callback.names and not copied._stages
             if trainer.current_epoch == 1:
@@ -271,7 +272,7 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
     with pytest.raises(KeyError, match="something went wrong"):
         make_trainer(callback, End(), num_sanity_val_steps=0).fit(make_module(), make_data())
     make_trainer(callback, End(), max_epochs=1).fit(make_module(), make_data())  # it can be used again
-    assert len(worlds) == 2 and all(world._closed for world in worlds) and not callback._stages
+    assert len(backends) == 2 and all(one._closed for one in backends) and not callback._stages
 
 
 @pytest.mark.parametrize(
@@ -280,7 +281,7 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
         (["--rollout.scenarios", "dor"], "unknown scenario 'dor': did you mean 'door'?"),
         (["--rollout.scenarios", "door:wide=2"], "unknown setting of scenario door 'wide'"),
         (["--rollout.scenarios", "door,door"], "'door' is given twice"),
-        (["--rollout.world", "bulet"], "did you mean 'bullet'?"),
+        (["--rollout.physics", "bulet"], "did you mean 'bullet'?"),
         (["--rollout.every", "0"], "--rollout.every 0"),
         (["--rollout.episodes", "0"], "--rollout.episodes 0"),
         (["--rollout.evry", "2"], "did you mean --rollout.every?"),

@@ -46,7 +46,7 @@ class Straight(Policy):
 
 @pytest.fixture(scope="module")
 def env():
-    return pedzoo.make_env("goals:people=4,pool=8", world="grid", seed=5)
+    return pedzoo.make_env("goals:people=4,pool=8", physics="compiled", seed=5)
 
 
 @pytest.fixture(scope="module")

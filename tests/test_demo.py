@@ -33,14 +33,14 @@ def test_the_demo_walks_tunes_and_compares(
     for picture in ("door.png", "apartment.png", "forecasts.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
     assert read_video(out / "door.webm")[0] == 11
-    world = "bullet" if find_spec("pybullet") else "grid"
-    for title, command in demo.steps(shlex.quote("my demo"), 3, world):
+    physics = "bullet" if find_spec("pybullet") else "compiled"
+    for title, command in demo.steps(shlex.quote("my demo"), 3, physics):
         assert f" {title}\n$ pedzoo {command}\n" in printed
     tuned = out / "runs" / "sgan_goal_map" / "embedded-seed0" / "checkpoints" / "best.ckpt"
     assert tuned.is_file() and demo.compared(shlex.quote(str(tuned.relative_to(tmp_path))))[1] in printed
     report = json.loads((out / "door.json").read_text())
     assert [row["name"] for row in report["rows"]] == demo.POLICIES.split()
-    assert report["protocol"]["world"] == world
+    assert report["protocol"]["physics"] == physics
     for number in range(1, 7):
         assert f"\n{number}/6 " in printed
     # everybody at the table of forecasts, and who goes where in Python
@@ -72,7 +72,7 @@ def test_what_cannot_work_is_refused_before_the_first_step(
 
 
 def test_rollout_prints_the_metrics_that_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["rollout", "go_to_goal", "--world", "grid", "--episodes", "1", "--metrics"]
+    command = ["rollout", "go_to_goal", "--physics", "compiled", "--episodes", "1", "--metrics"]
     assert main([*command, "time_ratio,success"]) == 0
     printed = capsys.readouterr().out
     assert printed.index("time_") < printed.index("success") and "deadlock" not in printed

@@ -140,12 +140,12 @@ def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
 
 def test_nobody_yields_where_orca_walks_in_mirror_images() -> None:
     policy, alike = "orca:radius=0.1,jitter=0,dt=0.4", "door:speed_std=0,jitter=0"
-    walked, _ = rollout(policy, alike, "grid", 1)
+    walked, _ = rollout(policy, alike, "compiled", 1)
     found = metrics(walked)
     assert found["success"] == 1.0
     assert found["symmetry_index"] < 1e-3 and found["yield_delay_s"] < 1e-3 and found["symmetry_m"] < 1e-3
     assert "faster_first" not in found  # they like to walk as fast as each other
-    yields, _ = rollout(policy, f"{alike},speed_ratio=0.6", "grid", 1)
+    yields, _ = rollout(policy, f"{alike},speed_ratio=0.6", "compiled", 1)
     found = metrics(yields)
     assert found["faster_first"] == 1.0 and found["symmetry_index"] > 0.1 and found["yield_delay_s"] > 1.0
 

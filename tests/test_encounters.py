@@ -46,7 +46,7 @@ def begun(spec: str, episodes: int = 8, seed: int = 0) -> PedestrianEnv:
 
 @cache
 def walked(spec: str, episodes: int = 8, policy: str = "go_to_goal") -> Rollout:
-    walks, env = prepare(policy, made(spec), "grid", episodes)
+    walks, env = prepare(policy, made(spec), "compiled", episodes)
     return joined(list(walk(walks, env, episodes)))
 
 
@@ -139,7 +139,7 @@ def test_both_worlds_see_the_same(name: str) -> None:
     """With walls and without any."""
     walks, env = prepare("go_to_goal", made(name), "bullet", 3)
     bullet, grid = joined(list(walk(walks, env, 3))), walked(name, 3)
-    env.world.close()
+    env.physics.close()
     assert torch.equal(bullet.trace, grid.trace)
     assert torch.equal(bullet.agent_contact, grid.agent_contact) and bool(grid.agent_contact.any())
 

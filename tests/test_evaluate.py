@@ -43,8 +43,8 @@ class Small(Suite):
     """Two encounters: a suite from a file of one's own."""
 
     def cases(self, request):
-        world, number = request.world or "grid", request.number(20)
-        return [Case(self.name, key, name, world, number, {"card": key}) for key, name in CASES.items()]
+        physics, number = request.physics or "compiled", request.number(20)
+        return [Case(self.name, key, name, physics, number, {"card": key}) for key, name in CASES.items()]
 '''
 
 BROKEN = '''
@@ -116,7 +116,7 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
     assert compared(resumed) == compared(alone)
     row = alone["rows"][0]
     assert (row["name"], row["n"]) == ("go_to_goal", 4)
-    assert row["case"] == {"suite": small, "world": "grid", "card": "circle"}
+    assert row["case"] == {"suite": small, "physics": "compiled", "card": "circle"}
     assert {(person["seed"], person["episode"]) for person in row["per_agent"]} == {
         (seed, episode) for seed in (0, 3) for episode in (0, 1)
     }
@@ -211,7 +211,7 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
 def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
     by_name = {name: SUITES.get(name)(name) for name in SUITES.names()}
     (door,) = by_name["door"].cases(Request())
-    assert (door.world, door.episodes) == ("bullet", 200)
+    assert (door.physics, door.episodes) == ("bullet", 200)
     assert by_name["door"].cases(Request(quick=True))[0].episodes == 20
     goals = by_name["goals"].cases(Request(maps=("flat",)))
     assert len(goals) == 2 * len(CELLS) and {case.case["map"] for case in goals} == {"drawn", "flat"}
@@ -222,7 +222,7 @@ def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
     )
     assert [(int(case.case["people"]), int(case.case["goals"])) for case in goals[:5]] == list(CELLS)
     assert len(by_name["cards"].cases(Request())) == 8
-    assert all(case.world == "grid" for case in by_name["cards"].cases(Request(world="grid")))
+    assert all(case.physics == "compiled" for case in by_name["cards"].cases(Request(physics="compiled")))
 
 
 ODD = "a,b=[c:d,people=1"
@@ -234,7 +234,7 @@ def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
     file = tmp_path / ODD / "plan.yaml"
     file.parent.mkdir()
     flat().save(file)
-    evaluation = Evaluation(["go_to_goal"], [suite], Request(1, True, "grid", (str(file),)))
+    evaluation = Evaluation(["go_to_goal"], [suite], Request(1, True, "compiled", (str(file),)))
     unit = next(unit for unit in evaluation.units if unit.case.case["map"] == "plan")
     (row,) = work(unit)
     assert row["n"] == 1 and len(row["per_agent"]) == 2
@@ -368,7 +368,7 @@ def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:
 def test_the_mean_of_cases_and_its_interval_by_hand() -> None:
     # deviations 0.3, 0.4 below and 0.06, 0.08 above add up in squares: 0.5 / 2 and 0.1 / 2
     assert mean_interval([0.5, 0.9], [(0.2, 0.56), (0.5, 0.98)]) == pytest.approx((0.45, 0.75))
-    case = {"suite": "goals", "world": "grid"}
+    case = {"suite": "goals", "physics": "compiled"}
     seconds = {"wall": 1.0, "cpu": 0.5}
     rows = [
         {

@@ -10,6 +10,8 @@ import torch
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.physics.torch import Torch
 
 SCENES = ("door:people=4", "goals:map=apartment.7,people=5,goals=2,pool=6")
 
@@ -27,7 +29,7 @@ def test_a_step_reads_nothing_back_to_the_host(env: PedestrianEnv, wheels: bool)
     action = env.reset()["agents", "desired_velocity"]
     state = env.state.to("meta")
     rules = replace(env.rules, wheels=wheels)
-    after, guidance, events = kernel.step(state, action.to("meta"), env.world, rules)
+    after, guidance, events = kernel.step(state, action.to("meta"), env.physics, rules)
     for tensor in (*after, *guidance, *events):
         assert tensor.device.type == "meta"
     for mine, theirs in zip(after, env.state, strict=True):
@@ -36,7 +38,7 @@ def test_a_step_reads_nothing_back_to_the_host(env: PedestrianEnv, wheels: bool)
 
 def test_a_step_on_meta_tensors_with_gradients(env: PedestrianEnv) -> None:
     action = env.reset()["agents", "desired_velocity"].to("meta").requires_grad_()
-    _, _, events = kernel.step(env.state.to("meta"), action, env.world, env.rules)
+    _, _, events = kernel.step(env.state.to("meta"), action, env.physics, env.rules)
     events.reward.sum().backward()
     assert action.grad is not None and action.grad.shape == action.shape
 
@@ -52,8 +54,9 @@ def test_compiled_loops_and_torch_agree(env: PedestrianEnv) -> None:
         action = 1.5 * torch.randn(*state.mask.shape, 2, generator=generator)
         results = []
         for compiled in (True, False):
-            env.world.compiled = planner.compiled = compiled
-            results.append(kernel.step(state, action, env.world, env.rules))
+            planner.compiled = compiled
+            physics = (Compiled if compiled else Torch)(env.bank)
+            results.append(kernel.step(state, action, physics, env.rules))
         (mine, guided, seen), (other, told, met) = results
         apart = (seen.trace - met.trace).abs().amax((2, 3))
         worst = max(worst, float(apart.max()))
@@ -77,14 +80,15 @@ def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:
 
     state = env.state
     for _ in range(8):
-        state, _, _ = kernel.step(state, 1.6 * drawn(2), env.world, env.rules)
+        state, _, _ = kernel.step(state, 1.6 * drawn(2), env.physics, env.rules)
     action, weight = (1.2 * drawn(2)).requires_grad_(), drawn(4, 2)
     found = []
     for compiled in (True, False):
-        env.world.compiled = env.scenario.planner.compiled = compiled
-        after, guidance, events = kernel.step(state, action, env.world, env.rules)
+        env.scenario.planner.compiled = compiled
+        physics = (Compiled if compiled else Torch)(env.bank)
+        after, guidance, events = kernel.step(state, action, physics, env.rules)
         again = action + 0.1 * guidance.desired_velocity
-        _, seen, then = kernel.step(after, again, env.world, env.rules)
+        _, seen, then = kernel.step(after, again, physics, env.rules)
         total = ((events.trace + then.trace) * weight).sum() + then.reward.sum() + 0.1 * seen.goal.sum()
         found.append(torch.autograd.grad(total, action)[0])
     env.scenario.planner.compiled = True

@@ -75,7 +75,7 @@ def test_decisions_take_whole_tenths_of_a_second() -> None:
 
 def test_a_learned_model_is_refused_another_step_than_its_own() -> None:
     with pytest.raises(UserError, match=r"decides every 0\.4 s, not every 0\.1 s"):
-        rollout("sgan_goal.zara1", "door", "grid", 1, decision_dt=0.1)
+        rollout("sgan_goal.zara1", "door", "compiled", 1, decision_dt=0.1)
     with pytest.raises(UserError, match=r"make_env\(\.\.\., decision_dt=0\.4\)"):
         make_env("door", decision_dt=0.1).rollout(2, load_policy("sgan_goal.zara1"))
 
@@ -88,8 +88,8 @@ def test_preferred_speeds_and_the_same_draw_for_every_policy() -> None:
     speed = env.reset()["agents", "pref_speed"]
     assert float(speed.mean()) == pytest.approx(1.3, abs=0.02)
     assert float(speed.std()) == pytest.approx(0.2, abs=0.02)
-    one, _ = rollout("go_to_goal", "door", "grid", 3)
-    other, _ = rollout("orca:radius=0.3", "door", "grid", 3)
+    one, _ = rollout("go_to_goal", "door", "compiled", 3)
+    other, _ = rollout("orca:radius=0.3", "door", "compiled", 3)
     assert torch.equal(one.pref_speed, other.pref_speed)
     assert torch.equal(one.past, other.past)
 
@@ -112,7 +112,7 @@ def test_nobody_is_faster_than_their_top_speed() -> None:
 
 
 def test_bodies_touch_at_twice_their_radius_and_walls_at_one() -> None:
-    env = make_env("door:jitter=0,offset=0,speed_std=0", world="grid", decision_dt=0.1)
+    env = make_env("door:jitter=0,offset=0,speed_std=0", physics="compiled", decision_dt=0.1)
     touched = []
     for result in walked(env, 80, GoToGoal(0.1)):
         info = result["next", "agents", "info"]
@@ -196,9 +196,9 @@ def test_gradients_of_a_return_over_two_decisions() -> None:
     begun = env.state
 
     def total(action: Tensor) -> Tensor:
-        state, guidance, first = kernel.step(begun, action, env.world, env.rules)
+        state, guidance, first = kernel.step(begun, action, env.physics, env.rules)
         _, _, second = kernel.step(
-            state, action + 0.1 * guidance.desired_velocity.detach(), env.world, env.rules
+            state, action + 0.1 * guidance.desired_velocity.detach(), env.physics, env.rules
         )
         return first.reward.sum() + second.reward.sum()
 
@@ -228,7 +228,7 @@ def test_rewards_are_finite_wherever_people_get_to(shared: Path) -> None:
 
 
 def test_who_is_finished_draws_goals_until_everybody_is() -> None:
-    result, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "grid", 6)
+    result, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "compiled", 6)
     most = (result.reached * result.present).amax(2)
     assert (most >= 2).all()  # everybody has reached both
     assert (most > 2).any()  # and some went on
@@ -337,17 +337,17 @@ def test_another_process_sees_the_same_scene() -> None:
 
 
 def test_environments_go_to_workers() -> None:
-    env = make_env("goals:pool=6", num_envs=2, seed=3, world="bullet")
+    env = make_env("goals:pool=6", num_envs=2, seed=3, physics="bullet")
     sent = pickle.loads(pickle.dumps(env))
     assert torch.equal(sent.reset()["agents", "history"], env.reset()["agents", "history"])
 
 
 @pytest.mark.parametrize("scenario", SCENES)
 def test_both_worlds_show_the_same_episode(scenario: str) -> None:
-    grid = walked(make_env(scenario, num_envs=2, world="grid"), 12)
-    bullet_env = make_env(scenario, num_envs=2, world="bullet")
+    grid = walked(make_env(scenario, num_envs=2, physics="compiled"), 12)
+    bullet_env = make_env(scenario, num_envs=2, physics="bullet")
     bullet = walked(bullet_env, 12)
-    bullet_env.world.close()
+    bullet_env.physics.close()
     assert torch.equal(positions(grid), positions(bullet))
     for one, other in zip(grid, bullet, strict=True):
         for key in ("agent_contact", "wall_contact", "reached"):
@@ -355,8 +355,8 @@ def test_both_worlds_show_the_same_episode(scenario: str) -> None:
 
 
 def test_noise_belongs_to_the_scene_not_to_the_batch() -> None:
-    small, _ = rollout("sgan_goal.zara1", "door", "grid", 2)
-    large, _ = rollout("sgan_goal.zara1", "door", "grid", 5)
+    small, _ = rollout("sgan_goal.zara1", "door", "compiled", 2)
+    large, _ = rollout("sgan_goal.zara1", "door", "compiled", 5)
     steps = min(small.trace.shape[2], 20)
     assert torch.allclose(small.trace[:, :, :steps], large.trace[:2, :, :steps], atol=1e-4)
 
@@ -470,7 +470,7 @@ def test_unknown_names() -> None:
         with pytest.raises(UserError, match=told):
             make_env(name)
     with pytest.raises(UserError, match="did you mean 'bullet'"):
-        make_env("door", world="bulet")  # type: ignore[arg-type]
+        make_env("door", physics="bulet")  # type: ignore[arg-type]
 
 
 def test_a_scenario_of_ones_own(tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_every_case_has_targets_and_its_scenario_can_be_made() -> None:
     assert [case.episodes for case in cases[:3]] == [1000, 500, 500]
     for case in cases:
         assert targets(case.table) and make_scenario(case.scenario).people >= 2
-    assert {case.world for case in cases[:7]} == {"bullet"}
+    assert {case.physics for case in cases[:7]} == {"bullet"}
     buildings = LoopBuildings("loop_buildings").cases(Request(maps=("flat",), quick=True))
     tables = list(dict.fromkeys(case.table for case in buildings))
     assert tables == [f"loop_buildings {name}" for name in ("drawn", "flat", "crowd of 20", "crowd of 50")]
@@ -153,7 +153,7 @@ def test_page_says_what_is_met_and_what_is_missing() -> None:
     loop = Loop(models=["go_to_goal"], request=Request(quick=True))
 
     def scored(name: str, table: str, **metrics: float) -> dict[str, Any]:
-        case = {"suite": table.split()[0], "world": "grid"}
+        case = {"suite": table.split()[0], "physics": "compiled"}
         return {"name": name, "table": table, "case": case, "n": 3, "metrics": metrics, "ci95": {},
                 "seconds": {"cpu": 7.4, "wall": 9.0}}  # fmt: skip
 
@@ -220,7 +220,7 @@ def test_loop_writes_page_and_report_and_names_what_is_missing(
         "pedzoo.eval.suites.loop_doors.DOORWAYS",
         {"hard": Doorway("door:sync=0.4", 500), "flow of 20": Doorway("room_exit:width=0.9", 20)},
     )
-    assert main(["reproduce", "loop", "--episodes", "2", "--world", "grid", "--out", "made"]) == 0
+    assert main(["reproduce", "loop", "--episodes", "2", "--physics", "compiled", "--out", "made"]) == 0
     said, page = capsys.readouterr().out, Path("made/LOOP.md").read_text()
     report = json.loads(Path("made/LOOP.json").read_text())
     assert report["missing"] == ["sgan_goal.nowhere"] and len(report["rows"]) == 2

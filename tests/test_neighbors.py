@@ -14,8 +14,8 @@ from pedzoo.sim import neighbors
 from pedzoo.sim.neighbors import nearest, pairs_within
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.worlds.base import People
-from pedzoo.sim.worlds.grid import GridWorld
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
 
@@ -205,7 +205,7 @@ def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pyt
         for most in (10, None):
             settings = OrcaSettings(max_neighbors=most)
             found.append(orca_velocity(position, velocity, wish, speed, mask, settings))
-        found.append(GridWorld(MapBank()).contacts(path, people).agent)
+        found.append(Compiled(MapBank()).contacts(path, people).agent)
     for one, other in zip(found[:3], found[3:], strict=True):
         assert torch.equal(one, other)
     assert 50 < found[2].any(-1).sum() < 450

@@ -21,13 +21,13 @@ from pedzoo.maps.library import flat
 ODD = "[/a/b.yaml,[bold]c[/]]:door:"
 """Rich would fail at it, or draw a door."""
 
-WALK = ["--scenario", "circle:people=2", "--world", "grid", "--episodes", "1"]
+WALK = ["--scenario", "circle:people=2", "--physics", "compiled", "--episodes", "1"]
 
 
 def test_a_scenario_on_several_files_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flat().save(tmp_path / "a.yaml")
     scenario, file = f"goals:map=[{tmp_path}/a.yaml,apartment.1],people=2,goals=1,pool=4", tmp_path / "r.json"
-    words = ["rollout", "go_to_goal", "--scenario", scenario, "--world", "grid", "--episodes", "1"]
+    words = ["rollout", "go_to_goal", "--scenario", scenario, "--physics", "compiled", "--episodes", "1"]
     assert main([*words, "--json", str(file)]) == 0
     assert scenario in capsys.readouterr().out.replace("\n", "")
     assert json.loads(file.read_text())["protocol"]["scenario"] == scenario
@@ -69,7 +69,10 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     ("words", "printer"),
     [
         (["rollout", "go_to_goal", *WALK], "print_report"),
-        (["evaluate", "go_to_goal", "--suite", "cards", "--world", "grid", "--episodes", "1"], "print_pages"),
+        (
+            ["evaluate", "go_to_goal", "--suite", "cards", "--physics", "compiled", "--episodes", "1"],
+            "print_pages",
+        ),
         (["forecast", "constant_velocity", "--data.fold", "embedded", "--samples", "1"], "print_report"),
         (["models", "sgan_goal.zara1"], "print_tables"),
     ],

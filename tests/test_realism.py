@@ -346,7 +346,7 @@ Rows = dict[str, dict[str, Any]]
 def walked(policy: GoToGoal | str, replay: Replay, rounds: int = 1) -> Rollout:
     """Return what a policy does in some rounds of a replay."""
     name = policy if isinstance(policy, str) else "go_to_goal"
-    found, env = prepare(name, replay, "grid", replay.scenes * rounds)
+    found, env = prepare(name, replay, "compiled", replay.scenes * rounds)
     chosen = found if isinstance(policy, str) else policy
     return joined(list(walk(chosen, env, replay.scenes * rounds)))
 

@@ -226,7 +226,7 @@ def test_without_a_floor_plan(folder: Path) -> None:
     scenario = Replay(files=[str(folder / "first.txt")], dt=0.4)
     scenario.ready(0.25)
     assert scenario.persons.counts == {"controlled": 5, "too short": 1, "already at the exit": 1}
-    result, _ = rollout("go_to_goal", scenario, "grid", scenario.scenes)  # type: ignore[arg-type]
+    result, _ = rollout("go_to_goal", scenario, "compiled", scenario.scenes)  # type: ignore[arg-type]
     assert len(result.person[result.controlled & (result.reached > 0)].unique()) == 5
 
 
@@ -483,7 +483,12 @@ def test_stays_are_people_and_not_slots(folder: Path) -> None:
         assert first == (4 * (came - 7) + 1 if came > 7 else 0)
         assert last == 4 * (min(left, 25) - 7)  # nobody who is simulated is left after frame 25
     assert len(real.stays(0)) == 6
-    assert [stay[0] for stay in rollout("go_to_goal", "door:people=4", "grid", 1)[0].stays(0)] == [0, 1, 2, 3]
+    assert [stay[0] for stay in rollout("go_to_goal", "door:people=4", "compiled", 1)[0].stays(0)] == [
+        0,
+        1,
+        2,
+        3,
+    ]
 
 
 def test_adopting_is_preparing(folder: Path) -> None:
@@ -524,7 +529,7 @@ def test_partial_resets_and_auto_reset(folder: Path) -> None:
 
 def test_both_worlds_show_the_same_people(folder: Path) -> None:
     scenario = replay(folder, "first second")
-    grid, bullet = (make_env(scenario, num_envs=4, world=world) for world in ("grid", "bullet"))
+    grid, bullet = (make_env(scenario, num_envs=4, physics=physics) for physics in ("compiled", "bullet"))
     found = []
     for env in (grid, bullet):
         policy, now, steps = load_policy("go_to_goal"), env.reset(), []
@@ -533,7 +538,7 @@ def test_both_worlds_show_the_same_people(folder: Path) -> None:
             steps.append(result["next"])
             now = step_mdp(result)
         found.append(steps)
-    bullet.world.close()
+    bullet.physics.close()
     touched = 0
     for one, other in zip(*found, strict=True):
         for key in ("trace", "agent_contact", "wall_contact", "reached"):
@@ -543,10 +548,10 @@ def test_both_worlds_show_the_same_people(folder: Path) -> None:
 
 
 def test_many_people_in_bullet(plaza: Replay) -> None:
-    env = make_env(plaza, num_envs=2, world="bullet")
+    env = make_env(plaza, num_envs=2, physics="bullet")
     assert env.scenario.people == 34
     env.rollout(6, GoToGoal())
-    env.world.close()
+    env.physics.close()
 
 
 def test_decisions_in_step_with_the_recording(folder: Path) -> None:
@@ -659,7 +664,7 @@ def test_goals_that_share_ways_are_still_their_own() -> None:
 
 def test_recordings_of_a_fold(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
-    result, env = rollout("go_to_goal", "replay:fold=zara1,share=0.1", "grid", 1)
+    result, env = rollout("go_to_goal", "replay:fold=zara1,share=0.1", "compiled", 1)
     scenario: Any = env.scenario
     people, counts = scenario.persons, scenario.persons.counts
     assert sum(counts.values()) == 148 and counts["later"] > 100

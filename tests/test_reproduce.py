@@ -242,7 +242,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Figure 4 with one baseline and a model that is not there, one episode, without pybullet."""
     monkeypatch.setattr(Figure4, "models", ("sgan.nowhere",))
     monkeypatch.setattr(Figure4, "baselines", ("go_to_goal", "orca:radius=0.1"))
-    return ["reproduce", "figure4", "--episodes", "1", "--world", "grid", "--out", "made"]
+    return ["reproduce", "figure4", "--episodes", "1", "--physics", "compiled", "--out", "made"]
 
 
 def test_figure_4_writes_page_report_and_picture_and_names_what_is_missing(

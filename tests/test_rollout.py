@@ -11,11 +11,11 @@ import torch
 
 from pedzoo.cli.main import main
 from pedzoo.errors import UserError
-from pedzoo.eval import rollout as module
 from pedzoo.eval.closed_loop import Comparison, row
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.rollout import OVER_TIME, Rollout
 from pedzoo.sim.make import make_env
+from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.types import GOAL_RADIUS
 
 BROKEN = '''
@@ -59,16 +59,16 @@ def assert_same(first: Rollout, second: Rollout, tolerance: float = 1e-6) -> Non
 def test_episodes_are_the_same_however_many_walk_together(
     scenario: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    together, _ = rollout("orca:dt=0.4", scenario, "grid", 3, seed=3)
-    monkeypatch.setattr(module, "AT_ONCE", {"grid": 2})
-    in_parts, env = rollout("orca:dt=0.4", scenario, "grid", 3, seed=3)
+    together, _ = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
+    monkeypatch.setattr(Compiled, "scenes_at_once", 2)
+    in_parts, env = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
     assert env.batch_size[0] == 2 and len(set(together.length.tolist())) > 1
     assert_same(together, in_parts, 1e-5)
 
 
 @pytest.mark.parametrize("scenario", ["door", "goals:people=3,goals=1,pool=8"])
 def test_nothing_changes_after_the_end(scenario: str) -> None:
-    walked, _ = rollout("go_to_goal", scenario, "grid", 4, seed=3)
+    walked, _ = rollout("go_to_goal", scenario, "compiled", 4, seed=3)
     for episode, length in enumerate(walked.length.tolist()):
         assert not walked.present[episode, :, length:].any()
         assert not walked.agent_contact[episode, :, length:].any()
@@ -78,7 +78,7 @@ def test_nothing_changes_after_the_end(scenario: str) -> None:
 
 
 def test_trace_goes_on_from_the_warm_start_at_possible_speeds() -> None:
-    walked, env = rollout("go_to_goal", "door", "grid", 3)
+    walked, env = rollout("go_to_goal", "door", "compiled", 3)
     path = torch.cat((walked.past, walked.trace), dim=2)
     speed = path.diff(dim=2).norm(dim=-1) / 0.1
     assert (speed <= 1.3 * walked.pref_speed.unsqueeze(-1) + 1e-3).all()
@@ -87,7 +87,7 @@ def test_trace_goes_on_from_the_warm_start_at_possible_speeds() -> None:
 
 
 def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> None:
-    walked, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "grid", 3)
+    walked, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "compiled", 3)
     assert not walked.replayed and walked.gate is None
     assert torch.equal(walked.scored, walked.present) and torch.equal(walked.met, walked.present)
     assert torch.equal(walked.path[:, :, 1:], walked.trace)
@@ -100,7 +100,7 @@ def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> Non
 
 
 def test_a_lone_person_walks_the_planned_way_in_the_time_that_it_takes() -> None:
-    walked, env = rollout("go_to_goal", "door:people=1", "grid", 6)
+    walked, env = rollout("go_to_goal", "door:people=1", "compiled", 6)
     assert walked.gate is not None
     assert walked.gate.tolist() == [pytest.approx([0.0, 0.0, 1.0, 0.0, 0.85])] * 6
     metrics = row("go_to_goal", walked, env.decision_dt)["metrics"]
@@ -112,9 +112,9 @@ def test_a_lone_person_walks_the_planned_way_in_the_time_that_it_takes() -> None
 
 def test_both_worlds_see_the_same_walk() -> None:
     pytest.importorskip("pybullet")
-    grid, _ = rollout("go_to_goal", "door", "grid", 3, seed=1)
+    grid, _ = rollout("go_to_goal", "door", "compiled", 3, seed=1)
     bullet, env = rollout("go_to_goal", "door", "bullet", 3, seed=1)
-    env.world.close()
+    env.physics.close()
     torch.testing.assert_close(grid.trace, bullet.trace)
     assert torch.equal(grid.reached, bullet.reached)
 
@@ -122,8 +122,8 @@ def test_both_worlds_see_the_same_walk() -> None:
 def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(BROKEN)
     with pytest.warns(UserWarning, match=r"broken\.py:Broken gave the action .* agent 1 of scene 0"):
-        broken, _ = rollout(f"{tmp_path}/broken.py:Broken", "door", "grid", 3)
-    whole, _ = rollout("go_to_goal", "door", "grid", 3)
+        broken, _ = rollout(f"{tmp_path}/broken.py:Broken", "door", "compiled", 3)
+    whole, _ = rollout("go_to_goal", "door", "compiled", 3)
     assert broken.failed.tolist() == [True, False, False]
     assert broken.length[0] == 8  # two decisions; in the third nobody walked
     for episode in (1, 2):
@@ -135,7 +135,7 @@ def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> 
 
 def test_noise_is_drawn_or_not() -> None:
     def traces(policy: str, deterministic: bool, seed: int = 0) -> torch.Tensor:
-        return rollout(policy, "door:speed=2", "grid", 1, seed, deterministic)[0].trace[:, :, :10]
+        return rollout(policy, "door:speed=2", "compiled", 1, seed, deterministic)[0].trace[:, :, :10]
 
     sampled, again = (traces("sgan_goal_map.zara1", False) for _ in range(2))
     assert torch.equal(sampled, again)
@@ -150,7 +150,7 @@ def test_noise_is_drawn_or_not() -> None:
         ("orca:radios=1", "door", {}, "did you mean 'radius'?"),
         ("go_to_goal", "dor", {}, "did you mean 'door'?"),
         ("go_to_goal", "door:widht=1", {}, "did you mean 'width'?"),
-        ("go_to_goal", "door", {"world": "bulet"}, "did you mean 'bullet'?"),
+        ("go_to_goal", "door", {"physics": "bulet"}, "did you mean 'bullet'?"),
         ("go_to_goal", "door", {"episodes": 0}, "episodes 0"),
         (
             "sgan_goal.zara1",
@@ -163,13 +163,13 @@ def test_noise_is_drawn_or_not() -> None:
 )
 def test_mistakes(policy: str, scenario: str, settings: dict, expected: str) -> None:
     with pytest.raises(UserError) as caught:
-        rollout(policy, scenario, **{"world": "grid", **settings})
+        rollout(policy, scenario, **{"physics": "compiled", **settings})
     assert expected in str(caught.value)
 
 
 def test_progress_reaches_all_episodes() -> None:
     seen = []
-    rollout("go_to_goal", "door", "grid", 3, progress=lambda *step: seen.append(step))
+    rollout("go_to_goal", "door", "compiled", 3, progress=lambda *step: seen.append(step))
     assert seen[-1] == ("go_to_goal", 3, 3)
     assert [step[1] for step in seen] == sorted(step[1] for step in seen)
 
@@ -177,14 +177,25 @@ def test_progress_reaches_all_episodes() -> None:
 def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "out.json"
     policies = ["orca:radius=0.1,dt=0.4", "go_to_goal"]
-    words = ["rollout", *policies, "--world", "grid", "--episodes", "3", "--seed", "2", "--json", str(file)]
+    words = [
+        "rollout",
+        *policies,
+        "--physics",
+        "compiled",
+        "--episodes",
+        "3",
+        "--seed",
+        "2",
+        "--json",
+        str(file),
+    ]
     assert main([*words, "--warm-start", "static", "--deterministic"]) == 0
     printed = capsys.readouterr().out
     report = json.loads(file.read_text())
     assert report["command"] == "rollout" and report["seeds"] == [2] and "torch" in report["versions"]
     assert report["protocol"] == {
         "scenario": "door",
-        "world": "grid",
+        "physics": "compiled",
         "episodes": 3,
         "noise": "none",
         "warm_start": "static",
@@ -199,7 +210,7 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
             assert f"{value:.3f}" in shown
         for key, (low, high) in found["ci95"].items():
             assert low <= found["metrics"][key] <= high
-    walked, env = rollout(policies[1], "door", "grid", 3, 2, True, warm_start="static")
+    walked, env = rollout(policies[1], "door", "compiled", 3, 2, True, warm_start="static")
     again = json.loads(json.dumps(row(policies[1], walked, env.decision_dt)))
     assert again == report["rows"][1]
 
@@ -218,9 +229,9 @@ def test_interrupted_command_prints_what_is_over(
         def __exit__(self, *error: object) -> None: ...
 
     monkeypatch.setattr("pedzoo.cli.progress.progress_bar", Quiet)
-    monkeypatch.setattr(module, "AT_ONCE", {"grid": 1})
+    monkeypatch.setattr(Compiled, "scenes_at_once", 1)
     file = tmp_path / "out.json"
-    words = ["rollout", "go_to_goal", "go_to_goal:dt=0.2", "orca", "--world", "grid", "--episodes", "2"]
+    words = ["rollout", "go_to_goal", "go_to_goal:dt=0.2", "orca", "--physics", "compiled", "--episodes", "2"]
     assert main([*words, "--json", str(file)]) == 130
     report = json.loads(file.read_text())
     assert report["interrupted"] is True
@@ -238,7 +249,7 @@ def test_interrupted_command_prints_what_is_over(
         (["orka"], "did you mean 'orca'?"),
         (["go_to_goal", "orka"], "did you mean 'orca'?"),
         (["orca", "--scenario", "dor"], "did you mean 'door'?"),
-        (["orca", "--world", "gird"], "did you mean 'grid'?"),
+        (["orca", "--physics", "compild"], "did you mean 'compiled'?"),
         (["orca", "--warm_start", "orcas"], "did you mean 'orca'?"),
         (["orca", "--video", "a.avi"], ".webm or .mp4"),
         (["orca", "--plot", "a.bmp"], ".png or .pdf or .svg"),
@@ -258,8 +269,8 @@ def test_mistakes_on_the_command_line_are_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    if "--world" not in words:
-        words = [*words, "--world", "grid"]
+    if "--physics" not in words:
+        words = [*words, "--physics", "compiled"]
     assert main(["rollout", *words]) == 2
     err = capsys.readouterr().err
     assert expected in err and err.count("\n") == 1 and err.startswith("pedzoo: ")
@@ -274,25 +285,25 @@ def test_overview_names_scenarios_and_policies(capsys: pytest.CaptureFixture[str
 
 def test_a_misspelt_policy_is_found_before_any_has_walked() -> None:
     with pytest.raises(UserError, match="orka"):
-        Comparison(["go_to_goal", "orka"], "door", "grid", 1)
+        Comparison(["go_to_goal", "orka"], "door", "compiled", 1)
 
 
 def test_comparison_closes_its_worlds() -> None:
-    with Comparison(["go_to_goal"], "door", "grid", 1) as comparison:
+    with Comparison(["go_to_goal"], "door", "compiled", 1) as comparison:
         comparison.run()
         (walked,) = comparison.walked
         closed = []
-        walked.env.world.close = lambda: closed.append(True)
+        walked.env.physics.close = lambda: closed.append(True)
     assert closed == [True]
 
 
 def test_same_policy_twice_is_one_row() -> None:
-    with Comparison(["go_to_goal", "go_to_goal"], "door", "grid", 1) as comparison:
+    with Comparison(["go_to_goal", "go_to_goal"], "door", "compiled", 1) as comparison:
         comparison.run()
     assert len(comparison.report()["rows"]) == 1
 
 
 def test_make_env_takes_what_a_rollout_passes_on() -> None:
-    walked, env = rollout("go_to_goal", "door", "grid", 1, body_radius=0.2, warm_start="static")
-    assert env.world.body_radius == 0.2 and make_env("door").world.body_radius == 0.15
+    walked, env = rollout("go_to_goal", "door", "compiled", 1, body_radius=0.2, warm_start="static")
+    assert env.physics.body_radius == 0.2 and make_env("door").physics.body_radius == 0.15
     assert torch.equal(walked.past, walked.past[:, :, :1].expand_as(walked.past))

@@ -164,7 +164,7 @@ def test_two_who_wait_for_each_other_in_a_narrow_place_turn_a_shoulder() -> None
 
 def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
     """Two face to face in a door: after standing there they are let closer than after walking up to it."""
-    env = make_env("door:width=0.8,jitter=0,speed_std=0", 1, "grid")
+    env = make_env("door:width=0.8,jitter=0,speed_std=0", 1, "compiled")
     seen = env.reset(seed=0)
     agents: Any = seen["agents"]
     place, ahead = torch.tensor([[-0.4, -0.05], [0.4, 0.05]]), torch.tensor([[0.4, 0.0], [-0.4, 0.0]])
@@ -263,7 +263,7 @@ class Dash(Forecaster):
 
 def contacts(policy: Walker | Policy, scenario: str, decisions: int = 20) -> tuple[int, int]:
     """Return how many people touched others and walls in the decisions of 8 scenes."""
-    env = make_env(scenario, 8, "grid")
+    env = make_env(scenario, 8, "compiled")
     seen: TensorDictBase = env.reset(seed=0)
     agent = wall = 0
     for _ in range(decisions):
@@ -277,7 +277,7 @@ def contacts(policy: Walker | Policy, scenario: str, decisions: int = 20) -> tup
 
 def test_a_crowd_before_a_door_does_not_jam() -> None:
     """Of 20 who press towards it those in front get away, though everybody else runs into them."""
-    env = make_env("room_exit:people=20,entering=0,width=0.9", 4, "grid")
+    env = make_env("room_exit:people=20,entering=0,width=0.9", 4, "compiled")
     policy = load_policy("go_to_goal:safety=true")
     seen: TensorDictBase = env.reset(seed=5)
     left = 60
@@ -297,7 +297,7 @@ def test_whoever_walks_with_it_touches_nobody_and_nothing(scenario: str) -> None
 
 def test_the_walker_says_what_was_asked_for_and_can_do_without() -> None:
     """As the model says, unless somebody says otherwise."""
-    env = make_env("door:width=0.8", 4, "grid")
+    env = make_env("door:width=0.8", 4, "compiled")
     seen = env.reset(seed=0)
     for walker, held in ((Walker(Dash(True)), True), (Walker(Dash(True), safety=False), False)):
         assert walker.safety is held

@@ -29,7 +29,7 @@ def called(tool: ModuleType, monkeypatch: pytest.MonkeyPatch, *words: str) -> No
     tool.main()
 
 
-@pytest.mark.parametrize("words", [(), ("--workers", "1"), ("--episodes", "20", "--world", "grid")])
+@pytest.mark.parametrize("words", [(), ("--workers", "1"), ("--episodes", "20", "--physics", "compiled")])
 def test_the_whole_run_makes_the_page(
     tool: ModuleType, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -40,7 +40,7 @@ def test_the_whole_run_makes_the_page(
 
 
 @pytest.mark.parametrize(
-    "words", [("door",), ("--policies", "go_to_goal"), ("--episodes", "2"), ("--world", "bullet")]
+    "words", [("door",), ("--policies", "go_to_goal"), ("--episodes", "2"), ("--physics", "bullet")]
 )
 def test_other_runs_print(
     tool: ModuleType,

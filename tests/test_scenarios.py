@@ -85,7 +85,7 @@ def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> 
 
 @EVERY_SCENARIO
 def test_goals_can_be_reached_in_time(name: str) -> None:
-    result, env = rollout("go_to_goal", name, "grid", 16)
+    result, env = rollout("go_to_goal", name, "compiled", 16)
     if env.scenario.script is None:
         assert row("go_to_goal", result, 0.4)["metrics"]["success"] > 0.95
     else:  # people come and go
@@ -125,11 +125,11 @@ def test_policies_of_ones_own(tmp_path: Path) -> None:
     assert isinstance(model, Walker) and model.execute_steps == 2
     assert load_policy(f"{tmp_path}/mine.py:Mine").decision_dt == 0.2
     for name in ("Model", "Mine:dt=0.4"):
-        assert rollout(f"{tmp_path}/mine.py:{name}", "door", "grid", 1)[0].trace.isfinite().all()
+        assert rollout(f"{tmp_path}/mine.py:{name}", "door", "compiled", 1)[0].trace.isfinite().all()
     weights = tmp_path / "weights.safetensors"
     save_weights(load("sgan_goal.zara1"), weights)
-    named, _ = rollout("sgan_goal.zara1", "door", "grid", 1)
-    assert torch.equal(rollout(str(weights), "door", "grid", 1)[0].trace, named.trace)
+    named, _ = rollout("sgan_goal.zara1", "door", "compiled", 1)
+    assert torch.equal(rollout(str(weights), "door", "compiled", 1)[0].trace, named.trace)
 
 
 @pytest.mark.parametrize("name", POLICIES.names())
@@ -184,7 +184,7 @@ def test_goals_are_new_ones_some_way_off() -> None:
     env = make_env("goals:people=3,pool=10,goals=3", num_envs=8, warm_start="static")
     scenario = env.scenario
     assert isinstance(scenario, Goals)
-    result, _ = rollout("go_to_goal", "goals:people=3,pool=10,goals=3", "grid", 8)
+    result, _ = rollout("go_to_goal", "goals:people=3,pool=10,goals=3", "compiled", 8)
     moved = result.goal.diff(dim=2).norm(dim=-1)
     assert float(moved[moved > 0].min()) > 0.5
     # reached one after the other, at the place where the goal was

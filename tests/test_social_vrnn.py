@@ -359,7 +359,7 @@ def test_it_walks(tmp_path: Any) -> None:
     torch.manual_seed(0)
     weights = str(tmp_path / "weights.safetensors")
     save_weights(SocialVRNN(), weights)
-    result, _ = rollout(weights, "door", "grid", 2)
+    result, _ = rollout(weights, "door", "compiled", 2)
     assert result.trace.isfinite().all()
     first = result.past[:, :, -1] - result.past[:, :, 0]
     assert first.norm(dim=-1).min() > 0.5

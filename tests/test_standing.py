@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 import torch
@@ -26,9 +26,9 @@ def layout(spec: str, scenes: int = 300) -> Layout:
     return scenario.layout(Draws.of(0, torch.arange(scenes)))
 
 
-@pytest.mark.parametrize("world", ["grid", "bullet"])
-def test_they_stand_until_their_time_is_up(world: Literal["grid", "bullet"]) -> None:
-    env = make_env(STANDS, num_envs=3, world=world)
+@pytest.mark.parametrize("physics", ["compiled", "bullet"])
+def test_they_stand_until_their_time_is_up(physics: str) -> None:
+    env = make_env(STANDS, num_envs=3, physics=physics)
     now: Any = env.reset()
     begins = now["agents", "history"][:, 2, 0]
     for step in range(1, 9):
@@ -43,7 +43,7 @@ def test_they_stand_until_their_time_is_up(world: Literal["grid", "bullet"]) -> 
         now = step_mdp(env.step(now), exclude_reward=False)
     moved = (now["agents", "history"][:, 2, -1] - begins).norm(dim=-1)
     assert torch.allclose(moved, torch.full((3,), 0.8 * 1.3), atol=0.05)
-    env.world.close()
+    env.physics.close()
 
 
 def test_their_way_and_its_time_begin_when_they_set_out() -> None:
@@ -60,7 +60,9 @@ def test_their_way_and_its_time_begin_when_they_set_out() -> None:
 
 
 def test_a_metric_row_is_that_of_an_ordinary_scene() -> None:
-    result, _ = rollout("go_to_goal", "standing:width=1.2,at=[-1,-0.8],from_right=1,speed_std=0", "grid", 12)
+    result, _ = rollout(
+        "go_to_goal", "standing:width=1.2,at=[-1,-0.8],from_right=1,speed_std=0", "compiled", 12
+    )
     assert not result.replayed
     metrics = row("go_to_goal", result, 0.4)["metrics"]
     assert metrics["success"] == metrics["episode_success"] == 1

@@ -332,7 +332,7 @@ def test_the_commands_of_robots_are_held() -> None:
 
 def walked(policy: str, scenario: str = "hallway", scenes: int = 3, **settings: Any) -> Rollout:
     """Return episodes of a policy."""
-    made, env = prepare(policy, scenario, "grid", scenes, **settings)
+    made, env = prepare(policy, scenario, "compiled", scenes, **settings)
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         return run(made, env)
 
@@ -381,13 +381,13 @@ def test_an_environment_of_another_step_is_refused() -> None:
     with pytest.raises(UserError, match=r"this crowd decides every 0.1 s, not every 0.4 s.*decision_dt=0.1"):
         crowd(make_env("door").reset())
     with pytest.raises(UserError, match="its fastest team does"):
-        prepare("orca+sgan_goal.indoor", "door", "grid", 1, decision_dt=0.4)
+        prepare("orca+sgan_goal.indoor", "door", "compiled", 1, decision_dt=0.4)
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.4])
 @pytest.mark.parametrize("value", [".nan", ".inf"])
 def test_a_team_that_fails_ends_its_scenes_alone(dt: float, value: str) -> None:
-    made, env = prepare(f"{TOLD}:share=0.15,dt={dt},x={value}+orca", "hallway", "grid", 6)
+    made, env = prepare(f"{TOLD}:share=0.15,dt={dt},x={value}+orca", "hallway", "compiled", 6)
     theirs = cast("Teams", made).assigned(env.reset())[0].any(1)
     assert 0 < theirs.sum() < 6
     with pytest.warns(UserWarning, match="gave the action"):
@@ -443,8 +443,8 @@ def test_recorded_people_stay_with_their_team() -> None:
 
 
 def test_a_mixed_crowd_replays_a_recording() -> None:
-    found, env = rollout("orca:share=0.5+sgan_goal.indoor", "replay:fold=embedded", "grid", episodes=1)
-    env.world.close()
+    found, env = rollout("orca:share=0.5+sgan_goal.indoor", "replay:fold=embedded", "compiled", episodes=1)
+    env.physics.close()
     assert not found.failed.any()
     assert (found.controlled & (found.reached > 0)).any(), "somebody arrives"
 
@@ -471,7 +471,7 @@ def test_a_mixed_crowd_is_a_controller() -> None:
 
 def test_rollout_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     crowd, report = "orca:share=0.5+sgan_goal_map.indoor", tmp_path / "report.json"
-    command = ["rollout", crowd, "--scenario", "door", "--world", "grid", "--episodes", "3"]
+    command = ["rollout", crowd, "--scenario", "door", "--physics", "compiled", "--episodes", "3"]
     assert main([*command, "--json", str(report)]) == 0
     row = json.loads(report.read_text())["rows"][0]
     assert (row["name"], row["decision_dt_s"], row["n"]) == (crowd, 0.1, 3)
@@ -487,7 +487,7 @@ def test_evaluate_of_the_command_line_refuses_a_misspelt_part(capsys: pytest.Cap
 
 def test_evaluate_from_python() -> None:
     crowd = "orca:share=0.5+go_to_goal"
-    report = pedzoo.evaluate([crowd], suites=["door"], episodes=2, world="grid")
+    report = pedzoo.evaluate([crowd], suites=["door"], episodes=2, physics="compiled")
     assert {row["name"] for row in report["rows"]} == {crowd}
     assert "rollout" in dir(pedzoo) and pedzoo.rollout is rollout
     assert {"orca", "sgan_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
@@ -503,7 +503,7 @@ def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:
 
 
 def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = Case("door", "door", "door", "grid", 1, {})
+    case = Case("door", "door", "door", "compiled", 1, {})
     units = [
         Unit(crowd, crowd, case, (0,), False)
         for crowd in ("orca+sgan_goal.zara1", f"orca+{TOLD}", "orca:share=0.4+sgan_goal.zara1")

@@ -24,7 +24,7 @@ from pedzoo.metrics.rollout import Rollout
 
 @pytest.fixture(scope="module")
 def walked() -> Walked:
-    return Walked("go_to_goal", *rollout("go_to_goal", "door", "grid", 2))
+    return Walked("go_to_goal", *rollout("go_to_goal", "door", "compiled", 2))
 
 
 def passing(walked: Rollout, at: int) -> Rollout:

@@ -68,9 +68,9 @@ def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
 
 
 def test_the_same_scenes_whatever_the_world() -> None:
-    grid, _ = rollout("go_to_goal", "hallway", "grid", 4)
+    grid, _ = rollout("go_to_goal", "hallway", "compiled", 4)
     bullet, env = rollout("go_to_goal", "hallway", "bullet", 4)
-    env.world.close()
+    env.physics.close()
     assert len(grid.map_id.unique()) > 1
     assert torch.equal(grid.map_id, bullet.map_id) and torch.equal(grid.trace, bullet.trace)
 
@@ -84,7 +84,7 @@ def test_a_plan_is_as_wide_as_it_is_called() -> None:
 
 
 def test_doors_of_any_width_are_walked_through() -> None:
-    result, env = rollout("go_to_goal", LISTS[0], "grid", 32)
+    result, env = rollout("go_to_goal", LISTS[0], "compiled", 32)
     assert len(result.map_id.unique()) == 4 == len(env.bank.grids)
     assert bool(result.reached.amax(2).eq(1).all())
     # an offset of 0 is head-on, and goals lie where starts do

@@ -22,7 +22,7 @@ SIZE = (160, 120)
 
 @pytest.fixture(scope="module")
 def walked() -> Walked:
-    return Walked("go_to_goal", *rollout("go_to_goal", "door", "grid", 2))
+    return Walked("go_to_goal", *rollout("go_to_goal", "door", "compiled", 2))
 
 
 def colors(count: int, size: tuple[int, int] = SIZE) -> Iterator[Image]:

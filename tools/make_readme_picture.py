@@ -47,7 +47,7 @@ class Panel:
 
     def __init__(self, axes: Axes, policy: str, scenario: str) -> None:
         """Walk, and draw what does not move."""
-        walked, env = rollout(policy, scenario, "grid", 1)
+        walked, env = rollout(policy, scenario, "compiled", 1)
         grid = next(grid for grid in env.bank.grids if grid.map_id == int(walked.map_id[0]))
         draw_floor_plan(axes, grid)
         axes.set(xlim=WINDOW[0], ylim=WINDOW[1], aspect="equal")

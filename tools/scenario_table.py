@@ -5,7 +5,7 @@
 
 Every scenario of the registry with its defaults, and encounters with crowds of 20 and 50 people as far as
 they take them (of 50 people half as many episodes). Policies of one row see the same scenes. The page ends
-with what fails, and why; those of other scenarios, policies, episodes or worlds do not.
+with what fails, and why; those of other scenarios, policies, episodes or physics do not.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ LARGE = "people=50"
 VARIANTS = ("intersection:people=4", "parallel:opposite=true", "parallel:opposite=true,people=20")
 """Beside the defaults and the crowds."""
 
-CHOICES = "scenarios", "policies", "episodes", "world"
+CHOICES = "scenarios", "policies", "episodes", "physics"
 """Options without which the whole page is made."""
 
 PANEL = (2.5, 1.75)
@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
     scenario: str
     policy: str
-    world: str
+    physics: str
     episodes: int
 
 
@@ -95,7 +95,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("scenarios", nargs="*", default=[], help="names with settings; none: all, and crowds")
     parser.add_argument("--policies", nargs="+", default=list(POLICIES))
     parser.add_argument("--episodes", type=int, default=20, help="seeds per row")
-    parser.add_argument("--world", default="grid", choices=["grid", "bullet"])
+    parser.add_argument("--physics", default="compiled", help="a backend, or file.py:Class")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--out", type=Path, help="page (default: in checkpoints/ if whole, else printed)")
     parser.add_argument("--picture", type=Path, help="picture (default: in checkpoints/ if whole, else none)")
@@ -106,7 +106,7 @@ def walked(options: argparse.Namespace) -> dict[Case, Measured]:
     """Walk everything, and print a line of each."""
     scenarios = options.scenarios or every_scenario()
     cases = [
-        Case(one, policy, options.world, options.episodes // (1 + one.endswith(LARGE)))
+        Case(one, policy, options.physics, options.episodes // (1 + one.endswith(LARGE)))
         for one in scenarios
         for policy in options.policies
     ]
@@ -134,8 +134,8 @@ def every_scenario() -> list[str]:
 
 def measured(case: Case) -> bytes:
     """Return a pickled `Measured`: tensors that processes share would need a file handle each."""
-    result, env = rollout(case.policy, case.scenario, case.world, case.episodes)
-    env.world.close()
+    result, env = rollout(case.policy, case.scenario, case.physics, case.episodes)
+    env.physics.close()
     found = row(case.policy, result, env.decision_dt)
     metrics, intervals = dict(found["metrics"]), dict(found["ci95"])
     arrived = success(result.reached, result.goals, result.late, result.failed, result.mask)
@@ -169,10 +169,10 @@ def page(options: argparse.Namespace, found: dict[Case, Measured], conclusions: 
     lines = [
         f"# {title}\n",
         f"Made by `{call}` with pedzoo {made['pedzoo']}, torch {made['torch']}"
-        f", commit {made.get('commit', 'unknown')}: the first episodes of seed 0, world"
-        f" `{options.world}`, speeds N(1.3, 0.2) m/s, decisions every {TRACE_SECONDS} s, body radius 0.15 m,"
-        " warm start with ORCA (radius 0.2). In brackets 95 % intervals: Wilson's over episodes for shares,"
-        " bootstrapped over episodes otherwise.\n",
+        f", commit {made.get('commit', 'unknown')}: the first episodes of seed 0, physics"
+        f" `{options.physics}`, speeds N(1.3, 0.2) m/s, decisions every {TRACE_SECONDS} s, body radius"
+        " 0.15 m, warm start with ORCA (radius 0.2). In brackets 95 % intervals: Wilson's over episodes for"
+        " shares, bootstrapped over episodes otherwise.\n",
         markdown_table(names, rows),
         LEGEND,
         conclusions,

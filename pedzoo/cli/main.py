@@ -9,10 +9,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from pedzoo import __version__
+from pedzoo import __version__, renamed
 from pedzoo.errors import UserError
 from pedzoo.paths import config_names, weight_files
-from pedzoo.registry import DATASETS, MODELS, POLICIES, SCENARIOS, Registry
+from pedzoo.registry import DATASETS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
 
@@ -44,7 +44,7 @@ def _dispatch(argv: list[str]) -> int:
         return 0
     name, rest = argv[0], argv[1:]
     if name.isidentifier() and name[0] != "_" and (COMMANDS.folder / f"{name}.py").is_file():
-        return import_module(f"{COMMANDS.package}.{name}").run(rest)
+        return import_module(f"{COMMANDS.package}.{name}").run(renamed.new_words(rest))
     return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
 
 
@@ -62,6 +62,7 @@ def overview() -> str:
         ("weights", list(weight_files())),
         ("policies (and every model)", POLICIES.names()),
         ("scenarios", SCENARIOS.names()),
+        ("physics", PHYSICS.names()),
         ("datasets", DATASETS.names()),
         ("configs", config_names()),
     ):

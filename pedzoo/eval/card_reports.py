@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, get_args
 
+from pedzoo import renamed
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.errors import UserError, unknown
 from pedzoo.eval.clock import Step
@@ -50,6 +51,7 @@ def report_of(command: str, job: Job) -> Report:
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
     kinds, optional, make = _MAKERS[command]
+    job = job._replace(protocol=renamed.new_keys(job.protocol))
     check_keys(job.protocol, kinds, f"protocol of {command}:", more=True, optional=optional)
     protocol, rows = make(job)
     content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}
@@ -114,7 +116,7 @@ _WALKS: Kinds = {
     "suites": (list,),
     "quick": (bool,),
     "deterministic": (bool,),
-    "world": (str,),
+    "physics": (str,),
     "maps": (list,),
     **dict.fromkeys(("episodes", "rollouts"), (int,)),
 }

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
+from pedzoo import renamed
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.closed_loop import closed_loop, time_ratio_median
 from pedzoo.metrics.navigation import finish_seconds, success
@@ -39,11 +40,12 @@ class Comparison:
             fewer episodes than the others.
     """
 
+    @renamed.takes_world
     def __init__(
         self,
         policies: Sequence[str],
         scenario: str,
-        world: str = "bullet",
+        physics: str = "bullet",
         episodes: int = 20,
         seed: int = 0,
         deterministic: bool = False,
@@ -54,7 +56,7 @@ class Comparison:
         Args:
             policies: Names with settings.
             scenario: Its name with settings.
-            world: ``bullet`` or ``grid``.
+            physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
             episodes: E.
             seed: Of the scenes.
             deterministic: Without noise.
@@ -63,15 +65,16 @@ class Comparison:
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
         """
+        physics = renamed.backend(physics)
         self._prepared = {}
         self.walked: list[Walked] = []
         made = make_scenario(scenario)
         for name in dict.fromkeys(policies):
-            self._prepared[name] = prepare(name, made, world, episodes, seed, **settings)
+            self._prepared[name] = prepare(name, made, physics, episodes, seed, **settings)
         self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
         self._protocol = {
             "scenario": scenario,
-            "world": world,
+            "physics": physics,
             "episodes": episodes,
             "noise": "none" if deterministic else "sampled",
             **{"warm_start": "orca"} | {key: value for key, value in settings.items() if value is not None},
@@ -83,7 +86,7 @@ class Comparison:
 
     def __exit__(self, *error: object) -> None:
         for _, env in self._prepared.values():
-            env.world.close()
+            env.physics.close()
 
     def run(self, progress: Progress | None = None) -> None:
         """Let all policies walk; episodes that are over are kept whatever interrupts it.

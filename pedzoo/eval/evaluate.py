@@ -8,23 +8,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pedzoo.errors import UserError, unknown
+from pedzoo import renamed
+from pedzoo.errors import UserError
 from pedzoo.eval.clock import Clock, Progress
 from pedzoo.eval.journal import Journal, Rows
 from pedzoo.eval.results import Shown
-from pedzoo.eval.suite import Request, Suite, Unit, WorldName, check_names
+from pedzoo.eval.suite import Request, Suite, Unit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
 from pedzoo.eval.workers import Backend, finished
 from pedzoo.registry import SUITES
-from pedzoo.sim.make import WORLDS
+from pedzoo.sim.make import physics_class
 from pedzoo.sim.policy import load_policy
-from pedzoo.sim.worlds.pybullet_client import load_pybullet
 
 SUITE_NAMES = ("door", "goals", "cards", "replay")
 """What is evaluated unless something else is asked for."""
 
 
+@renamed.takes_world
 def evaluate(
     policies: Sequence[str],
     suites: Sequence[str] = SUITE_NAMES,
@@ -32,7 +33,7 @@ def evaluate(
     seeds: Sequence[int] = (0,),
     quick: bool = False,
     deterministic: bool = False,
-    world: WorldName | None = None,
+    physics: str | None = None,
     maps: Sequence[str | Path] = (),
     root: str | Path | None = None,
     rollouts: int | None = None,
@@ -50,7 +51,7 @@ def evaluate(
         seeds: Of the scenes. Their episodes count as one sample.
         quick: A tenth of the episodes, and of the time of recordings.
         deterministic: Models walk with noise zero.
-        world: ``bullet`` or ``grid`` for all suites; None for their own.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class`` for all suites; None for their own.
         maps: Floor plans on which ``goals`` is walked too: every episode of five more cases draws one.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
@@ -69,7 +70,7 @@ def evaluate(
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
     folder = None if root is None else str(root)
-    request = Request(episodes, quick, world, tuple(map(str, plans)), folder, rollouts)
+    request = Request(episodes, quick, physics, tuple(map(str, plans)), folder, rollouts)
     evaluation = Evaluation(policies, suites, request, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -109,6 +110,8 @@ class Evaluation:
             UserError: As of `evaluate`.
         """
         self.request = request or Request()
+        if self.request.physics is not None:
+            self.request = self.request._replace(physics=renamed.backend(self.request.physics))
         for key in ("episodes", "rollouts"):
             number = getattr(self.request, key)
             if number is not None and number < 1:
@@ -125,7 +128,7 @@ class Evaluation:
         self.units: list[Unit] = []
         for suite in self._suites:
             for case in suite.cases(self.request):
-                _check_world(case.world)
+                physics_class(case.physics).check()
                 self.units += suite.units(case, self._policies, self._seeds, deterministic)
         self._digests = [digest(unit) for unit in self.units]
         self.journal = Path(resume) if resume else None
@@ -206,10 +209,3 @@ def _check_use(request: Request, suites: Sequence[Suite]) -> None:
             own = [name for name in SUITES.names() if key in getattr(SUITES.get(name), "uses", ())]
             given = ", ".join(suite.name for suite in suites)
             raise UserError(f"{key}: no use for them in {given}; {', '.join(own)} would have")
-
-
-def _check_world(name: str) -> None:
-    if name not in WORLDS:
-        raise unknown("world", name, WORLDS)
-    if name == "bullet":
-        load_pybullet()  # which says how to get it

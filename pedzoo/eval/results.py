@@ -113,19 +113,19 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
 
 
 def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
-    """Return the protocol in a line: suites with their episodes, worlds and warm starts, noise and seeds."""
+    """Return the protocol in a line: suites with their episodes, physics and warm starts, noise and seeds."""
     counts: dict[str, dict[str, int]] = {}
-    worlds: dict[str, dict[str, None]] = {}
+    physics: dict[str, dict[str, None]] = {}
     for row in report["rows"]:
         suite = row["case"]["suite"]
         counts.setdefault(suite, {})[case_label(row)] = row["n"]
-        worlds.setdefault(suite, {})[row["case"]["world"]] = None
+        physics.setdefault(suite, {})[row["case"]["physics"]] = None
     parts, protocol = [], report["protocol"]
     for suite, cases in counts.items():
         size = f"{len(cases)} x {min(cases.values())}" if len(cases) > 1 else str(*cases.values())
         if len(set(cases.values())) > 1:
             size = f"{len(cases)} cases, {sum(cases.values())}"
-        where = f"{' and '.join(worlds[suite])}, warm start {protocol['warm_start'][suite]}"
+        where = f"{' and '.join(physics[suite])}, warm start {protocol['warm_start'][suite]}"
         parts.append(f"{suite} {size} {shown[suite].counted} ({where})")
     noise = "none" if protocol["deterministic"] else "sampled"
     seeds = " ".join(map(str, report["seeds"]))
@@ -174,7 +174,7 @@ def case_label(row: Mapping[str, Any]) -> str:
     return " ".join(kept.values())
 
 
-_NO_CASE = ("suite", "world", "weights", SEEN)
+_NO_CASE = ("suite", "physics", "weights", SEEN)
 """What does not tell cases of a suite from each other."""
 
 

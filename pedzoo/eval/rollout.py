@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from pedzoo import renamed
 from pedzoo.errors import UserError
 from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.models.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env
+from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
@@ -22,16 +23,14 @@ from pedzoo.sim.teams import Teams
 from pedzoo.sim.traces import rollout_of
 from pedzoo.spec import Spec
 
-AT_ONCE = {"grid": 64, "bullet": 64}
-"""Scenes run together: the price of a decision grows slowly with them, and so does the memory."""
-
 Progress = Callable[[str, int, int], None]
 
 
+@renamed.takes_world
 def rollout(
     policy: str,
     scenario: str | Spec,
-    world: str = "bullet",
+    physics: str = "bullet",
     episodes: int = 20,
     seed: int = 0,
     deterministic: bool = False,
@@ -40,12 +39,12 @@ def rollout(
 ) -> tuple[Rollout, PedestrianEnv]:
     """Return what ``policy`` did in the first ``episodes`` scenes of a seed, and the environment.
 
-    Its world, ``env.world``, is still open: pictures are taken there.
+    Its physics, ``env.physics``, is still open: pictures are taken there.
 
     Args:
         policy: Its name with settings, or a mixed crowd, as of `pedzoo.sim.policy.load_policy`.
         scenario: Its name with settings.
-        world: ``bullet`` or ``grid``.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
         episodes: E.
         seed: Of the scenes.
         deterministic: Without noise.
@@ -55,13 +54,14 @@ def rollout(
     Raises:
         UserError: An unknown name or setting, or a decision step that the policy cannot serve.
     """
-    walks, env = prepare(policy, scenario, world, episodes, seed, **settings)
+    walks, env = prepare(policy, scenario, physics, episodes, seed, **settings)
     parts = list(walk(walks, env, episodes, deterministic, progress))
     return joined(parts), env
 
 
+@renamed.takes_world
 def prepare(
-    policy: str, scenario: str | Spec | Scenario, world: str, episodes: int, seed: int = 0, **settings: Any
+    policy: str, scenario: str | Spec | Scenario, physics: str, episodes: int, seed: int = 0, **settings: Any
 ) -> tuple[Policy | Walker, PedestrianEnv]:
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if episodes < 1:
@@ -75,8 +75,8 @@ def prepare(
         elif isinstance(walks, Walker):
             why = "it was trained on that step"
         raise UserError(f"{policy} decides every {walks.decision_dt} s, not every {wanted} s: {why}")
-    runs = -(-episodes // AT_ONCE.get(world, 1))
-    settings |= {"world": world, "seed": seed, "decision_dt": walks.decision_dt}
+    runs = -(-episodes // physics_class(physics).scenes_at_once)
+    settings |= {"physics": physics, "seed": seed, "decision_dt": walks.decision_dt}
     env = make_env(scenario, num_envs=-(-episodes // runs), **settings)
     env.policy_name = policy
     return walks, env

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import row
@@ -13,8 +13,6 @@ from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.spec import Spec
-
-WorldName = Literal["grid", "bullet"]
 
 QUICK = 10
 """A quick run has one in so many episodes."""
@@ -31,7 +29,7 @@ class Request(NamedTuple):
     Attributes:
         episodes: Per case; None for the suite's own number.
         quick: A tenth of everything.
-        world: For all cases; None for the suite's own.
+        physics: For all cases; None for the suite's own.
         maps: Floor plans beside the suite's own.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for the suite's own number.
@@ -39,7 +37,7 @@ class Request(NamedTuple):
 
     episodes: int | None = None
     quick: bool = False
-    world: WorldName | None = None
+    physics: str | None = None
     maps: tuple[str, ...] = ()
     root: str | None = None
     rollouts: int | None = None
@@ -56,7 +54,7 @@ class Case(NamedTuple):
         suite: Its name.
         name: What tables call it.
         scenario: With settings: a text, or a name and values where one of them is given by a user.
-        world: ``bullet`` or ``grid``.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
         episodes: Of every seed.
         case: What tells its rows from others.
         inputs: Digest of the files that it reads.
@@ -68,7 +66,7 @@ class Case(NamedTuple):
     suite: str
     name: str
     scenario: str | Spec
-    world: str
+    physics: str
     episodes: int
     case: dict[str, str]
     inputs: str = ""
@@ -175,7 +173,7 @@ class Suite(ABC):
         case, walked = unit.case, []
         scenario = prepared(case.scenario, case.inputs)
         for number, seed in enumerate(unit.seeds):
-            policy, env = prepare(unit.walks, scenario, case.world, case.episodes, seed)
+            policy, env = prepare(unit.walks, scenario, case.physics, case.episodes, seed)
 
             def share(name: str, done: int, total: int, number: int = number) -> None:
                 if tell:
@@ -184,7 +182,7 @@ class Suite(ABC):
             try:
                 walked.extend(walk(policy, env, case.episodes, unit.deterministic, share))
             finally:
-                env.world.close()
+                env.physics.close()
         rollout = joined(walked)
         found = row(unit.policy, rollout, env.decision_dt, self.more(rollout))
         for person in found["per_agent"]:

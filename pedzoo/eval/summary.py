@@ -41,7 +41,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             {
                 "name": name,
                 "table": table,
-                "case": {key: cases[0]["case"][key] for key in ("suite", "world")} | _seen(cases),
+                "case": {key: cases[0]["case"][key] for key in ("suite", "physics")} | _seen(cases),
                 "n": sum(case["n"] for case in cases),
                 "cases": len(cases),
                 "metrics": metrics,

@@ -32,7 +32,7 @@ def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
     wall, cpu = time.perf_counter(), time.process_time()
     rows = SUITES.get(unit.case.suite)(unit.case.suite).rows(unit, tell)
     spent = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-    where = {"suite": unit.case.suite, "world": unit.case.world, **unit.case.case}
+    where = {"suite": unit.case.suite, "physics": unit.case.physics, **unit.case.case}
     if unit.walks != unit.policy:
         where["weights"] = unit.walks
     for row in rows:
@@ -45,12 +45,13 @@ def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
 def digest(unit: Unit) -> str:
     """Return what tells a unit from any other whose rows may differ.
 
-    That is the unit itself, the files that it names (weights, a policy, a suite or a scenario of one's own),
-    pedzoo's code and the versions of what it uses.
+    That is the unit itself, the files that it names (weights, a policy, a suite, scenario or physics of one's
+    own), pedzoo's code and the versions of what it uses.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
     walking = [_model_sum(policy) for policy in parts(unit.walks)]
-    files = [*walking, _file_sum(unit.case.suite), _file_sum(unit.case.scenario)]
+    named = unit.case.suite, unit.case.scenario, unit.case.physics
+    files = [*walking, *map(_file_sum, named)]
     return fingerprint(known, files)
 
 

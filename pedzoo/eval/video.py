@@ -1,4 +1,4 @@
-"""Videos of an episode: what a world's camera sees every 0.1 s, one panel per policy."""
+"""Videos of an episode: what the physics' camera sees every 0.1 s, one panel per policy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import Walked
 from pedzoo.sim.worlds.base import People
 from pedzoo.sim.worlds.camera import Camera, person_color
-from pedzoo.sim.worlds.grid import GridWorld
 from pedzoo.types import TRACE_SECONDS
 
 CODECS = {".webm": "VP90", ".mp4": "vp09"}
@@ -57,10 +56,10 @@ def film(
     A panel whose episode is over stands still until the last one is.
 
     Args:
-        walked: What they did; their worlds must not be closed.
+        walked: What they did; their physics must not be closed.
         path: ``.webm`` or ``.mp4``.
         episode: Its number.
-        view: Of worlds that have one; a grid world is always seen from the top.
+        view: ``perspective`` where the physics has one; else from the top.
         size: Width and height of a panel in pixels, even numbers.
         seconds: Of the episode, at most; all of it by default.
         progress: Called with a word, frames done and frames in all.
@@ -162,7 +161,7 @@ class _Panel:
     """One policy's episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
 
     def __init__(self, walked: Walked, episode: int, size: tuple[int, int]) -> None:
-        self.name, self.world, self.size = walked.name, walked.env.world, size
+        self.name, self.physics, self.size = walked.name, walked.env.physics, size
         rollout = self.rollout = walked.rollout.episodes(slice(episode, episode + 1))
         self.length = int(rollout.length[0])
         trace, goal, present = (
@@ -179,9 +178,10 @@ class _Panel:
         if self._last is not None and i > self.length:
             return self._last
         present, rollout = self.present[:, :, i], self.rollout
-        people = People(self.trace[:, :, i], present, rollout.map_id.unsqueeze(1), rollout.pose)
-        image = self.world.image(people, 0, self.size, camera)
-        if camera.view == "top" or isinstance(self.world, GridWorld):
+        where = rollout.map_id.unsqueeze(1), rollout.pose
+        people = People(self.trace[:, :, i], present, *where, rollout.radius)
+        image = self.physics.image(people, 0, self.size, camera)
+        if camera.view == "top" or camera.view not in self.physics.views:
             for person, first, last in self.stays:
                 if first <= i <= last:
                     _trail(image, self.trace[0, person, first : i + 1], camera.to_pixel(self.size), person)

@@ -21,8 +21,8 @@ from pedzoo.sim.observation import observed
 from pedzoo.sim.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
-from pedzoo.sim.worlds.base import World
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.sim.worlds.base import Physics
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 
 _MADE = 16
 """Episodes that are begun together at least, once scenes end one by one."""
@@ -63,7 +63,7 @@ def usable(device: torch.device | str) -> torch.device:
 
 
 class PedestrianEnv(EnvBase):
-    """A policy decides everybody's velocity, people walk, and a world says whom and what they touch.
+    """A policy decides everybody's velocity, people walk, and physics says whom and what they touch.
 
     Keys as in `pedzoo.batch`, with ``action`` (m/s) and ``reward`` under ``agents``, and under
     ``agents/info`` what closed-loop metrics are made of: ``trace``, ``agent_contact``, ``wall_contact`` and
@@ -81,7 +81,7 @@ class PedestrianEnv(EnvBase):
     def __init__(
         self,
         scenario: Scenario,
-        world: World,
+        physics: Physics,
         num_envs: int = 1,
         seed: int = 0,
         decision_dt: float = STEP_SECONDS,
@@ -91,11 +91,11 @@ class PedestrianEnv(EnvBase):
         body_radius: float = BODY_RADIUS,
         device: torch.device | str = "cpu",
     ) -> None:
-        """Take a prepared scenario and the world that watches it; `pedzoo.make_env` does both.
+        """Take a prepared scenario and the physics that moves them; `pedzoo.make_env` does both.
 
         Args:
             scenario: The scenario; `Scenario.prepare` was called.
-            world: Answers what is touched.
+            physics: Moves agents, and answers what is touched.
             num_envs: B.
             seed: Of all scenes; scene i of a seed is the same however many are run at once.
             decision_dt: Seconds between two decisions, a multiple of 0.1.
@@ -125,11 +125,12 @@ class PedestrianEnv(EnvBase):
             raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
         super().__init__(device=usable(device), batch_size=torch.Size([num_envs]))
         agents = scenario.people
-        self.scenario, self.world, self.decision_dt = scenario, world, decision_dt
+        self.scenario, self.physics, self.decision_dt = scenario, physics, decision_dt
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
-        fine = substeps(scenario.fastest * TOP_SPEED_RATIO, body_radius)
+        smallest = min(body_radius, scenario.smallest_radius or body_radius)
+        fine = substeps(scenario.fastest_agent, smallest)
         self.rules = kernel.rules_of(scenario, trace_points, fine, self.device)
-        self._episodes = Episodes(scenario, warm_start, world, self.rules, self.device)
+        self._episodes = Episodes(scenario, warm_start, physics, self.rules, self.device)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
@@ -220,9 +221,10 @@ class PedestrianEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state
-        after, guidance, outcome = kernel.step(before, tensordict["agents", "action"], self.world, self.rules)
+        action = tensordict["agents", "action"]
+        after, guidance, outcome = kernel.step(before, action, self.physics, self.rules)
         if bool((after.failed & ~before.failed).any()):
-            self._warn(tensordict["agents", "action"], before, after)
+            self._warn(action, before, after)
         self._scenes = _Scenes(after, guidance)
         result = self._observation(after, guidance, outcome)
         result["agents", "reward"] = outcome.reward.unsqueeze(-1)

@@ -17,8 +17,8 @@ from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.scenario import LEAST_WAY, Layout, Scenario
 from pedzoo.sim.script import Opening
-from pedzoo.sim.state import PAST_LEN, TURNS_FROM, State
-from pedzoo.sim.worlds.base import World
+from pedzoo.sim.state import HOLONOMIC, PAST_LEN, TURNS_FROM, State
+from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
 
 TRIES = 8
@@ -32,7 +32,7 @@ class Episodes:
         self,
         scenario: Scenario,
         warm_start: warm.WarmStart,
-        physics: World,
+        physics: Physics,
         rules: kernel.Rules,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -62,6 +62,7 @@ class Episodes:
             UserError: An agent's goal cannot be reached.
         """
         layout = self._scenario.layout(draws)
+        self._check(layout)
         opening = layout.opening or _everybody(layout)
         recorded = self._warm_start == "recorded" or layout.opening is not None
         past = warm.recorded(layout) if recorded else warm.standing(layout.start)
@@ -82,11 +83,14 @@ class Episodes:
         position, past = state.position, state.past
         if velocity is None:
             velocity = (position - past[:, :, -2]) / TRACE_SECONDS
-        goes = heading_of(guidance.goal_point - position)
+        goes = _or(layout.heading, heading_of(guidance.goal_point - position))
+        faces = heading_of(velocity, goes, TURNS_FROM)
+        if layout.heading is not None:
+            faces = torch.where(state.drive == HOLONOMIC, faces, layout.heading)
         return state._replace(
             clock=clock,
             velocity=velocity,
-            heading=heading_of(velocity, goes, TURNS_FROM),
+            heading=faces,
             goal_point=guidance.goal_point,
             reached=torch.zeros_like(state.reached),
             deadline=deadline(clock, way, state.pref_speed) if until is None else until,
@@ -132,17 +136,15 @@ class Episodes:
             known=opening.known,
             past=past,
             velocity=velocity,
-            heading=heading_of(velocity),
+            heading=_or(layout.heading, heading_of(velocity)),
             turn_rate=nothing,
-            radius=torch.full_like(nothing, self._physics.body_radius)
-            if layout.radius is None
-            else layout.radius,
-            kind=none if layout.kind is None else layout.kind,
-            drive=none,
-            top_speed=TOP_SPEED_RATIO * layout.pref_speed,
-            acceleration=endless,
-            turn_acceleration=endless,
-            track=torch.ones_like(nothing),
+            radius=_or(layout.radius, torch.full_like(nothing, self._physics.body_radius)),
+            kind=_or(layout.kind, none),
+            drive=_or(layout.drive, none),
+            top_speed=_or(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed),
+            acceleration=_or(layout.acceleration, endless),
+            turn_acceleration=_or(layout.turn_acceleration, endless),
+            track=_or(layout.track, torch.ones_like(nothing)),
             pref_speed=layout.pref_speed,
             goal_id=layout.goal,
             later_goals=later_goals(self._scenario, key, layout.goal),
@@ -156,6 +158,32 @@ class Episodes:
             stands=nothing if layout.stand is None else layout.stand,
         )
 
+    def _check(self, layout: Layout) -> None:
+        """Check that bodies are as the scenario says: sub-steps are as long as these allow.
+
+        Raises:
+            UserError: One is not.
+        """
+        scenario, name = self._scenario, type(self._scenario).__name__
+        if layout.radius is not None and layout.mask.any():
+            least = float(layout.radius[layout.mask].min())
+            most = scenario.smallest_radius or self._physics.body_radius
+            if least < most - 1e-6:
+                raise UserError(
+                    f"radius {least:.3g} m of an agent in {name}: expected at least {most:.3g}, or a smaller "
+                    f"{name}.smallest_radius"
+                )
+        if layout.top_speed is not None and layout.mask.any():
+            fastest = float(layout.top_speed[layout.mask].max())
+            if fastest > scenario.fastest_agent + 1e-6:
+                raise UserError(
+                    f"top_speed {fastest:.3g} m/s of an agent in {name}: expected at most "
+                    f"{scenario.fastest_agent:.3g}, or a larger {name}.fastest_agent"
+                )
+        wheels = (layout.drive, layout.acceleration, layout.turn_acceleration)
+        if not scenario.wheels and any(value is not None for value in wheels):
+            raise UserError(f"{name} has agents with wheels or limits: expected {name}.wheels = True")
+
     def _no_way(self, state: State, guidance: Guidance, scene: int, slot: int) -> UserError:
         here, there = (
             tuple(round(float(value), 2) for value in where[scene, slot])
@@ -166,6 +194,10 @@ class Episodes:
             f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
             f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
         )
+
+
+def _or(value: Tensor | None, default: Tensor) -> Tensor:
+    return default if value is None else value
 
 
 def _everybody(layout: Layout) -> Opening:

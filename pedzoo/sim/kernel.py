@@ -20,7 +20,7 @@ from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import blended, driven, limited
 from pedzoo.sim.motion import Motion
 from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.state import TURNS_FROM, State
+from pedzoo.sim.state import HOLONOMIC, TURNS_FROM, State
 from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
 
 CONTACT_COST = 1.0
@@ -69,10 +69,16 @@ class Playback(Protocol):
 
 
 class Physics(Protocol):
-    """Moves bodies; see `pedzoo.sim.worlds.base.World`."""
+    """Moves bodies; see `pedzoo.sim.worlds.base.Physics`."""
 
     def advance(
-        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None = None,
+        command: Tensor | None = None,
     ) -> Motion:
         """Return where agents are every 0.1 s, what they touch and which reach their goals."""
         ...
@@ -90,7 +96,8 @@ class Rules:
         leave: An agent that has reached them all leaves the scene.
         keep_goal: An agent without a later goal keeps the one that it has reached; else it has none, and
             stands.
-        wheels: Some bodies have wheels or a limited acceleration.
+        wheels: Some bodies have wheels or a limited acceleration; without it `State.drive` and both
+            accelerations are not looked at.
         script: Plays recorded people back; None for none.
     """
 
@@ -106,10 +113,11 @@ class Rules:
 
 def rules_of(scenario: Scenario, ticks: int, substeps: int, device: torch.device | str = "cpu") -> Rules:
     """Return the rules of a prepared scenario for decisions of S ``ticks``, for scenes on a device."""
-    leave, script = scenario.finished == "leave", scenario.script
+    leave = scenario.finished == "leave"
+    guide, script = partial(_guided, scenario), scenario.script
     if script is not None:
         script = script.to(device)
-    return Rules(partial(_guided, scenario), ticks, substeps, scenario.goals, leave, script=script)
+    return Rules(guide, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
 
 
 def _guided(scenario: Scenario, state: State) -> Guidance:
@@ -153,13 +161,20 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
         heading, turn_rate = state.heading, state.turn_rate
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
-    motion = physics.advance(state, velocity, moving, rules.substeps, played)
+    motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
+    if motion.heading is not None and motion.turn_rate is not None:
+        theirs = ~motion.heading.isnan()
+        heading = torch.where(theirs, motion.heading, heading)
+        turn_rate = torch.where(theirs, motion.turn_rate, turn_rate)
     hits = motion.reached
     hit = hits[..., -1]
     after, taken_over = _arrived(state, hits, motion.trace, failed, rules)
-    if not rules.wheels:
-        heading = heading_of(after.velocity, heading, TURNS_FROM)
-    after = after._replace(heading=heading, turn_rate=turn_rate)
+    turned = heading_of(after.velocity, heading, TURNS_FROM)
+    if rules.wheels:
+        turned = torch.where(state.drive == HOLONOMIC, turned, heading)
+    if motion.heading is not None:
+        turned = torch.where(motion.heading.isnan(), turned, heading)
+    after = after._replace(heading=turned, turn_rate=turn_rate)
 
     guidance = rules.guide(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before

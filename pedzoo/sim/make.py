@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any, Literal
+from typing import Any
 
-from pedzoo.errors import unknown
-from pedzoo.registry import SCENARIOS
+from pedzoo import renamed
+from pedzoo.errors import UserError
+from pedzoo.registry import PHYSICS, SCENARIOS
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.worlds.base import World
-from pedzoo.spec import Spec, build
+from pedzoo.sim.worlds.base import Physics
+from pedzoo.spec import Spec, build, parse
 from pedzoo.types import BODY_RADIUS
-
-WORLDS = {"grid": "pedzoo.sim.worlds.grid:GridWorld", "bullet": "pedzoo.sim.worlds.bullet:BulletWorld"}
 
 CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""
 
 
+@renamed.takes_world
 def make_env(
     scenario: str | Spec | Scenario,
     num_envs: int = 1,
-    world: Literal["grid", "bullet"] = "grid",
+    physics: str = "compiled",
     clearance: float = CLEARANCE,
     body_radius: float = BODY_RADIUS,
     **settings: Any,
@@ -34,7 +33,8 @@ def make_env(
             with settings, ``Spec("goals", {"map": path})``, or an instance, which environments of the
             same clearance may share.
         num_envs: Scenes that are run at once.
-        world: ``grid`` (torch, batched) or ``bullet`` (pybullet).
+        physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
+            ``file.py:Class``, with settings. Called ``world`` before, and ``compiled`` ``grid``.
         clearance: Metres that planned ways keep from walls.
         body_radius: Of a person, metres.
         settings: As of `PedestrianEnv`: ``seed``, ``decision_dt``, ``warm_start``, ``first_episode``, ...
@@ -44,8 +44,8 @@ def make_env(
     """
     made = make_scenario(scenario)
     made.ready(clearance)
-    watching = make_world(world, made, body_radius)
-    return PedestrianEnv(made, watching, num_envs, body_radius=body_radius, **settings)
+    moves = make_physics(physics, made, body_radius)
+    return PedestrianEnv(made, moves, num_envs, body_radius=body_radius, **settings)
 
 
 def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
@@ -53,13 +53,21 @@ def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
     return scenario if isinstance(scenario, Scenario) else build(SCENARIOS, scenario, Scenario)
 
 
-def make_world(name: str, scenario: Scenario, body_radius: float) -> World:
-    """Return the world ``name`` with the floor plans of a prepared scenario.
+def make_physics(name: str, scenario: Scenario, body_radius: float) -> Physics:
+    """Return the physics backend of a name with settings, on the floor plans of a prepared scenario.
 
     Raises:
-        UserError: There is no such world.
+        UserError: There is no such backend, or what it needs is not installed.
     """
-    if name not in WORLDS:
-        raise unknown("world", name, WORLDS)
-    module, _, cls = WORLDS[name].partition(":")
-    return getattr(import_module(module), cls)(scenario.bank, body_radius)
+    physics_class(name).check()
+    given = {"bank": scenario.bank, "body_radius": body_radius}
+    return build(PHYSICS, renamed.backend(name), Physics, **given)
+
+
+def physics_class(name: str) -> type[Physics]:
+    """Return the class of a physics backend; errors as of `make_physics`."""
+    spec = parse(renamed.backend(name))
+    cls = PHYSICS.get(spec.name)
+    if not issubclass(cls, Physics):
+        raise UserError(f"{spec.name!r} is no physics: expected a subclass of {Physics.__qualname__}")
+    return cls

@@ -27,9 +27,28 @@ class Motion(NamedTuple):
         agent_contact: Another agent is touched in that 0.1 s (B, A, S) bool.
         wall_contact: A wall is (B, A, S) bool.
         reached: The agent that walks has come within 0.3 m of its goal until then (B, A, S) bool.
+        heading: Where bodies that the physics backend owns face at the end (B, A), radians, NaN for other
+            agents; None where it owns none.
+        turn_rate: How fast these bodies turn at the end (B, A), rad/s; None where it owns none.
     """
 
     trace: Tensor
     agent_contact: Tensor
     wall_contact: Tensor
     reached: Tensor
+    heading: Tensor | None = None
+    turn_rate: Tensor | None = None
+
+
+class Owned(NamedTuple):
+    """How bodies that a physics backend owns move in a decision.
+
+    Attributes:
+        path: Positions at all sub-steps (B, A, S, M, 2), metres.
+        heading: Where they face at the end (B, A), radians.
+        turn_rate: How fast they turn at the end (B, A), rad/s.
+    """
+
+    path: Tensor
+    heading: Tensor
+    turn_rate: Tensor

@@ -61,7 +61,7 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
     """
     agents = agents_of(batch)
     history, mask = agents["history"], agents["mask"]
-    pref_speed = agents["pref_speed"][..., 0]
+    pref_speed: Tensor = agents["pref_speed"][..., 0]
     nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(agents["kind"])
     endless, nowhere = torch.full_like(nothing, torch.inf), torch.zeros_like(none[:, 0])
     frame, place = maps_of(batch).walls_of_scenes(nowhere - 1, batch["scene_pose"])

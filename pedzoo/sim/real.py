@@ -14,11 +14,11 @@ from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
-from pedzoo.sim.worlds.grid import GridWorld
 from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 _AT_ONCE = 64
@@ -36,7 +36,7 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     """
     assert scenario.script is not None
     script = AsRecorded.of(scenario.script)
-    fine, physics = substeps(scenario.fastest * TOP_SPEED_RATIO), GridWorld(scenario.bank)
+    fine, physics = substeps(scenario.fastest * TOP_SPEED_RATIO), Compiled(scenario.bank)
     planned = kernel.rules_of(scenario, TRACE_PER_STEP, fine)
     episodes = Episodes(scenario, "recorded", physics, planned)
     rules = kernel.Rules(_still, TRACE_PER_STEP, fine, script=script)

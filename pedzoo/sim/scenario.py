@@ -13,7 +13,7 @@ from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planner import Planner
-from pedzoo.types import STEP_SECONDS
+from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
 
 if TYPE_CHECKING:
     from pedzoo.sim.script import Opening, Script
@@ -43,8 +43,17 @@ class Layout(NamedTuple):
         opening: Who is there in scenes with a script, which always begin as they were recorded.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
             seconds; 0 for who does not. No policy moves them so long. None: nobody.
-        radius: Radii of the bodies (B, A), metres; None for that of the environment.
+        radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
+            `Scenario.smallest_radius`.
         kind: `pedzoo.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
+        drive: How bodies move (B, A) long: `pedzoo.sim.state.HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE`; None for
+            holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
+        acceleration: Greatest change of speed (B, A), m/s^2; None for any.
+        turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
+        track: Distance between the wheels (B, A), metres; None for 1.
+        top_speed: Greatest speeds (B, A), m/s, at most `Scenario.fastest_agent`; None for 1.3 times the speed
+            that agents like.
+        heading: Where bodies face at first (B, A), radians; None for where they walk, or else their goal.
     """
 
     map_id: Tensor
@@ -58,6 +67,12 @@ class Layout(NamedTuple):
     stand: Tensor | None = None
     radius: Tensor | None = None
     kind: Tensor | None = None
+    drive: Tensor | None = None
+    acceleration: Tensor | None = None
+    turn_acceleration: Tensor | None = None
+    track: Tensor | None = None
+    top_speed: Tensor | None = None
+    heading: Tensor | None = None
 
 
 def door_at_origin(width: Tensor) -> Tensor:
@@ -75,6 +90,9 @@ class Scenario(ABC):
         finished: An agent that has reached them all will ``leave`` the scene, ``continue`` to later goals
             until all agents have, or ``stand``.
         later: Goals after the first that are drawn ahead for each agent, and used in turn.
+        wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
+        smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
+            short that no agent moves more than half of it.
         script: Says who is played back and who comes when; None where everybody is there from the beginning.
         unknown: What unknown cells of the floor plans count as.
         bank: The floor plans; there after `prepare`.
@@ -83,6 +101,8 @@ class Scenario(ABC):
 
     unknown: ClassVar[Unknown] = "wall"
     finished: Literal["leave", "continue", "stand"] = "leave"
+    wheels: bool = False
+    smallest_radius: float | None = None
     later: int = 0
     goals: int = 1
     people: int
@@ -113,6 +133,11 @@ class Scenario(ABC):
     def fastest(self) -> float:
         """The largest preferred speed that can be drawn, m/s."""
         return self.speed + 3 * self.speed_std
+
+    @property
+    def fastest_agent(self) -> float:
+        """The largest top speed of any agent, m/s."""
+        return TOP_SPEED_RATIO * self.fastest
 
     @abstractmethod
     def plans(self) -> list[OccupancyGrid]:

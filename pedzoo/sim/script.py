@@ -82,9 +82,8 @@ class Script:
         """Return the script on a device: itself where it is there already."""
         if self.xy.device == torch.device(device):
             return self
-        people, scenes = (
-            type(part)(*(value.to(device) for value in part)) for part in (self.people, self.scenes)
-        )
+        people = People(*(value.to(device) for value in self.people))
+        scenes = Scenes(*(value.to(device) for value in self.scenes))
         return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
 
     def due(self, scene: Tensor, frame: Tensor) -> Tensor:

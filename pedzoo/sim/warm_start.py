@@ -15,9 +15,9 @@ from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
-from pedzoo.sim.scenario import WARM_SECONDS, Layout
-from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
-from pedzoo.sim.worlds.base import World
+from pedzoo.sim.scenario import Layout
+from pedzoo.sim.state import HOLONOMIC, PAST_LEN, TRACE_PER_STEP, State
+from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import OBS_LEN, STEP_SECONDS
 
 WarmStart = Literal["orca", "static", "recorded"]
@@ -27,8 +27,11 @@ ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS, max_obstacles=8)
 
 
 @torch.no_grad()
-def rolled(state: State, physics: World, rules: kernel.Rules, walls: WallSegments) -> State:
+def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegments) -> State:
     """Return the state after 7 steps with ORCA of people who begin to walk; goals that they pass are renewed.
+
+    Agents with wheels stand meanwhile: ORCA's velocities are not what wheels do. So do agents that stand
+    where they start; their time does not run yet.
 
     Args:
         state: Everybody where they start.
@@ -36,28 +39,28 @@ def rolled(state: State, physics: World, rules: kernel.Rules, walls: WallSegment
         rules: Of the scenes.
         walls: Walls for ORCA.
     """
-    state = state._replace(clock=state.clock - WARM_SECONDS)
     rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None)
     agents = state.mask.shape[1]
+    controlled, stands = state.controlled, state.stands
+    walks = controlled & (state.drive == HOLONOMIC)
+    state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
     guidance = rules.guide(state)
     # people are on their way already
-    state = state._replace(
-        velocity=torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
-    )
+    state = state._replace(velocity=torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0))
     top_speed = state.top_speed
     radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
     for _ in range(OBS_LEN - 1):
         reach = ORCA.wall_reach(top_speed, radius).flatten()
         near = walls.near(state.position.flatten(0, 1), map_id, poses, reach)
-        wanted = torch.where(state.controlled.unsqueeze(2), guidance.desired_velocity, 0.0)
+        wanted = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
         action = orca_velocity(
             state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius
         )
         before = state.position
         state, guidance, _ = kernel.step(state, action, physics, rules)
         state = state._replace(velocity=(state.position - before) / STEP_SECONDS)
-    return state
+    return state._replace(controlled=controlled, stands=stands)
 
 
 def standing(start: Tensor) -> Tensor:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor
 
+from pedzoo import renamed
 from pedzoo.errors import UserError, unknown
 from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
-from pedzoo.sim.make import WORLDS, make_env, make_scenario
+from pedzoo.sim.make import make_env, make_scenario, physics_class
 from pedzoo.train.module import ForecastModule
 from pedzoo.train.show import show
 from pedzoo.train.stage import Stage, apart, share, walking_copy
@@ -60,11 +61,12 @@ class ClosedLoopValidation(Callback):
         scenarios: list[str] | None = None,
         every: int = 1,
         episodes: int = 16,
-        world: Literal["grid", "bullet"] = "grid",
+        physics: str = "compiled",
         seed: int = 0,
         deterministic: bool = False,
         picture: bool = True,
         video: bool = False,
+        world: str | None = None,
     ) -> None:
         """Say who walks where, and how often.
 
@@ -72,25 +74,25 @@ class ClosedLoopValidation(Callback):
             scenarios: With settings, as ``door,goals:people=4,goals=2``; null for none.
             every: Validations from one rollout to the next.
             episodes: Of each scenario.
-            world: ``grid`` (torch, faster) or ``bullet`` (pybullet).
+            physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
             seed: Of the scenes.
             deterministic: Without noise.
             picture: Send a picture of the ways to Weights & Biases where that is a logger.
             video: Likewise a video of the first episode.
+            world: What ``physics`` was called before.
 
         Raises:
             UserError: An unknown name or setting, or a number out of range.
         """
         if min(every, episodes) < 1:
             raise UserError(f"--rollout.every {every} --rollout.episodes {episodes}: expected at least 1")
-        if world not in WORLDS:
-            raise unknown("world", world, WORLDS)
+        self.physics = physics if world is None else renamed.old_world(world)
+        physics_class(self.physics).check()
         names = scenarios or []
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise UserError(f"--rollout.scenarios: {twice!r} is given twice")
         self.scenarios = {name: make_scenario(name) for name in names}
         self.every, self.episodes, self.seed = every, episodes, seed
-        self.world: Literal["grid", "bullet"] = world
         self.deterministic, self.picture, self.video = deterministic, picture, video
         self._validations = 0
         self._checked: Forecaster | None = None
@@ -110,7 +112,7 @@ class ClosedLoopValidation(Callback):
     def case(self, scenario: str) -> dict[str, Any]:
         """Return what a row about a scenario says of where and how often people walked."""
         noise = "none" if self.deterministic else "sampled"
-        case = {"scenario": scenario, "world": self.world, "seed": self.seed, "noise": noise}
+        case = {"scenario": scenario, "physics": self.physics, "seed": self.seed, "noise": noise}
         return {"case": case, "n": self.episodes}
 
     def check_monitor(self, monitor: str | None, mode: str) -> None:
@@ -151,8 +153,8 @@ class ClosedLoopValidation(Callback):
             )
         walker = walking_copy(model)
         for name, scenario in self.scenarios.items():
-            env = make_env(scenario, world=self.world, seed=self.seed)
-            with apart(self.seed), closing(env.world):
+            env = make_env(scenario, physics=self.physics, seed=self.seed)
+            with apart(self.seed), closing(env.physics):
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
                     who = type(model).__name__
@@ -175,7 +177,7 @@ class ClosedLoopValidation(Callback):
         episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
         first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
         for name, scenario in self.scenarios.items():
-            self._stages.append(Stage(name, scenario, self.world, self.seed, first, episodes))
+            self._stages.append(Stage(name, scenario, self.physics, self.seed, first, episodes))
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Walk, and log."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -43,7 +43,7 @@ class Gatherer:
         policy: TensorDictModuleBase,
         scenes: int,
         steps: int,
-        world: Literal["grid", "bullet"] = "grid",
+        physics: str = "compiled",
         device: torch.device | None = None,
         rank: int = 0,
         processes: int = 1,
@@ -55,13 +55,13 @@ class Gatherer:
             policy: Writes ``action`` and ``log_prob``; its weights may change in between.
             scenes: B.
             steps: T, decisions of every scene in one gathering.
-            world: ``grid`` or ``bullet``.
+            physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
             device: Where the policy is; scenes and what is gathered are on the CPU.
             rank: Number of this process.
             processes: That share the scenes of a seed.
         """
         numbers = {"first_episode": rank * scenes, "stride": processes * scenes}
-        self.env = make_env(scenario, scenes, world, decision_dt=STEP_SECONDS, **numbers)
+        self.env = make_env(scenario, scenes, physics, decision_dt=STEP_SECONDS, **numbers)
         self.env.policy_name = "the model in training"
         self._collector = Collector(
             self.env,
@@ -82,9 +82,9 @@ class Gatherer:
         return cast("TensorDict", next(self._gathered))
 
     def close(self) -> None:
-        """Let go of the collector and the world."""
+        """Let go of the collector and the physics."""
         self._collector.shutdown(close_env=False)
-        self.env.world.close()
+        self.env.physics.close()
 
 
 def rated(

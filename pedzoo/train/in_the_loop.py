@@ -18,8 +18,9 @@ from pedzoo.batch import agents_of
 from pedzoo.errors import UserError
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
+from pedzoo.registry import function_in_file
 from pedzoo.train.imitation import Imitation
-from pedzoo.train.loop_losses import LoopLosses
+from pedzoo.train.loop_losses import LoopLosses, mean_cost
 from pedzoo.train.mixture import Course, Mixture
 from pedzoo.train.module import ForecastModule, copied_keys
 from pedzoo.train.segments import unrolled
@@ -43,6 +44,7 @@ class LoopModule(ForecastModule):
         keep: int = 3,
         forecast_weight: float = 1.0,
         lenient: float = 0.0,
+        losses: dict[str, float] | None = None,
         **options: Any,
     ) -> None:
         """Take a generator and where it walks.
@@ -57,6 +59,9 @@ class LoopModule(ForecastModule):
             forecast_weight: Weight of the generator's own loss on recordings, per person.
             lenient: Share of the training in which people and walls come to count what they will: a quarter
                 of it at the beginning. Whom they frighten from the first step on learns to creep.
+            losses: Terms of one's own and their weights, as ``{"path/to/file.py:crowding": 2.0}``: functions
+                of a `Segment` and the floor plans (a `MapBank`) that return what decisions cost (T, B, A).
+                Their means over the people whom the policy moves are logged as ``train/crowding``.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -69,6 +74,7 @@ class LoopModule(ForecastModule):
             )
         self.walking, self.imitation = walking, imitation
         self.steps, self.keep, self.forecast_weight, self.lenient = steps, keep, forecast_weight, lenient
+        self.losses = {name: (function_in_file(name), weight) for name, weight in (losses or {}).items()}
         self._walker = (Walker(generator),)  # in a tuple: its parameters are registered already
         self.mixture = Mixture(courses, self.seed)
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
@@ -128,7 +134,16 @@ class LoopModule(ForecastModule):
         running.end(segment.done)
         for name in ("touched", "grazed"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
-        return self.walking(segment, running.env.bank, noise, self.firmness())
+        terms = self.walking(segment, running.env.bank, noise, self.firmness())
+        for name, (function, weight) in self.losses.items():
+            cost = function(segment, running.env.bank)
+            if cost.shape != segment.moved.shape:
+                raise UserError(
+                    f"loss {name}: returned {tuple(cost.shape)}, expected what each decision costs, "
+                    f"(T, B, A) = {tuple(segment.moved.shape)}"
+                )
+            terms[function.__name__] = weight * mean_cost(cost, segment.moved)
+        return terms
 
     def firmness(self) -> float:
         """Return what people and walls count now, as a share of what they will: see ``lenient``."""

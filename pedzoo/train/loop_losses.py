@@ -6,6 +6,8 @@ hinge x counts x + x^2, so that neither a graze nor a crash has a small gradient
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -92,13 +94,7 @@ class LoopLosses:
                 they are, and the second on which side they like to pass; None where there is none.
             firmness: Share of their weights that people and walls have.
         """
-        moved = segment.moved
-        # by people and not by their steps: whoever dawdles must not thin out what went wrong
-        count = (moved.any(0).sum() * len(moved)).clamp_min(1)
-
-        def mean(values: Tensor) -> Tensor:
-            """Mean over the segment and the people of what decisions (T, B, A) cost."""
-            return torch.where(moved, values, 0.0).sum() / count
+        mean = partial(mean_cost, moved=segment.moved)
 
         speed = segment.asked.square().sum(-1).clamp_min(1e-12).sqrt()
         short = self.people_margin - least_gaps(segment, self.meeting_margin)
@@ -118,6 +114,18 @@ class LoopLosses:
         if self.side and noise is not None and noise.shape[-1] > 1:
             terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
         return terms
+
+
+def mean_cost(cost: Tensor, moved: Tensor) -> Tensor:
+    """Return the mean of what decisions cost (T, B, A), a scalar: over the segment and the people.
+
+    Args:
+        cost: Of each decision.
+        moved: Whom the policy moves (T, B, A) bool.
+    """
+    # by people and not by their steps: whoever dawdles must not thin out what went wrong
+    count = (moved.any(0).sum() * len(moved)).clamp_min(1)
+    return torch.where(moved, cost, 0.0).sum() / count
 
 
 def _hinge(short: Tensor) -> Tensor:

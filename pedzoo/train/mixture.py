@@ -47,7 +47,7 @@ class Running:
 
     Attributes:
         course: Which.
-        env: The environment, in the grid world.
+        env: The environment, with the default physics.
         age: Segments since each scene began (B,) long; negative ones begin next time.
     """
 
@@ -114,7 +114,7 @@ class Mixture:
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
         if number not in self._running:
             course = self.courses[number]
-            running = Running(course, make_env(course.scenario, course.scenes, "grid", device=device))
+            running = Running(course, make_env(course.scenario, course.scenes, device=device))
             running.env.policy_name = "the model in training"
             self._restart(running, number, epoch)
             self._running[number] = running
@@ -128,5 +128,5 @@ class Mixture:
     def close(self) -> None:
         """Let go of all environments."""
         for running in self._running.values():
-            running.env.world.close()
+            running.env.physics.close()
         self._running = {}

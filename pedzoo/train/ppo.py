@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from pedzoo import renamed
 from pedzoo.errors import UserError
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Noise, Walker
@@ -62,7 +63,7 @@ class PPOModule(ForecastModule):
         reward: Reward,
         envs: int = 32,
         steps: int = 32,
-        world: Literal["grid", "bullet"] = "grid",
+        physics: str = "compiled",
         noise: Noise | None = None,
         std: float = 0.15,
         lr_critic: float = 1e-3,
@@ -74,6 +75,7 @@ class PPOModule(ForecastModule):
         entropy: float = 0.0,
         critic: float = 1.0,
         recorded: float = 0.0,
+        world: str | None = None,
         **options: Any,
     ) -> None:
         """Take a generator, where it walks and how it is optimised.
@@ -84,7 +86,7 @@ class PPOModule(ForecastModule):
             reward: What a decision is worth.
             envs: Scenes of an iteration.
             steps: Decisions of 0.4 s in each of them.
-            world: ``grid`` (torch, faster) or ``bullet`` (pybullet).
+            physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
             noise: Of the generator, as of `Walker`.
             std: Standard deviation of velocities at the beginning, m/s.
             lr_critic: Learning rate of the critic's Adam, constant.
@@ -96,6 +98,7 @@ class PPOModule(ForecastModule):
             entropy: Weight of the distribution's entropy, which keeps it broad.
             critic: Weight of the critic's loss.
             recorded: Weight of the generator's own loss on recorded scenes, per scene; 0 leaves it out.
+            world: What ``physics`` was called before.
             options: Of the generator's optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -119,7 +122,7 @@ class PPOModule(ForecastModule):
         self.automatic_optimization = False
         self.scenarios = [make_scenario(name) for name in scenarios]
         self.reward, self.envs, self.steps = reward, envs, steps
-        self.world: Literal["grid", "bullet"] = world
+        self.physics = physics if world is None else renamed.old_world(world)
         self.passes, self.minibatches, self.lr_critic = passes, minibatches, lr_critic
         self.gamma, self.gae_lambda, self.clip_ratio = gamma, gae_lambda, clip_ratio
         self.weights = entropy, critic
@@ -153,7 +156,7 @@ class PPOModule(ForecastModule):
         estimate = advantages(self.gamma, self.gae_lambda, self.device)
         shares = self.trainer.global_rank, self.trainer.world_size
         gatherers = [
-            Gatherer(scenario, acting, self.envs, self.steps, self.world, self.device, *shares)
+            Gatherer(scenario, acting, self.envs, self.steps, self.physics, self.device, *shares)
             for scenario in self.scenarios
         ]
         self._parts = _Parts(loss, estimate, gatherers)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal
 
 import torch
 
 from pedzoo.eval.closed_loop import Walked
-from pedzoo.eval.rollout import AT_ONCE, walk
+from pedzoo.eval.rollout import walk
 from pedzoo.metrics.rollout import joined
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
-from pedzoo.sim.make import make_env
+from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.scenario import Scenario
 
 
@@ -29,7 +28,7 @@ class Stage:
         self,
         name: str,
         scenario: Scenario,
-        world: Literal["grid", "bullet"],
+        physics: str,
         seed: int,
         first: int,
         episodes: int,
@@ -39,15 +38,15 @@ class Stage:
         Args:
             name: What the scenario is called.
             scenario: Shared by all stages of it.
-            world: ``grid`` or ``bullet``.
+            physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
             seed: Of the scenes.
             first: Number of the first episode.
             episodes: How many there are; none where there are more processes than episodes.
         """
         self.name, self._seed, self._episodes = name, seed, episodes
-        rounds = -(-episodes // AT_ONCE[world])
+        rounds = -(-episodes // physics_class(physics).scenes_at_once)
         at_once = -(-episodes // max(rounds, 1))
-        self._env = make_env(scenario, at_once, world, seed=seed, first_episode=first) if episodes else None
+        self._env = make_env(scenario, at_once, physics, seed=seed, first_episode=first) if episodes else None
         if self._env is not None:
             self._env.policy_name = "the model in training"
 
@@ -60,9 +59,9 @@ class Stage:
         return Walked(type(walker.model).__name__, rollout, self._env)
 
     def close(self) -> None:
-        """Let go of the world."""
+        """Let go of the physics."""
         if self._env is not None:
-            self._env.world.close()
+            self._env.physics.close()
 
 
 def share(episodes: int, rank: int, processes: int) -> tuple[int, int]:

@@ -143,7 +143,7 @@ def parts_timed(split: Split, env: PedestrianEnv) -> Iterator[None]:
     calls = (
         (PLANNER, planner, "guide_scenes"),
         (PLANNER, planner, "look"),
-        (WALKING, env.world, "advance"),
+        (WALKING, env.physics, "advance"),
         (RESETS, env, "_reset"),
     )
     with ExitStack() as stack:

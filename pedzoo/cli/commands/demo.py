@@ -21,15 +21,15 @@ EPISODES = 10
 FILM_SECONDS = 8
 
 
-def steps(out: str = "demo", epochs: int = 20, world: str = "bullet") -> list[tuple[str, str]]:
+def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[tuple[str, str]]:
     """Return the commands of the demo: what each shows, and what to type behind ``pedzoo``.
 
     Args:
         out: Folder of everything that is written.
         epochs: Of fine-tuning.
-        world: ``bullet``, or ``grid`` where there is no pybullet.
+        physics: ``bullet``, or ``compiled`` where there is no pybullet.
     """
-    common = f"--world {world} --episodes {EPISODES} --metrics {METRICS}"
+    common = f"--physics {physics} --episodes {EPISODES} --metrics {METRICS}"
     files = f"--plot {out}/door.png --json {out}/door.json"
     film = f"--video {out}/door.webm --video_seconds {FILM_SECONDS}"
     home = "--scenario goals:map=apartment.7,people=4,goals=1,pool=8"
@@ -79,8 +79,8 @@ def run(argv: list[str]) -> int:
         raise UserError(f"--epochs {options.epochs}: expected at least 1")
     out = Path(options.out)
     check_outputs(out=str(out / "door.json"))
-    world = "bullet" if find_spec("pybullet") else "grid"
-    commands = steps(shlex.quote(options.out), options.epochs, world)
+    physics = "bullet" if find_spec("pybullet") else "compiled"
+    commands = steps(shlex.quote(options.out), options.epochs, physics)
     total = len(commands) + 2
     for number, (title, command) in enumerate(commands, start=1):
         _announce(number, total, title, command)

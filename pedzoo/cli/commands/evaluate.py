@@ -23,7 +23,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import Request
     from pedzoo.eval.trajectories import check_plot_path
-    from pedzoo.registry import SUITES
+    from pedzoo.registry import PHYSICS, SUITES
     from pedzoo.versions import versions
 
     usage = (
@@ -56,9 +56,9 @@ def run(argv: list[str]) -> int:
     )
     parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
     parser.add_argument(
-        "--world",
-        type=Literal["bullet", "grid"] | None,
-        help="pybullet, or torch alone (default: bullet for door and goals).",
+        "--physics",
+        type=str | None,
+        help=f"{', '.join(PHYSICS.names())}, or file.py:Class (default: bullet for door and goals).",
     )
     parser.add_argument(
         "--maps",
@@ -117,7 +117,7 @@ def run(argv: list[str]) -> int:
     request = Request(
         options.episodes,
         options.quick,
-        options.world,
+        options.physics,
         tuple(options.maps),
         options.data.root,
         options.rollouts,

@@ -18,7 +18,7 @@ ONLY = {
     "maps": ("table2", "loop"),
     "models": ("table2", "figure4", "loop"),
     "episodes": ("table2", "figure4", "loop"),
-    "world": ("table2", "figure4", "loop"),
+    "physics": ("table2", "figure4", "loop"),
 }
 """Options that only some have a use for."""
 
@@ -47,7 +47,7 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP. What was interrupted goes on 
     )
     parser.add_argument("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
     parser.add_argument("--episodes", type=int, help="not table1: of every case and seed")
-    parser.add_argument("--world", choices=("bullet", "grid"), help="not table1 (default: as each case says)")
+    parser.add_argument("--physics", metavar="NAME", help="not table1 (default: as each case says)")
     parser.add_argument(
         "--map", dest="maps", nargs="+", metavar="PLAN", help="table2, loop: floor plans, files or names"
     )
@@ -126,6 +126,6 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
     else:
         from pedzoo.eval.reproduce.figure4 import Figure4 as Walked
     request = Request(
-        options.episodes, options.quick, options.world, tuple(options.maps or ()), options.data_root
+        options.episodes, options.quick, options.physics, tuple(options.maps or ()), options.data_root
     )
     return Walked(options.models or (), request, seeds, journal)

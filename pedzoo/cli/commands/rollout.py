@@ -21,12 +21,12 @@ def run(argv: list[str]) -> int:
     from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
     from pedzoo.eval.video import check_video_path, film
     from pedzoo.metrics.closed_loop import NAMES
-    from pedzoo.registry import SCENARIOS
+    from pedzoo.registry import PHYSICS, SCENARIOS
     from pedzoo.sim.make import CLEARANCE
     from pedzoo.sim.warm_start import WarmStart
     from pedzoo.versions import versions
 
-    usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--world WORLD] [...]\nexample: {EXAMPLE}"
+    usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--physics PHYSICS] [...]\nexample: {EXAMPLE}"
     parser = ArgumentParser(prog="pedzoo rollout", usage=usage, description=HELP, **PARSER_SETTINGS)
     parser.add_argument(
         "policies",
@@ -43,7 +43,10 @@ def run(argv: list[str]) -> int:
         "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file).",
     )
     parser.add_argument(
-        "--world", type=Literal["bullet", "grid"], default="bullet", help="pybullet, or torch alone (faster)."
+        "--physics",
+        type=str,
+        default="bullet",
+        help=f"{', '.join(PHYSICS.names())}, or file.py:Class; compiled is the fastest.",
     )
     parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
     parser.add_argument(
@@ -73,7 +76,7 @@ def run(argv: list[str]) -> int:
         "--video-view",
         type=Literal["perspective", "top"],
         default="perspective",
-        help="Where the camera is; the grid world is always seen from the top.",
+        help="Where the camera is; only bullet has a perspective.",
     )
     parser.add_argument(
         "--video_seconds",
@@ -94,7 +97,7 @@ def run(argv: list[str]) -> int:
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
     settings = {key: options[key] for key in ("warm_start", "clearance", "decision_dt")}
-    names, where = options.policies, (options.scenario, options.world, options.episodes, options.seed)
+    names, where = options.policies, (options.scenario, options.physics, options.episodes, options.seed)
 
     with Comparison(names, *where, options.deterministic, **settings) as comparison:
 

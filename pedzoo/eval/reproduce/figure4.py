@@ -92,8 +92,8 @@ class Figure4(Walked):
         unit = self.evaluation.units[0]
         for row, name in zip(grid, names, strict=True):
             for number, speeds in enumerate(SPEEDS):
-                walked, env = rollout(name, SCENARIOS[speeds], unit.case.world, 1, unit.seeds[0])
-                env.world.close()
+                walked, env = rollout(name, SCENARIOS[speeds], unit.case.physics, 1, unit.seeds[0])
+                env.physics.close()
                 for place, until in enumerate(("meeting", "end")):
                     axes = row[2 * number + place]
                     draw_episode(axes, Ways(name, walked, env), 0, until)

@@ -152,8 +152,8 @@ class Loop(Walked):
             ]
             for name, row in rows.items()
         ]
-        world = next(iter(rows.values()))["case"]["world"]
-        title = f"{_plain(table)} ({world}): {'; '.join(target.text for target in wanted)}"
+        physics = next(iter(rows.values()))["case"]["physics"]
+        title = f"{_plain(table)} ({physics}): {'; '.join(target.text for target in wanted)}"
         return Page(title, ["policy", "target", shown.counted, *known, "cpu"], body, 1)
 
 

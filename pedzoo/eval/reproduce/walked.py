@@ -38,7 +38,7 @@ class Walked(Reproduction):
 
         Args:
             models: Instead of the usual ones; an unknown one is refused.
-            request: Episodes, world, floor plans, and whether it is to be quick.
+            request: Episodes, physics, floor plans, and whether it is to be quick.
             seeds: Of the scenes.
             journal: A file that keeps finished parts.
 

@@ -19,5 +19,5 @@ class Cards(Suite):
     def cases(self, request: Request) -> list[Case]:
         """Return a case for each encounter."""
         names = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
-        world, episodes = request.world or "grid", request.number(EPISODES)
-        return [Case(self.name, name, name, world, episodes, {"card": name}) for name in names]
+        physics, episodes = request.physics or "compiled", request.number(EPISODES)
+        return [Case(self.name, name, name, physics, episodes, {"card": name}) for name in names]

@@ -30,4 +30,4 @@ class Door(Suite):
 
     def cases(self, request: Request) -> list[Case]:
         """Return the one case."""
-        return [Case(self.name, "door", "door", request.world or "bullet", request.number(EPISODES), {})]
+        return [Case(self.name, "door", "door", request.physics or "bullet", request.number(EPISODES), {})]

@@ -42,9 +42,9 @@ class Figure4(Suite):
 
     def cases(self, request: Request) -> list[Case]:
         """Return the three cases, each with a table of its own: a mean over them says nothing."""
-        world, episodes = request.world or "bullet", request.number(EPISODES)
+        physics, episodes = request.physics or "bullet", request.number(EPISODES)
         return [
-            Case(self.name, name, scenario, world, episodes, {"speeds": name}, table=f"{self.name} {name}")
+            Case(self.name, name, scenario, physics, episodes, {"speeds": name}, table=f"{self.name} {name}")
             for name, scenario in SCENARIOS.items()
         ]
 

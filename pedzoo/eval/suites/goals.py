@@ -42,7 +42,7 @@ class Goals(Suite):
         plans = {"drawn": list(DRAWN)}
         if request.maps:
             plans[Path(request.maps[0]).stem if len(request.maps) == 1 else GIVEN] = list(request.maps)
-        world, episodes = request.world or "bullet", request.number(EPISODES)
+        physics, episodes = request.physics or "bullet", request.number(EPISODES)
         found = []
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)
@@ -55,7 +55,7 @@ class Goals(Suite):
                         scenario=Spec(
                             "goals", {"map": files, "people": people, "goals": goals, "pool": POOL}
                         ),
-                        world=world,
+                        physics=physics,
                         episodes=episodes,
                         case={"map": name, "people": str(people), "goals": str(goals)},
                         inputs=inputs,

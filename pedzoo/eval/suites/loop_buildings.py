@@ -22,7 +22,7 @@ POOL = 40
 
 
 class LoopBuildings(Goals):
-    """The cases of `Goals`, on floor plans that no training walks through, and crowds in the grid world."""
+    """The cases of `Goals`, on floor plans that no training walks through, and crowds with fast physics."""
 
     headline: ClassVar[tuple[str, ...]] = ("episode_success", "contact_free")
     columns: ClassVar[tuple[str, ...]] = (
@@ -52,7 +52,7 @@ class LoopBuildings(Goals):
                 suite=self.name,
                 name=f"crowd of {people}",
                 scenario=Spec("goals", settings | {"people": people}),
-                world=request.world or "grid",
+                physics=request.physics or "compiled",
                 episodes=request.number(episodes),
                 case={"map": "offices", "people": str(people), "goals": "1"},
                 effort=3.0 * people,

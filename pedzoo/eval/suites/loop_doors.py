@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, NamedTuple
 
-from pedzoo.eval.suite import Case, Request, Suite, WorldName
+from pedzoo.eval.suite import Case, Request, Suite
 
 
 class Doorway(NamedTuple):
@@ -13,13 +13,13 @@ class Doorway(NamedTuple):
     Attributes:
         scenario: With settings.
         episodes: In a whole run.
-        world: Where people walk.
+        physics: Where people walk.
         people: In each episode.
     """
 
     scenario: str
     episodes: int
-    world: WorldName = "bullet"
+    physics: str = "bullet"
     people: int = 2
 
 
@@ -38,7 +38,7 @@ DOORWAYS = {
     "queue of 6": Doorway(f"door:{_VARIED},people=6,from_right=0", 200, people=6),
     "standing": Doorway(f"standing:{_WIDE},{_SIDES}", 300),
     "flow of 20": Doorway(
-        "room_exit:people=20,entering=0,width=[0.8,0.9,1.0,1.1,1.2]", 20, world="grid", people=20
+        "room_exit:people=20,entering=0,width=[0.8,0.9,1.0,1.1,1.2]", 20, physics="compiled", people=20
     ),
 }
 
@@ -72,7 +72,7 @@ class LoopDoors(Suite):
                 suite=self.name,
                 name=name,
                 scenario=doorway.scenario,
-                world=request.world or doorway.world,
+                physics=request.physics or doorway.physics,
                 episodes=request.number(doorway.episodes),
                 case={"doorway": name},
                 effort=float(doorway.people),

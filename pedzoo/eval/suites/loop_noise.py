@@ -64,7 +64,7 @@ class LoopNoise(Suite):
                 suite=self.name,
                 name=name,
                 scenario=choice.scenario,
-                world=request.world or "grid",
+                physics=request.physics or "compiled",
                 episodes=request.number(EPISODES),
                 case={"choice": name},
                 effort=2.0 * DRAWS,
@@ -93,14 +93,14 @@ class LoopNoise(Suite):
         for draw in range(DRAWS):
             walked = []
             for number, seed in enumerate(unit.seeds):
-                policy, env = prepare(unit.walks, scenario, case.world, case.episodes, seed)
+                policy, env = prepare(unit.walks, scenario, case.physics, case.episodes, seed)
                 for walker in walkers(policy):
                     walker.noise_seed = draw
                 step = env.decision_dt
                 try:
                     walked.extend(walk(policy, env, case.episodes))
                 finally:
-                    env.world.close()
+                    env.physics.close()
                 if tell:
                     tell((draw + (number + 1) / len(unit.seeds)) / DRAWS)
             rollout = joined(walked)

@@ -91,7 +91,7 @@ class Replay(Suite):
                     suite=self.name,
                     name=f"{fold} {simulated}",
                     scenario=Spec("replay", settings),
-                    world=request.world or "grid",
+                    physics=request.physics or "compiled",
                     episodes=request.rollouts or (usual if simulated == "all" else 1),
                     case={"fold": fold, "simulated": simulated},
                     inputs=inputs,
@@ -152,7 +152,7 @@ class Replay(Suite):
         def walked() -> Iterator[Rollout]:
             """Yield some scenes after the other: those of large crowds do not fit memory together."""
             for number, seed in enumerate(seeds):
-                policy, env = prepare(unit.walks, scenario, case.world, rounds * scenario.scenes, seed)
+                policy, env = prepare(unit.walks, scenario, case.physics, rounds * scenario.scenes, seed)
 
                 def share(name: str, done: int, total: int, number: int = number) -> None:
                     if tell:
@@ -161,7 +161,7 @@ class Replay(Suite):
                 try:
                     yield from walk(policy, env, rounds * scenario.scenes, unit.deterministic, share)
                 finally:
-                    env.world.close()
+                    env.physics.close()
 
         row = replay_row(unit.policy, walked(), scenario, model.decision_dt)
         if has_seen(unit.walks, case.case["fold"]):

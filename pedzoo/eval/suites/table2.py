@@ -43,7 +43,7 @@ class Table2(Suite):
         files = list(request.maps or DRAWN)
         name = "drawn" if not request.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
         inputs = " ".join(load_plan(file).digest for file in files)
-        world, episodes = request.world or "bullet", request.number(EPISODES)
+        physics, episodes = request.physics or "bullet", request.number(EPISODES)
         found = []
         for speed, (mean, deviation) in SPEEDS.items():
             for people, goals in CELLS:
@@ -55,7 +55,7 @@ class Table2(Suite):
                         suite=self.name,
                         name=f"{speed} m/s {people}/{goals}",
                         scenario=Spec("goals", settings),
-                        world=world,
+                        physics=physics,
                         episodes=episodes,
                         case=case,
                         inputs=inputs,

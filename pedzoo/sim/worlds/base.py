@@ -1,9 +1,9 @@
-"""What every world answers, whatever it is made of."""
+"""What every physics backend does: it moves agents, and answers what is near them."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.motion import Contacts, Motion, Owned
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.compiled import advance_compiled, compiles
@@ -34,7 +34,7 @@ class People(NamedTuple):
         mask: Who is present (B, A) bool.
         map_id: Floor plan of each scene (B, 1) long, -1 for none.
         pose: How each scene lies on its floor plan (B, 4).
-        radius: Of everybody's body (B, A), metres; None for that of the world.
+        radius: Of everybody's body (B, A), metres; None for that of the backend.
     """
 
     position: Tensor
@@ -64,19 +64,25 @@ class Distances(NamedTuple):
     wall_normal: Tensor
 
 
-class World(ABC):
+class Physics(ABC):
     """Moves agents on the floor plans of its bank, and answers questions about them.
 
-    A world keeps nothing between two questions, so one world serves any number of scenes on the floor plans
-    of its bank. Agents whose position is not finite are treated as absent.
+    A backend is one file in `pedzoo.sim.physics`, or ``file.py:Class``. It keeps nothing between two
+    questions, so one serves any number of scenes on the floor plans of its bank. Agents whose position is not
+    finite are treated as absent.
+
+    Agents move along one common path, `pedzoo.sim.dynamics.integrate`, which the kernel's velocities lead.
+    A backend that simulates bodies of its own says which in `owned`, and moves them in `move_owned`.
 
     Attributes:
+        scenes_at_once: Scenes that evaluations run together: memory grows with them, time hardly.
+        views: Where its camera can be.
         bank: The floor plans.
         body_radius: Radius of a body where nothing else is said, metres.
-        compiled: Whether compiled loops are used on the CPU; they are differentiable, too.
     """
 
-    compiled = True
+    scenes_at_once: ClassVar[int] = 64
+    views: ClassVar[tuple[str, ...]] = ("top",)
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
         """Take the floor plans.
@@ -92,8 +98,46 @@ class World(ABC):
         self.bank = bank
         self.body_radius = body_radius
 
+    @classmethod
+    def check(cls) -> None:
+        """Check that what the backend needs is installed.
+
+        Raises:
+            UserError: Something is not; the message says how to get it.
+        """
+        return
+
+    def owned(self, state: State) -> Tensor | None:
+        """Return which agents the backend moves itself (B, A) bool; None, the default, for none.
+
+        The answer may not depend on where agents are: bodies do not change hands within an episode.
+        """
+        return None
+
+    def move_owned(self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int) -> Owned:
+        """Return how agents of `owned` move in a decision; rows of all other agents do not matter.
+
+        Begin from ``state``, which says position, heading, velocity and turning rate: an episode may have
+        begun since the last call. Contacts and goals are found on the returned paths.
+
+        Args:
+            state: The scenes.
+            command: What policies want (B, A, 2), as the agent's drive has it, not limited; 0 for agents
+                without a goal.
+            moving: Which agents move (B, A) bool.
+            ticks: S, trace points of 0.1 s.
+            substeps: M, sub-steps of every 0.1 s.
+        """
+        raise NotImplementedError(f"{type(self).__name__} owns agents and has no move_owned")
+
     def advance(
-        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None = None,
+        command: Tensor | None = None,
     ) -> Motion:
         """Return where agents are every 0.1 s, what they touch on the way and which reach their goals.
 
@@ -105,16 +149,44 @@ class World(ABC):
             moving: Which agents they move (B, A) bool; others are played back, or stay where they are.
             substeps: M, sub-steps of every 0.1 s.
             played: Paths of those who are played back (B, A, S, M, 2); None for none.
+            command: What policies want (B, A, 2), for agents that the backend owns; None for nothing.
         """
+        wanted = moving & (state.goal_id >= 0)
+        own = self.owned(state)
+        if own is None:
+            return self._advance(state, velocity, moving, substeps, played, wanted)
+        own = own & moving
+        if command is None:
+            command = torch.zeros_like(state.velocity)
+        ticks = velocity.shape[1]
+        moved = self.move_owned(state, command, own, ticks, substeps)
+        if played is None:
+            played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
+        played = torch.where(own[:, :, None, None, None], moved.path, played)
+        motion = self._advance(state, velocity, moving & ~own, substeps, played, wanted)
+        return motion._replace(
+            heading=torch.where(own, moved.heading, torch.nan),
+            turn_rate=torch.where(own, moved.turn_rate, 0.0),
+        )
+
+    def _advance(
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None,
+        wanted: Tensor,
+    ) -> Motion:
+        """See `advance`, of agents that move on the common path; ``wanted`` (B, A) may reach their goals."""
         people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
-        if self.compiled and compiles(state.past, velocity):
+        if compiles(state.past, velocity):
             paths = torch.empty(*moving.shape, velocity.shape[1], substeps, 2)
-            walked = advance_compiled(self.bank, state, velocity, moving, substeps, played, paths)
+            walked = advance_compiled(self.bank, state, velocity, moving, substeps, played, wanted, paths)
             return Motion(walked.trace, *self.contacts(paths, people), walked.reached)
         path, _ = self._walked(state, velocity, moving, substeps, played)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, substeps))
         contacts = self.contacts(steps.detach(), people)
-        wanted = moving & (state.goal_id >= 0)
         return Motion(steps[:, :, :, -1], *contacts, arrived(steps.detach(), state.goal_point, wanted))
 
     def _walked(
@@ -179,10 +251,10 @@ class World(ABC):
                 all people where there is none.
         """
 
-    def close(self) -> None:  # noqa: B027 (most worlds hold nothing)
-        """Give back what the world holds outside of Python; it cannot be asked afterwards."""
+    def close(self) -> None:  # noqa: B027 (most backends hold nothing)
+        """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
 
-    def __enter__(self) -> World:
+    def __enter__(self) -> Physics:
         return self
 
     def __exit__(self, *error: object) -> None:

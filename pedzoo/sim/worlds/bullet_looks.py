@@ -34,10 +34,10 @@ class BulletLooks:
     only what is made after it is loaded, which takes long: whoever takes no pictures should not wait for it.
     """
 
-    def __init__(self, boxes: NDArray[np.float64], body_radius: float) -> None:
+    def __init__(self, boxes: NDArray[np.float64]) -> None:
         """Connect, and build walls over the rectangles ``boxes`` (M, 4)."""
         pybullet, client, self._finalizer = connect(self)
-        self._p, self.client, self._radius = pybullet, client, body_radius
+        self._p, self.client = pybullet, client
         plugin = egl_plugin()
         self._egl = plugin is not None and load_egl(client, plugin)
         for i in range(0, len(boxes), SHAPES):
@@ -50,7 +50,7 @@ class BulletLooks:
                 physicsClientId=client,
             )
             pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
-        self._figures: list[int] = []
+        self._figures: dict[tuple[int, float], int] = {}
 
     def close(self) -> None:
         """Disconnect; a second time does nothing."""
@@ -58,7 +58,7 @@ class BulletLooks:
 
     def render(
         self,
-        positions: dict[int, tuple[float, float]],
+        positions: dict[int, tuple[float, float, float]],
         size: tuple[int, int],
         eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
         view_angle: float,
@@ -66,15 +66,14 @@ class BulletLooks:
         """Return a picture (H, W, 3) uint8 RGB.
 
         Args:
-            positions: Where to draw which person.
+            positions: Where to draw which agent: x, y and the radius of its body, metres.
             size: Width and height in pixels.
             eye: Where the camera stands, what it looks at and which way is up.
             view_angle: Horizontal opening angle, radians.
         """
-        self._add_figures(max(positions, default=-1) + 1)
-        for person, body in enumerate(self._figures):
-            where = positions.get(person)
-            place = AWAY if where is None else (*where, BODY_HEIGHT / 2)
+        shown = {self._figure(person, radius): (x, y) for person, (x, y, radius) in positions.items()}
+        for body in self._figures.values():
+            place = (*shown[body], BODY_HEIGHT / 2) if body in shown else AWAY
             self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self.client)
         width, height = size
         distance = math.dist(eye[0], eye[1])
@@ -100,16 +99,19 @@ class BulletLooks:
         picture[np.asarray(found[4]).reshape(height, width) < 0] = FLOOR
         return picture
 
-    def _add_figures(self, people: int) -> None:
-        for person in range(len(self._figures), people):
+    def _figure(self, person: int, radius: float) -> int:
+        """Return the body that is drawn for an agent; the first time, it is made."""
+        if (person, radius) not in self._figures:
             shape = self._p.createVisualShape(
                 self._p.GEOM_CAPSULE,
-                radius=self._radius,
-                length=BODY_HEIGHT - 2 * self._radius,
+                radius=radius,
+                length=max(BODY_HEIGHT - 2 * radius, 0.0),
                 rgbaColor=_rgba(person_color(person)),
                 physicsClientId=self.client,
             )
-            self._figures.append(self._p.createMultiBody(0, -1, shape, AWAY, physicsClientId=self.client))
+            body = self._p.createMultiBody(0, -1, shape, AWAY, physicsClientId=self.client)
+            self._figures[person, radius] = body
+        return self._figures[person, radius]
 
 
 def half_extents(part: NDArray[np.float64], height: float) -> list[list[float]]:

@@ -27,6 +27,9 @@ WALL_HEIGHT = 2.5
 RAY_HEIGHT = 1.0
 """Metres above the floor at which rays run: where a capsule is a cylinder."""
 
+_LEAST_HEIGHT = 0.4
+"""Metres of cylinder between the two ends of a capsule."""
+
 _RAYS = 16384
 """pybullet takes so many rays per call (MAX_RAY_INTERSECTION_BATCH_SIZE)."""
 
@@ -51,12 +54,6 @@ class BulletScene:
         """
         self._p, self.client, self._finalizer = connect(self)
         self._radius = body_radius
-        self._capsule = self._p.createCollisionShape(
-            self._p.GEOM_CAPSULE,
-            radius=body_radius,
-            height=BODY_HEIGHT - 2 * body_radius,
-            physicsClientId=self.client,
-        )
         self._cells = grid.occupied(unknown) if grid else None
         self._resolution = grid.resolution if grid else 1.0
         ground = self._p.createCollisionShape(self._p.GEOM_PLANE, physicsClientId=self.client)
@@ -66,7 +63,7 @@ class BulletScene:
         self.boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
         parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
         self._walls = [self._wall(part) for part in parts]
-        self._bodies: list[int] = []
+        self._bodies: dict[tuple[int, float], int] = {}
         self._looks: BulletLooks | None = None
 
     def _wall(self, part: NDArray[np.float64]) -> int:
@@ -97,22 +94,35 @@ class BulletScene:
         if self._looks is not None:
             self._looks.close()
 
-    def place(self, person: int, x: float, y: float) -> None:
-        """Put a person's capsule somewhere; the first time, it is made."""
-        while len(self._bodies) <= person:
-            self._bodies.append(
-                self._p.createMultiBody(0, self._capsule, basePosition=AWAY, physicsClientId=self.client)
+    def place(self, person: int, x: float, y: float, radius: float | None = None) -> None:
+        """Put an agent's capsule somewhere; the first time, it is made.
+
+        Args:
+            person: Number of the agent.
+            x: Metres.
+            y: Metres.
+            radius: Metres; None for that of the scene. One agent has a capsule for each radius.
+        """
+        radius = self._radius if radius is None else radius
+        body = self._bodies.get((person, radius))
+        if body is None:
+            # wide bodies keep a piece of cylinder, too, at the height of rays
+            height = max(BODY_HEIGHT - 2 * radius, _LEAST_HEIGHT)
+            shape = self._p.createCollisionShape(
+                self._p.GEOM_CAPSULE, radius=radius, height=height, physicsClientId=self.client
             )
-        self._put(self._bodies[person], (x, y, BODY_HEIGHT / 2))
+            body = self._p.createMultiBody(0, shape, basePosition=AWAY, physicsClientId=self.client)
+            self._bodies[person, radius] = body
+        self._put(body, (x, y, BODY_HEIGHT / 2 if radius == self._radius else RAY_HEIGHT))
 
     def clear(self) -> None:
         """Take everybody away."""
-        for person in range(len(self._bodies)):
-            self.remove(person)
+        for body in self._bodies.values():
+            self._put(body, AWAY)
 
-    def remove(self, person: int) -> None:
-        """Take a person's capsule away."""
-        self._put(self._bodies[person], AWAY)
+    def remove(self, person: int, radius: float) -> None:
+        """Take an agent's capsule away."""
+        self._put(self._bodies[person, radius], AWAY)
 
     def _put(self, body: int, where: Sequence[float]) -> None:
         self._p.resetBasePositionAndOrientation(body, where, UPRIGHT, physicsClientId=self.client)
@@ -122,14 +132,15 @@ class BulletScene:
 
         Gaps are negative where bodies overlap; directions are unit vectors (2,), or zero.
         """
-        return self._gap(person, self._bodies[other], within)
+        return self._gap(person, self._bodies[other, self._radius], within)
 
     def wall_gap(self, person: int, box: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
         """Return the gap between a body and the walls around a box, and the direction from them, likewise."""
         return self._gap(person, self._walls[box // SHAPES], within)
 
     def _gap(self, person: int, body: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
-        points = self._p.getClosestPoints(self._bodies[person], body, within, physicsClientId=self.client)
+        mine = self._bodies[person, self._radius]
+        points = self._p.getClosestPoints(mine, body, within, physicsClientId=self.client)
         if not points:
             return None
         nearest = min(points, key=lambda point: point[8])  # contactDistance
@@ -160,14 +171,14 @@ class BulletScene:
 
     def render(
         self,
-        positions: dict[int, tuple[float, float]],
+        positions: dict[int, tuple[float, float, float]],
         size: tuple[int, int],
         eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
         view_angle: float,
     ) -> NDArray[np.uint8]:
         """Return a picture; see `BulletLooks.render`."""
         if self._looks is None:
-            self._looks = BulletLooks(self.boxes, self._radius)
+            self._looks = BulletLooks(self.boxes)
         return self._looks.render(positions, size, eye, view_angle)
 
 

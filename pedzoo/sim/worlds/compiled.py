@@ -31,10 +31,10 @@ def advance_compiled(
     moving: Tensor,
     substeps: int,
     played: Tensor | None,
+    wanted: Tensor,
     paths: Tensor | None = None,
-    slopes: Tensor | None = None,
 ) -> Motion:
-    """Return what `World.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
+    """Return what `Physics.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
 
     The trace is differentiable with respect to positions, velocities and played paths.
     """
@@ -44,13 +44,13 @@ def advance_compiled(
     ):
         slopes = torch.zeros(*moving.shape, velocity.shape[1], 8)
         with torch.no_grad():
-            motion = _advance(bank, state, velocity, moving, substeps, played, paths, slopes)
+            motion = _advance(bank, state, velocity, moving, substeps, played, wanted, paths, slopes)
         trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
         if played is not None:
             scripted = (state.mask & ~moving)[..., None, None]
             trace = torch.where(scripted, played[:, :, :, -1], trace)
         return motion._replace(trace=trace)
-    return _advance(bank, state, velocity, moving, substeps, played, paths, None)
+    return _advance(bank, state, velocity, moving, substeps, played, wanted, paths, None)
 
 
 class _Trace(torch.autograd.Function):
@@ -85,6 +85,7 @@ def _advance(
     moving: Tensor,
     substeps: int,
     played: Tensor | None,
+    wanted: Tensor,
     paths: Tensor | None,
     slopes: Tensor | None,
 ) -> Motion:
@@ -99,7 +100,7 @@ def _advance(
         moving,
         torch.empty(0, 0, 0, 0, 2) if played is None else played.float(),
         state.goal_point,
-        moving & (state.goal_id >= 0),
+        wanted,
         substeps,
         (scenes, agents, ticks),
         (state.wall_frame, state.wall_place),
@@ -111,7 +112,7 @@ def _advance(
 def contacts_compiled(
     bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
 ) -> Contacts:
-    """Return what `World.contacts` does for agents who are present (B, A) bool."""
+    """Return what `Physics.contacts` does for agents who are present (B, A) bool."""
     scenes, agents, ticks, substeps = path.shape[:4]
     nothing = torch.zeros(scenes, agents, dtype=torch.bool)
     start = path[:, :, 0, 0]

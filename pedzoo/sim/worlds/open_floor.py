@@ -15,9 +15,15 @@ class OpenFloor:
     """Moves agents straight, or as they were recorded; differentiable."""
 
     def advance(
-        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None = None,
+        command: Tensor | None = None,
     ) -> Motion:
-        """Return where agents are every 0.1 s; see `pedzoo.sim.worlds.base.World.advance`."""
+        """Return where agents are every 0.1 s; see `pedzoo.sim.worlds.base.Physics.advance`."""
         path, _ = integrate(state.position.movedim(-1, 0), velocity * moving, state.radius, substeps, None)
         if played is not None:
             given = played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)

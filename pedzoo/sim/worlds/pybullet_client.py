@@ -28,9 +28,9 @@ def load_pybullet() -> Any:
             import pybullet
         except ImportError as error:
             raise UserError(
-                "the world 'bullet' needs pybullet, which is not installed: pip install pybullet (its Linux "
-                "wheels stop at Python 3.11, beyond it needs a C++ compiler), or take world='grid', which "
-                "answers the same without it"
+                "the physics 'bullet' needs pybullet, which is not installed: pip install pybullet (its "
+                "Linux wheels stop at Python 3.11, beyond it needs a C++ compiler), or take "
+                "physics='compiled', which answers the same without it"
             ) from error
     return pybullet
 
@@ -58,8 +58,8 @@ def check_connected(client: int) -> None:
     """
     if not load_pybullet().isConnected(client):
         raise UserError(
-            f"pybullet client {client} of this BulletWorld is gone, somebody called pybullet.disconnect: "
-            "make a new BulletWorld(bank), and leave its clients to close()"
+            f"pybullet client {client} of this Bullet is gone, somebody called pybullet.disconnect: "
+            "make a new Bullet(bank), and leave its clients to close()"
         )
 
 

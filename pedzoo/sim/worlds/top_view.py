@@ -20,7 +20,7 @@ def draw_top_view(
     pose: Tensor,
     position: Tensor,
     present: Tensor,
-    radius: float,
+    radius: Tensor,
     size: tuple[int, int],
     camera: Camera,
 ) -> NDArray[np.uint8]:
@@ -32,7 +32,7 @@ def draw_top_view(
         pose: How the scene lies on it (4,).
         position: Scene positions (A, 2), metres.
         present: Whom to draw (A,) bool.
-        radius: Of a body, metres.
+        radius: Of bodies (A,), metres.
         size: Width and height in pixels.
         camera: Whose center and width are seen; it looks down whatever its ``view``.
     """
@@ -54,9 +54,10 @@ def draw_top_view(
             borderValue=OUTSIDE,
         )
     pixels = position.detach().cpu().double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
-    across = round(radius * to_pixel[0, 0] * 2**_FINE)
+    widths = (radius.detach().cpu().double().numpy() * to_pixel[0, 0] * 2**_FINE).round().astype(int)
     for person in present.nonzero()[:, 0].tolist():
         x, y = (round(value * 2**_FINE) for value in pixels[person])
+        across = int(widths[person])
         cv2.circle(image, (x, y), across, person_color(person), cv2.FILLED, cv2.LINE_AA, _FINE)
         cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)
     return image

@@ -1,4 +1,4 @@
-"""What both worlds answer: against formulas, against one another, and when something is wrong."""
+"""What all backends answer: against formulas, against one another, and when something is wrong."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.worlds.base import People, World
-from pedzoo.sim.worlds.bullet import BulletWorld
+from pedzoo.sim.physics.bullet import Bullet
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.worlds.base import People, Physics
 from pedzoo.sim.worlds.camera import FLOOR, WALL, Camera, person_color
-from pedzoo.sim.worlds.grid import GridWorld
 
 RADIUS = 0.15
 
@@ -35,9 +36,9 @@ def hall(name: str = "hall", **options: object) -> OccupancyGrid:
     return OccupancyGrid(cells, 0.1, name=name, **options)  # type: ignore[arg-type]
 
 
-def worlds(bank: MapBank) -> list[World]:
+def backends(bank: MapBank) -> list[Physics]:
     pytest.importorskip("pybullet")
-    return [GridWorld(bank), BulletWorld(bank)]
+    return [Compiled(bank), Torch(bank), Bullet(bank)]
 
 
 def crowd(
@@ -84,7 +85,7 @@ def test_bounds_change_no_contact(scenes: int, people: int) -> None:
     mask = torch.rand(scenes, people, generator=generator) < 0.8
     everybody = crowd(position, grid, mask, pose)
     path = walks(position, seed=1)
-    found = GridWorld(bank).contacts(path, everybody)
+    found = Compiled(bank).contacts(path, everybody)
     agent, wall = plain_contacts(bank, path, everybody)
     assert torch.equal(found.agent, agent)
     assert torch.equal(found.wall, wall)
@@ -95,7 +96,7 @@ def test_bounds_change_no_contact(scenes: int, people: int) -> None:
 
 def test_contacts_by_hand() -> None:
     grid = hall()
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         # two walk towards one another and are 0.29 m apart once, in trace point 1; one stands 0.14 m from the
         # left wall's face at x = 0.2; the last one is absent, in the middle of everything
         start = torch.tensor([[[1.0, 3.0], [2.0, 3.0], [0.34, 2.0], [1.5, 3.0]]])
@@ -106,20 +107,20 @@ def test_contacts_by_hand() -> None:
         path[0, 1, 1, :, 0] = torch.tensor([1.61, 1.7])
         path[0, 2, 2, :, 0] = torch.tensor([0.36, 0.36])
         people = crowd(start, grid, torch.tensor([[True, True, True, False]]))
-        found = world.contacts(path, people)
+        found = physics.contacts(path, people)
         assert found.agent[0].tolist() == [[False, True, False]] * 2 + [[False] * 3] * 2
         assert found.wall[0].tolist() == [[False] * 3] * 2 + [[True, True, False], [False] * 3]
 
 
 def test_distances_by_hand() -> None:
     grid = hall()
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         people = crowd(
             torch.tensor([[[0.7, 3.0], [1.0, 3.4], [5.0, 2.0], [5.1, 2.0]]]),
             grid,
             torch.tensor([[True, True, True, False]]),
         )
-        found = world.distances(people, reach=1.5)
+        found = physics.distances(people, reach=1.5)
         assert found.agent[0].tolist() == pytest.approx([0.5, 0.5, 1.5, 1.5], abs=1e-5)
         assert found.wall[0].tolist() == pytest.approx([0.5, 0.8, 1.2, 1.5], abs=1e-5)
         assert found.agent_normal[0].flatten().tolist() == pytest.approx(
@@ -134,21 +135,21 @@ def test_a_corner_is_not_blunt() -> None:
     corner = torch.tensor([2.0, 1.4], dtype=torch.float64)  # of the pillar
     angle = torch.linspace(0.05, math.pi / 2 - 0.05, 9, dtype=torch.float64)
     away = torch.stack((angle.cos(), angle.sin()), dim=-1)
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         for gap in (0.16, 0.4):
             people = crowd((corner + gap * away)[:, None], grid)
-            found = world.distances(people)
+            found = physics.distances(people)
             torch.testing.assert_close(found.wall, torch.full_like(found.wall, gap), atol=1e-5, rtol=0)
             torch.testing.assert_close(found.wall_normal[:, 0], away, atol=1e-4, rtol=0)
         for gap, touches in ((0.1501, False), (0.1499, True)):
             position = (corner + gap * away)[:, None]
-            found = world.contacts(position[:, :, None, None], crowd(position, grid))
+            found = physics.contacts(position[:, :, None, None], crowd(position, grid))
             assert (found.wall == touches).all()
 
 
 def agree(bank: MapBank, people: People, seed: int) -> None:
-    """The contract: both worlds give the same answers."""
-    grid, bullet = worlds(bank)
+    """The contract: all backends give the same answers."""
+    _, grid, bullet = backends(bank)
     path = walks(people.position, seed, trace=2, steps=2)
     first, second = grid.distances(people), bullet.distances(people)
     torch.testing.assert_close(first.agent, second.agent, atol=1e-4, rtol=0)
@@ -175,7 +176,7 @@ def agree(bank: MapBank, people: People, seed: int) -> None:
     direction = torch.stack((angle.cos(), angle.sin()), -1).repeat(people.mask.shape[1], 1)
     direction = direction.expand(len(people.mask), -1, -1)
     origin = people.position.repeat_interleave(16, dim=1)
-    ours, theirs = (world.rays(people, origin, direction, 4.0) for world in (grid, bullet))
+    ours, theirs = (physics.rays(people, origin, direction, 4.0) for physics in (grid, bullet))
     # A ray that grazes something may just miss it: then it hits at one side of itself and not at the other.
     side = 2e-3 * torch.stack((-direction[..., 1], direction[..., 0]), -1)
     left, right = (grid.rays(people, origin + sign * side, direction, 4.0) for sign in (1, -1))
@@ -187,7 +188,7 @@ def agree(bank: MapBank, people: People, seed: int) -> None:
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
-def test_the_worlds_agree_on_plain_geometry(yaw: float, mirror: float) -> None:
+def test_the_backends_agree_on_plain_geometry(yaw: float, mirror: float) -> None:
     grid = hall(origin=(1.0, -2.0, yaw))
     generator = torch.Generator().manual_seed(1)
     position = torch.rand(12, 8, 2, generator=generator, dtype=torch.float64) * torch.tensor([6.4, 4.4])
@@ -201,7 +202,7 @@ def test_the_worlds_agree_on_plain_geometry(yaw: float, mirror: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["aws_small_house", "fetch_hq", "igibson_rs", "nav2_depot", "willow_2010"])
-def test_the_worlds_agree_on_a_shared_map(shared: Path, name: str) -> None:
+def test_the_backends_agree_on_a_shared_map(shared: Path, name: str) -> None:
     grid = OccupancyGrid.from_ros_yaml(shared / "maps" / f"{name}.yaml")
     walls = grid.signed_distance("wall")
     row, column = np.nonzero((walls > 0.05) & (walls < 0.6))
@@ -216,13 +217,13 @@ def test_the_worlds_agree_on_a_shared_map(shared: Path, name: str) -> None:
 
 def test_rays_by_hand() -> None:
     grid = hall()
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         people = crowd(
             torch.tensor([[[1.0, 3.0], [2.0, 3.0], [1.5, 3.0]]]), grid, torch.tensor([[True, True, False]])
         )
         origin = torch.tensor([[[1.0, 3.0], [1.0, 3.0], [0.5, 3.0], [0.1, 3.0], [1.0, 3.0], [math.nan, 3.0]]])
         direction = torch.tensor([[[1.0, 0], [-1, 0], [1, 0], [1, 0], [0, -1], [1, 0]]])
-        found = world.rays(people, origin, direction, reach=2.5)
+        found = physics.rays(people, origin, direction, reach=2.5)
         # the other's body; the wall, past the own body; the first body from outside; from within a wall;
         # nothing within reach; and no ray at all
         assert found[0].tolist() == pytest.approx([0.85, 0.8, 0.35, 0.0, 2.5, 2.5], abs=2e-4)
@@ -232,22 +233,22 @@ def test_overlapping_bodies_and_rays_from_within_both() -> None:
     people = crowd(torch.tensor([[[0.0, 0.0], [0.2, 0.0], [1.0, 0.0]]]))
     origin = torch.tensor([[[0.1, 0.0], [0.0, 0.0], [-0.05, 0.0], [1.0, 0.0]]])
     direction = torch.tensor([[[1.0, 0.0], [1, 0], [1, 0], [-1, 0]]])
-    for world in worlds(MapBank()):
-        found = world.rays(people, origin, direction)
+    for physics in backends(MapBank()):
+        found = physics.rays(people, origin, direction)
         assert found[0].tolist() == pytest.approx([0.75, 0.05, 0.1, 0.65], abs=2e-4)
 
 
 def test_open_floor_and_nobody() -> None:
-    for world in worlds(MapBank()):
+    for physics in backends(MapBank()):
         for count in (0, 1):
             people = crowd(torch.zeros(2, count, 2))
-            found = world.distances(people)
+            found = physics.distances(people)
             assert (found.agent == 5).all() and (found.wall == 5).all()
             assert not found.agent_normal.any() and not found.wall_normal.any()
-            contacts = world.contacts(torch.zeros(2, count, 4, 1, 2), people)
+            contacts = physics.contacts(torch.zeros(2, count, 4, 1, 2), people)
             assert contacts.agent.shape == contacts.wall.shape == (2, count, 4)
             assert not contacts.agent.any() and not contacts.wall.any()
-            assert world.rays(people, torch.zeros(2, 0, 2), torch.zeros(2, 0, 2)).shape == (2, 0)
+            assert physics.rays(people, torch.zeros(2, 0, 2), torch.zeros(2, 0, 2)).shape == (2, 0)
 
 
 def test_the_absent_and_the_lost_disturb_nobody() -> None:
@@ -260,16 +261,16 @@ def test_the_absent_and_the_lost_disturb_nobody() -> None:
     broken[1] = math.nan
     broken[~mask][::2] = math.inf
     origin, direction = position, torch.tensor([1.0, 0.0]).expand(3, 6, 2)
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         answers = []
         for places in (position, broken):
             people = crowd(places, grid, mask)
             path = places[:, :, None, None].repeat(1, 1, 2, 2, 1)
             answers.append(
                 (
-                    *world.distances(people),
-                    *world.contacts(path, people),
-                    world.rays(people, origin, direction),
+                    *physics.distances(people),
+                    *physics.contacts(path, people),
+                    physics.rays(people, origin, direction),
                 )
             )
         for whole, partly in zip(*answers, strict=True):
@@ -285,7 +286,7 @@ def test_distances_of_the_grid_are_differentiable() -> None:
     grid = hall()
     position = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [1.0, 3.0]]], requires_grad=True)
     mask = torch.tensor([[True, True, False]])
-    found = GridWorld(MapBank([grid], "wall")).distances(crowd(position, grid, mask))
+    found = Compiled(MapBank([grid], "wall")).distances(crowd(position, grid, mask))
     (gradient,) = torch.autograd.grad(found.wall.sum(), position, retain_graph=True)
     torch.testing.assert_close(gradient, found.wall_normal)
     (gradient,) = torch.autograd.grad(found.agent[0, 0], position)
@@ -294,11 +295,11 @@ def test_distances_of_the_grid_are_differentiable() -> None:
 
 def test_a_reach_beyond_the_bank_is_refused() -> None:
     grid = hall()
-    for world in worlds(MapBank([grid], "wall", max_distance=2.0)):
+    for physics in backends(MapBank([grid], "wall", max_distance=2.0)):
         with pytest.raises(UserError, match=r"MapBank\(..., max_distance=3.0\)"):
-            world.distances(crowd(torch.ones(1, 1, 2), grid), reach=3.0)
+            physics.distances(crowd(torch.ones(1, 1, 2), grid), reach=3.0)
     with pytest.raises(UserError, match="body_radius 0"):
-        GridWorld(MapBank(), body_radius=0)
+        Compiled(MapBank(), body_radius=0)
 
 
 def color_at(picture: np.ndarray, camera: Camera, x: float, y: float) -> np.ndarray:
@@ -317,8 +318,8 @@ def test_pictures_show_people_and_walls_where_they_are(pose: tuple[float, ...]) 
     places = torch.stack(places, 1)
     people = crowd(places, grid, torch.tensor([[True, True, False]]), poses)
     camera = Camera().around(places, size=(160, 120), margin=1.5)
-    for world in worlds(MapBank([grid], "wall")):
-        picture = world.image(people, 0, (160, 120), camera)
+    for physics in backends(MapBank([grid], "wall")):
+        picture = physics.image(people, 0, (160, 120), camera)
         assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8
         shown = [color_at(picture, camera, *place) for place in places[0].tolist()]
         for found, expected in zip(shown, (person_color(0), person_color(1), FLOOR), strict=True):
@@ -330,57 +331,57 @@ def test_pictures_show_people_and_walls_where_they_are(pose: tuple[float, ...]) 
 def test_pictures_of_everything_by_default() -> None:
     grid = hall()
     people = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid)
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         for someone in (people, people._replace(map_id=torch.tensor([[-1]]))):
             for camera in (None, Camera("perspective")):
-                picture = world.image(someone, 0, (200, 150), camera)
+                picture = physics.image(someone, 0, (200, 150), camera)
                 for person in (0, 1):
                     near = np.abs(picture.astype(int) - person_color(person)).max(-1) < 60
                     assert near.sum() > 10
-        assert world.image(crowd(torch.zeros(1, 0, 2)), 0, (64, 48)).shape == (48, 64, 3)
+        assert physics.image(crowd(torch.zeros(1, 0, 2)), 0, (64, 48)).shape == (48, 64, 3)
 
 
-def test_a_closed_world_and_a_lost_client_say_what_to_do() -> None:
+def test_a_closed_physics_and_a_lost_client_say_what_to_do() -> None:
     pybullet = pytest.importorskip("pybullet")
     people = crowd(torch.zeros(1, 2, 2))
-    with BulletWorld(MapBank()) as world:
-        assert world.distances(people).agent.tolist() == [[0.0, 0.0]]
-    world.close()
-    for ask in (lambda: world.distances(people), lambda: world.image(people, 0, (32, 24))):
+    with Bullet(MapBank()) as physics:
+        assert physics.distances(people).agent.tolist() == [[0.0, 0.0]]
+    physics.close()
+    for ask in (lambda: physics.distances(people), lambda: physics.image(people, 0, (32, 24))):
         with pytest.raises(UserError, match="was closed: make a new one"):
             ask()
-    world = BulletWorld(MapBank())
-    world.distances(people)
-    pybullet.disconnect(world._scenes[-1].client)
-    with pytest.raises(UserError, match=r"client .* is gone.*make a new BulletWorld"):
-        world.distances(people)
-    world.close()
+    physics = Bullet(MapBank())
+    physics.distances(people)
+    pybullet.disconnect(physics._scenes[-1].client)
+    with pytest.raises(UserError, match=r"client .* is gone.*make a new Bullet"):
+        physics.distances(people)
+    physics.close()
 
 
-def test_clients_go_with_their_world() -> None:
+def test_clients_go_with_their_physics() -> None:
     pybullet = pytest.importorskip("pybullet")
-    world = BulletWorld(MapBank())
-    world.image(crowd(torch.zeros(1, 1, 2)), 0, (32, 24))
-    client = world._scenes[-1].client
+    physics = Bullet(MapBank())
+    physics.image(crowd(torch.zeros(1, 1, 2)), 0, (32, 24))
+    client = physics._scenes[-1].client
     assert pybullet.isConnected(client)
-    del world
+    del physics
     gc.collect()
     assert not pybullet.isConnected(client)
 
 
 def test_without_pybullet_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(UserError, match=r"pip install pybullet.*3\.11.*world='grid'"):
-        BulletWorld(MapBank())
+    with pytest.raises(UserError, match=r"pip install pybullet.*3\.11.*physics='compiled'"):
+        Bullet(MapBank())
 
 
-def test_worlds_can_be_pickled_before_and_after_their_use() -> None:
+def test_backends_can_be_pickled_before_and_after_their_use() -> None:
     grid = hall()
     people = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid)
-    for world in worlds(MapBank([grid], "wall")):
+    for physics in backends(MapBank([grid], "wall")):
         for _ in range(2):
-            copy = pickle.loads(pickle.dumps(world))
-            for ours, theirs in zip(world.distances(people), copy.distances(people), strict=True):
+            copy = pickle.loads(pickle.dumps(physics))
+            for ours, theirs in zip(physics.distances(people), copy.distances(people), strict=True):
                 assert torch.equal(ours, theirs)
             copy.close()
 
@@ -389,11 +390,11 @@ def test_pybullet_prints_nothing() -> None:
     pytest.importorskip("pybullet")
     code = (
         "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.worlds.base import People; "
-        "from pedzoo.geometry import identity_pose; from pedzoo.sim.worlds.bullet import BulletWorld; "
+        "from pedzoo.geometry import identity_pose; from pedzoo.sim.physics.bullet import Bullet; "
         "mask, map_id = torch.ones(1, 2).bool(), torch.full((1, 1), -1); "
         "people = People(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "
-        "world = BulletWorld(MapBank()); world.distances(people); "
-        "world.image(people, 0, (32, 24)); world.close()"
+        "physics = Bullet(MapBank()); physics.distances(people); "
+        "physics.image(people, 0, (32, 24)); physics.close()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")

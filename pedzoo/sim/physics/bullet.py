@@ -1,4 +1,4 @@
-"""A world of pybullet: extruded walls, capsules, closest-point queries, ray casts and a camera."""
+"""Pybullet: extruded walls, capsules, closest-point queries, ray casts and a camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts
-from pedzoo.sim.worlds.base import REACH, Distances, People, World
+from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
 from pedzoo.sim.worlds.bullet_scene import BulletScene
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.frames import Affine, scene_to_grid
@@ -50,7 +50,7 @@ class _Asked(NamedTuple):
     present: list[int]
 
 
-class BulletWorld(World):
+class Bullet(Physics):
     """One pybullet client per floor plan, made when it is first asked about.
 
     pybullet answers; torch only says which bodies are near enough to be asked about. Inside a wall the
@@ -58,6 +58,8 @@ class BulletWorld(World):
 
     It can be pickled and sent to workers: the copy makes its own clients.
     """
+
+    views = ("top", "perspective")
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
         """Take the floor plans.
@@ -70,6 +72,11 @@ class BulletWorld(World):
         self._scenes: dict[int, BulletScene] = {}
         self._affines: dict[tuple[float, ...], Affine] = {}
         self._closed = False
+
+    @classmethod
+    def check(cls) -> None:
+        """Check that pybullet is there; errors as of `load_pybullet`."""
+        load_pybullet()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_scenes": {}}
@@ -85,7 +92,7 @@ class BulletWorld(World):
         """Yield scene after scene.
 
         Raises:
-            UserError: The world was closed, or a client is gone.
+            UserError: The backend was closed, or a client is gone.
         """
         rows = self.bank.index(people.map_id[:, 0]).tolist()
         places, poses = _array(people.position), people.pose.tolist()
@@ -106,7 +113,7 @@ class BulletWorld(World):
 
     def _bullet(self, row: int) -> BulletScene:
         if self._closed:
-            raise UserError("this BulletWorld was closed: make a new one, BulletWorld(bank)")
+            raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
         if row not in self._scenes:
             grid = self.bank.grids[row] if row >= 0 else None
             self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius)
@@ -115,7 +122,7 @@ class BulletWorld(World):
 
     @torch.no_grad()
     def distances(self, people: People, reach: float = REACH) -> Distances:
-        """See `World.distances`; not differentiable."""
+        """See `Physics.distances`; not differentiable."""
         self._check_reach(reach)
         shape = people.mask.shape
         gaps = np.full((2, *shape), reach)
@@ -159,7 +166,7 @@ class BulletWorld(World):
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: People) -> Contacts:
-        """See `World.contacts`."""
+        """See `Physics.contacts`."""
         extra = self._radius(people) - self.body_radius
         far = farthest(path.flatten(2, 3).permute(3, 2, 0, 1), people.position.movedim(-1, 0))
         present = people.mask & far.isfinite()
@@ -225,44 +232,51 @@ class BulletWorld(World):
 
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
-        """See `World.rays`: pybullet's batched ray test, at the height of the chest."""
+        """See `Physics.rays`: pybullet's batched ray test, at the height of the chest."""
         found = np.full(origin.shape[:2], reach)
         starts = _array(origin)
+        widths = self._radius(people).tolist()
         for asked in self._asked(people, self._present(people)):
+            width = [round(radius, 6) for radius in widths[asked.index]]
             start = _move(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
-            found[asked.index, which] = self._scene_rays(asked, start[which], along[which], reach)
+            found[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
         return torch.from_numpy(found).to(origin)
 
     def _scene_rays(
-        self, asked: _Asked, start: NDArray[np.float64], along: NDArray[np.float64], reach: float
+        self,
+        asked: _Asked,
+        radius: list[float],
+        start: NDArray[np.float64],
+        along: NDArray[np.float64],
+        reach: float,
     ) -> NDArray[np.float64]:
         asked.bullet.clear()
         for person in asked.present:
-            asked.bullet.place(person, *asked.places[person])
+            asked.bullet.place(person, *asked.places[person], radius=radius[person])
         # pybullet hits some bodies from inside and others not: whoever contains the start is taken away
         starts, of = np.unique(start, axis=0, return_inverse=True)
         apart = starts[:, None] - asked.places[None, asked.present]
-        holds = np.square(apart).sum(-1) <= self.body_radius**2
+        holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
         groups, group = np.unique(holds, axis=0, return_inverse=True)
         group = group.reshape(-1)[of.reshape(-1)]
         found = np.full(len(start), reach)
         for number, held in enumerate(groups):
             taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
             for person in taken:
-                asked.bullet.remove(person)
+                asked.bullet.remove(person, radius[person])
             rays = np.flatnonzero(group == number)
             found[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
             for person in taken:
-                asked.bullet.place(person, *asked.places[person])
+                asked.bullet.place(person, *asked.places[person], radius=radius[person])
         found[asked.bullet.in_wall(start)] = 0.0
         return found
 
     def image(
         self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
-        """See `World.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
+        """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
         (asked,) = self._asked(one, self._present(one))
         camera = self._framed(people, scene, size, camera)
@@ -272,8 +286,11 @@ class BulletWorld(World):
         for place in (eye, target):
             place[:2] = linear @ place[:2] + shift
         up[:2] = linear @ up[:2]
-        where = {person: (float(x), float(y)) for person, (x, y) in enumerate(asked.places)}
-        where = {person: where[person] for person in asked.present}
+        widths = [round(radius, 6) for radius in self._radius(one)[0].tolist()]
+        where = {
+            person: (float(asked.places[person][0]), float(asked.places[person][1]), widths[person])
+            for person in asked.present
+        }
         picture = asked.bullet.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
         # in a mirrored scene, left is right
         return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])

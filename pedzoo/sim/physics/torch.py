@@ -1,4 +1,4 @@
-"""A world of torch alone: walls are the squares of the occupancy grid, bodies are discs."""
+"""Torch alone, batched, differentiable, on any device: walls are squares of the grid, bodies discs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from torch import Tensor
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts, Motion
 from pedzoo.sim.state import State
-from pedzoo.sim.worlds.base import REACH, Distances, People, World
+from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
 from pedzoo.sim.worlds.camera import Camera
-from pedzoo.sim.worlds.compiled import advance_compiled, compiles, contacts_compiled
 from pedzoo.sim.worlds.near import agent_contacts
 from pedzoo.sim.worlds.top_view import draw_top_view
 from pedzoo.sim.worlds.wall_rays import WallRays
@@ -22,25 +21,20 @@ _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""
 
 
-class GridWorld(World):
-    """Exact distances to the grid's squares, for all scenes at once and on the people's device.
+class Torch(Physics):
+    """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
 
-    Attributes:
-        compiled: Whether compiled loops are used on the CPU; they are differentiable, too.
-    """
-
-    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS, compiled: bool = True) -> None:
+    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
         """Take the floor plans.
 
         Raises:
             UserError: The radius is too small.
         """
         super().__init__(bank, body_radius)
-        self.compiled = compiled
         self._wall_rays: WallRays | None = None
 
     def distances(self, people: People, reach: float = REACH) -> Distances:
-        """See `World.distances`; differentiable with respect to positions."""
+        """See `Physics.distances`; differentiable with respect to positions."""
         self._check_reach(reach)
         present = self._present(people)
         position = torch.where(present.unsqueeze(-1), people.position, 0)
@@ -63,12 +57,16 @@ class GridWorld(World):
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
-    def advance(
-        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None = None
+    def _advance(
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None,
+        wanted: Tensor,
     ) -> Motion:
-        """See `World.advance`: compiled loops on the CPU, torch on other devices."""
-        if self.compiled and compiles(state.past, velocity):
-            return advance_compiled(self.bank, state, velocity, moving, substeps, played)
+        """See `Physics.advance`; contacts come from the distances that the path has looked up already."""
         path, gap = self._walked(state, velocity, moving, substeps, played)
         with torch.no_grad():
             radius = state.radius
@@ -76,7 +74,6 @@ class GridWorld(World):
             agent = agent_contacts(points, state.mask, radius)
             wall = torch.zeros_like(agent) if gap is None else (gap < radius) & state.mask
             near = (points - state.goal_point.movedim(-1, 0).unsqueeze(1)).square().sum(0) < GOAL_RADIUS**2
-            wanted = moving & (state.goal_id >= 0)
             flags = torch.stack((agent, wall, near & wanted)).unflatten(1, (-1, substeps)).any(2)
             reached = flags[2].cumsum(0) > 0
         trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
@@ -84,13 +81,11 @@ class GridWorld(World):
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: People) -> Contacts:
-        """See `World.contacts`."""
+        """See `Physics.contacts`."""
         radius = self._radius(people)
         row = self.bank.index(people.map_id[:, 0])
         frame, place = self.bank.walls_of_scenes(row, people.pose)
         present = people.mask & path.isfinite().flatten(2).all(2)
-        if self.compiled and compiles(path):
-            return contacts_compiled(self.bank, path, present, radius, frame, place)
         points = path.flatten(2, 3).permute(3, 2, 0, 1)
         agent = agent_contacts(points, present, radius)
         walls = self.bank.walls_of_state(frame, place)
@@ -103,7 +98,7 @@ class GridWorld(World):
 
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
-        """See `World.rays`: a traversal of the grid, and discs by formula."""
+        """See `Physics.rays`: a traversal of the grid, and discs by formula."""
         if self._wall_rays is None or self._wall_rays.leap.device != origin.device:
             self._wall_rays = WallRays.of(self.bank.grids, self.bank.unknown, origin.device)
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
@@ -135,14 +130,14 @@ class GridWorld(World):
     def image(
         self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
-        """See `World.image`; always from the top, drawn without any renderer."""
+        """See `Physics.image`; always from the top, drawn without any renderer."""
         return draw_top_view(
             self._plan(people, scene),
             self.bank.unknown,
             people.pose[scene],
             people.position[scene],
             self._present(people)[scene],
-            self.body_radius,
+            self._radius(people)[scene],
             size,
             self._framed(people, scene, size, camera),
         )

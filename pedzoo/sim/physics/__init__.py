@@ -1,0 +1,1 @@
+"""Physics backends: one file each, found by the registry. What they share is in `pedzoo.sim.worlds`."""

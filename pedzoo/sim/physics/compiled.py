@@ -1,0 +1,38 @@
+"""Compiled loops on the CPU, torch on other devices: the default."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.state import State
+from pedzoo.sim.worlds.base import People
+from pedzoo.sim.worlds.compiled import advance_compiled, compiles, contacts_compiled
+
+
+class Compiled(Torch):
+    """Answers as `Torch`, gradients too, several times faster on a CPU."""
+
+    def _advance(
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None,
+        wanted: Tensor,
+    ) -> Motion:
+        if compiles(state.past, velocity):
+            return advance_compiled(self.bank, state, velocity, moving, substeps, played, wanted)
+        return super()._advance(state, velocity, moving, substeps, played, wanted)
+
+    @torch.no_grad()
+    def contacts(self, path: Tensor, people: People) -> Contacts:
+        """See `Physics.contacts`."""
+        if not compiles(path):
+            return super().contacts(path, people)
+        frame, place = self.bank.walls_of_scenes(self.bank.index(people.map_id[:, 0]), people.pose)
+        present = people.mask & path.isfinite().flatten(2).all(2)
+        return contacts_compiled(self.bank, path, present, self._radius(people), frame, place)
