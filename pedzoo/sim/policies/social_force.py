@@ -12,10 +12,8 @@ from pedzoo import draws
 from pedzoo.batch import agents_of, ids_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, turn_to_scene
-from pedzoo.maps.bank import MapBank
-from pedzoo.maps.per_bank import PerBank
 from pedzoo.sim.policy import Policy
-from pedzoo.sim.social_force.borders import Borders
+from pedzoo.sim.social_force.borders import wall_points
 from pedzoo.sim.social_force.forces import closer, wall_force
 from pedzoo.sim.social_force.settings import Anisotropy, SocialForceSettings
 from pedzoo.sim.social_force.velocity import social_force_velocity
@@ -100,7 +98,6 @@ class SocialForce(Policy):
                 "for longer than it takes to change it follows no forces"
             )
         self._sees_walls = walls
-        self._borders: PerBank[Borders] = PerBank()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -132,7 +129,8 @@ class SocialForce(Policy):
 
     def _walls(self, tensordict: TensorDictBase, place: Tensor, rows: Tensor | None) -> Tensor:
         """Return the walls' forces (2, N) on the people ``rows`` (N,) of B * A, at ``place`` (2, N)."""
-        borders = self._borders.of(maps_of(tensordict), self._outlined)
+        bank = maps_of(tensordict).to(place.device)
+        table = bank.walls.segments(self.settings.wall_reach, hollows=False, dtype=place.dtype)
         mask, poses, ids = (
             cast("Tensor", tensordict[key]) for key in (("agents", "mask"), "scene_pose", "map_id")
         )
@@ -141,12 +139,8 @@ class SocialForce(Policy):
         slots = mask.shape[1]
         scene = torch.arange(len(mask), device=mask.device).repeat_interleave(slots)
         scene = scene if rows is None else scene[rows]
-        pose = poses[scene]
-        points = borders.near(move_to_map(place.T, pose).T.contiguous(), ids.flatten()[scene])
-        offset = closer(points.offset, radius.index_select(0, points.person) - BODY_RADIUS)
-        strength, reach = self.settings.wall_strength, self.settings.wall_range
-        force = wall_force(points.person, offset, points.weight, place.shape[1], strength, reach)
+        pose, row = poses[scene], bank.index(ids.flatten())[scene]
+        points = wall_points(table, move_to_map(place.T, pose).T.contiguous(), row)
+        offset = closer(points.offset, radius - BODY_RADIUS)
+        force = wall_force(offset, points.weight, self.settings.wall_strength, self.settings.wall_range)
         return turn_to_scene(force.T, pose).T
-
-    def _outlined(self, bank: MapBank) -> Borders:
-        return Borders(bank, self.settings.wall_reach)

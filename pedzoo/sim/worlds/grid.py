@@ -15,7 +15,6 @@ from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.compiled import advance_compiled, compiles, contacts_compiled
 from pedzoo.sim.worlds.near import agent_contacts
 from pedzoo.sim.worlds.top_view import draw_top_view
-from pedzoo.sim.worlds.wall_rays import WallRays
 from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
 
 _CHUNK = 4_000_000
@@ -37,7 +36,6 @@ class GridWorld(World):
         """
         super().__init__(bank, body_radius)
         self.compiled = compiled
-        self._wall_rays: WallRays | None = None
 
     def distances(self, people: People, reach: float = REACH) -> Distances:
         """See `World.distances`; differentiable with respect to positions."""
@@ -104,12 +102,10 @@ class GridWorld(World):
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `World.rays`: a traversal of the grid, and discs by formula."""
-        if self._wall_rays is None or self._wall_rays.leap.device != origin.device:
-            self._wall_rays = WallRays.of(self.bank.grids, self.bank.unknown, origin.device)
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
-        row = self.bank.index(people.map_id[:, 0])
-        walls = self._wall_rays.cast(origin, direction, row, people.pose, reach).to(origin.dtype)
+        around = self.bank.walls_around(people.map_id[:, 0], people.pose)
+        walls = around.cast(origin.permute(2, 1, 0), direction.permute(2, 1, 0), reach).t().to(origin.dtype)
         chunk = max(1, _CHUNK // max(1, people.mask.numel()))
         bodies = [
             self._body_rays(people, some_origins, some_directions, reach)
