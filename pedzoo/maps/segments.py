@@ -10,8 +10,8 @@ from torch import Tensor
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.segment_table import SegmentTable
 
-REACH = 8.0
-"""Metres within which people see walls: ORCA looks two seconds ahead, and nobody walks at 4 m/s."""
+FASTEST = 4.0
+"""m/s: walls are looked up as far as they matter to agents of this speed, so that no tensor has to say it."""
 
 
 class Segments(NamedTuple):
@@ -59,7 +59,7 @@ class WallSegments:
         reach: Metres up to which segments are found.
     """
 
-    def __init__(self, bank: MapBank, most: int = 16, reach: float = REACH) -> None:
+    def __init__(self, bank: MapBank, most: int = 16, reach: float = 2 * FASTEST) -> None:
         """Take the floor plans; nothing is computed before the first look-up."""
         self.bank, self.most, self.reach = bank, most, reach
 

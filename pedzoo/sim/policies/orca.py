@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from pedzoo import draws
 from pedzoo.batch import ROBOT, ids_of, maps_of
 from pedzoo.errors import UserError
-from pedzoo.maps.segments import WallSegments
+from pedzoo.maps.segments import FASTEST, WallSegments
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.policy import Policy
@@ -96,7 +96,8 @@ class Orca(Policy):
             map_id = tensordict["map_id"].expand(scenes, slots).flatten()
             pose = tensordict["scene_pose"].repeat_interleave(slots, 0)
             reach = self.settings.wall_reach(top_speed, radius).flatten()
-            segments = WallSegments(maps_of(tensordict), self.settings.max_obstacles)
+            farthest = self.settings.time_horizon_obst * FASTEST
+            segments = WallSegments(maps_of(tensordict), self.settings.max_obstacles, farthest)
             walls = segments.near(position.flatten(0, 1), map_id, pose, reach)
         velocity = orca_velocity(
             position,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
@@ -121,26 +122,26 @@ class SocialForce(Policy):
             self.settings,
             self.decision_dt,
             identity,
-            None if not self._sees_walls else lambda place, rows: self._walls(tensordict, place, rows),
+            self._walls(tensordict) if self._sees_walls else None,
             fluctuation,
             agents["radius"][..., 0],
         )
         return tensordict
 
-    def _walls(self, tensordict: TensorDictBase, place: Tensor, rows: Tensor | None) -> Tensor:
-        """Return the walls' forces (2, N) on the people ``rows`` (N,) of B * A, at ``place`` (2, N)."""
-        bank = maps_of(tensordict).to(place.device)
-        table = bank.walls.segments(self.settings.wall_reach, hollows=False, dtype=place.dtype)
-        mask, poses, ids = (
-            cast("Tensor", tensordict[key]) for key in (("agents", "mask"), "scene_pose", "map_id")
-        )
-        radius = cast("Tensor", agents_of(tensordict)["radius"]).flatten()
-        radius = radius if rows is None else radius[rows]
-        slots = mask.shape[1]
-        scene = torch.arange(len(mask), device=mask.device).repeat_interleave(slots)
-        scene = scene if rows is None else scene[rows]
-        pose, row = poses[scene], bank.index(ids.flatten())[scene]
-        points = wall_points(table, move_to_map(place.T, pose).T.contiguous(), row)
-        offset = closer(points.offset, radius - BODY_RADIUS)
-        force = wall_force(offset, points.weight, self.settings.wall_strength, self.settings.wall_range)
-        return turn_to_scene(force.T, pose).T
+    def _walls(self, tensordict: TensorDictBase) -> Callable[[Tensor, Tensor | None], Tensor]:
+        """Return the walls' forces (2, N): a function of places (2, N) and rows (N,) of B * A people."""
+        bank, settings = maps_of(tensordict), self.settings
+        radius = cast("Tensor", agents_of(tensordict)["radius"])
+        poses, ids = cast("Tensor", tensordict["scene_pose"]), cast("Tensor", tensordict["map_id"])
+        wider, pose = radius.flatten() - BODY_RADIUS, poses.repeat_interleave(radius.shape[1], 0)
+        row = bank.index(ids.flatten()).repeat_interleave(radius.shape[1])
+
+        def force(place: Tensor, rows: Tensor | None) -> Tensor:
+            mine = [part if rows is None else part.index_select(0, rows) for part in (pose, row, wider)]
+            table = bank.walls.segments(settings.wall_reach, hollows=False, dtype=place.dtype)
+            points = wall_points(table, move_to_map(place.T, mine[0]).T.contiguous(), mine[1])
+            offset = closer(points.offset, mine[2])
+            total = wall_force(offset, points.weight, settings.wall_strength, settings.wall_range)
+            return turn_to_scene(total.T, mine[0]).T
+
+        return force
