@@ -295,6 +295,26 @@ def test_a_wall_by_hand() -> None:
     assert chosen.flatten().tolist() == pytest.approx([1, -0.4, 1, 0, 1, -1], abs=1e-5)
 
 
+def test_compiled_loops_give_the_lines_that_torch_gives() -> None:
+    """In double precision nothing is compiled; lines that do not count are left out or zero."""
+    grid, settings = room(), replace(SETTINGS, max_obstacles=6)
+    torch.manual_seed(0)
+    position, velocity = torch.rand(600, 2) * 6, torch.randn(2, 600)
+    pose = torch.stack((torch.rand(600) * 6, torch.randint(2, (600,)) * 2.0 - 1, *torch.rand(2, 600)), 1)
+    ids, radius = torch.full((600,), grid.map_id), 0.1 + 0.3 * torch.rand(600)
+    near = WallSegments(MapBank([grid])).near(move_to_scene(position[:, None], pose)[:, 0], ids, pose, 3.6)
+    lines = wall_lines(near, velocity, radius, settings)
+    exact = Segments(*(part.double() for part in near))
+    expected = wall_lines(exact, velocity.double(), radius.double(), settings)
+    differ = 0
+    for i in range(600):
+        found, wanted = (part[:, :, i][:, part[2:, :, i].any(0)] for part in (lines, expected))
+        same = found.shape == wanted.shape and bool((found - wanted).abs().lt(1e-4).all())
+        differ += not same
+    assert expected[2:].any(0).sum() > 1500
+    assert differ <= 3  # conditions that rounding decides
+
+
 def test_walls_turn_and_mirror_with_the_scene_and_go_with_their_person() -> None:
     grid = room()
     walls = WallSegments(MapBank([grid]))

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, move_to_scene
+from pedzoo.maps import segment_table
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.outlines import outlines, signed_area
@@ -85,10 +86,16 @@ def test_thin_walls_keep_their_area() -> None:
     assert sorted(map(signed_area, outlines(occupied, 1.5))) == [1, 6]
 
 
-def brute_force(walls: WallSegments, grid: OccupancyGrid, point: Tensor, pose: Tensor, reach: float) -> list:
+@pytest.fixture
+def exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outlines run along the cells' edges."""
+    monkeypatch.setattr(segment_table, "outlines", lambda cells: outlines(cells, 0.0))
+
+
+def brute_force(bank: MapBank, row: int, point: Tensor, pose: Tensor, reach: float) -> list:
     """Return distance, start and end of all segments in reach that a point is outside of, nearest first."""
     found = []
-    for polygon in walls.polygons(grid):
+    for polygon in bank.walls.outlines.polygons()[row]:
         there = move_to_scene(torch.as_tensor(polygon)[None], pose[None].double())[0]
         if pose[1] < 0:
             there = there.flip(0)
@@ -116,11 +123,11 @@ def distances(near: Segments) -> Tensor:
     return torch.hypot(beyond, near.apart)
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1.0])
-def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(tolerance: float) -> None:
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(dtype: torch.dtype) -> None:
     grids = [random_grid(0), random_grid(1, "other")]
     bank = MapBank(grids)
-    walls = WallSegments(bank, tolerance, most=6)
+    walls = WallSegments(bank, most=6)
     torch.manual_seed(0)
     count = 60
     which = torch.randint(2, (count,))
@@ -131,28 +138,28 @@ def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(tolerance: 
     points = move_to_scene(places, pose)
     reach = 0.5 + 2 * torch.rand(count)
     ids = torch.tensor([grid.map_id for grid in grids])[which]
-    near = walls.near(points, ids, pose, reach)
+    near = walls.near(points.to(dtype), ids, pose.to(dtype), reach.to(dtype))
     assert near.valid.amax(0).mean() > 0.5
     for i in range(count):
-        expected = brute_force(walls, grids[int(which[i])], points[i], pose[i], float(reach[i]))[:6]
+        expected = brute_force(bank, int(which[i]), points[i], pose[i], float(reach[i]))[:6]
         valid = near.valid[:, i] > 0
         assert valid.tolist() == [True] * len(expected) + [False] * (len(valid) - len(expected))
         found = distances(near)[valid, i]
         assert found.tolist() == pytest.approx([one[0] for one in expected], abs=1e-5)
         wanted = {tuple(torch.cat(one[1:]).mul(100).round().int().tolist()) for one in expected[:-1]}
-        both = ends(near, points)
+        both = ends(near, points.to(dtype))
         mine = torch.cat(both if pose[i, 1] > 0 else both[::-1])[:, valid, i].T.mul(100).round().int()
         # the last one may be one of several at the same distance
         assert len(wanted - {tuple(one) for one in mine.tolist()}) <= 1
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
-def test_walls_are_on_the_left_and_neighbours_fit(mirror: float) -> None:
+def test_walls_are_on_the_left_and_neighbours_fit(mirror: float, exact: None) -> None:
     grid = random_grid()
     bank = MapBank([grid])
     pose = torch.tensor([[0.4, mirror, 1.0, -2.0]])
     middle = torch.tensor([[3.0 + 5 * math.cos(0.7) - 3.5 * math.sin(0.7), -2 + 5 * math.sin(0.7) + 2.7]])
-    near = WallSegments(bank, 0.0, most=500).near(
+    near = WallSegments(bank, most=500, reach=30.0).near(
         move_to_scene(middle, pose), torch.tensor([grid.map_id]), pose, 30.0
     )
     start, end = (part[..., 0] for part in ends(near, move_to_scene(middle, pose)))
@@ -182,13 +189,38 @@ def test_only_so_many_and_only_in_reach() -> None:
     assert torch.equal(walls.near(*at, 5.0).along, everything.nearest(3).along)
 
 
-def test_a_longer_reach_than_before_finds_what_a_new_look_up_finds() -> None:
+def test_a_look_up_that_reaches_farther_finds_the_same_within_a_reach() -> None:
     grid = random_grid()
     at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
-    used = WallSegments(MapBank([grid]), most=100)
-    used.near(*at, 0.5)
-    fresh = WallSegments(MapBank([grid]), most=100)
-    assert torch.equal(used.near(*at, 6.0).along, fresh.near(*at, 6.0).along)
+    bank = MapBank([grid])
+    near, far = (WallSegments(bank, most=100, reach=reach).near(*at, 4.0) for reach in (4.0, 9.0))
+    assert torch.equal(near.along, far.along) and near.valid.sum() > 10
+
+
+def test_compiled_loops_find_what_torch_finds() -> None:
+    grids = [random_grid(0), random_grid(1, "other")]
+    torch.manual_seed(0)
+    place = torch.rand(2, 500) * torch.tensor([[16.0], [16.0]]) - 4
+    row, reach = torch.randint(-1, 2, (500,)), 3 * torch.rand(500)
+    for most in (3, 16, None):
+        table = MapBank(grids).walls.segments(3.0, most)
+        number, valid = table.nearest(place, row, reach)
+        wanted, there = (part[: len(number)] for part in table.nearest(*_double(place, row, reach)))
+        assert torch.equal(valid.double(), there)
+        same = (number == wanted).float().mean()  # some are equally near in single precision
+        assert same > 0.995
+
+
+def _double(place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    return place.double(), row, reach.double()
+
+
+def test_outlines_are_shared_where_no_hollow_is_filled() -> None:
+    solid = draw("........", ".######.", ".######.", "........")
+    hollow = draw("........", ".######.", ".##.###.", ".######.")
+    for cells, same in ((solid, True), (hollow, False)):
+        walls = MapBank([OccupancyGrid(cells.astype(np.uint8), 0.05, name="plan")]).walls
+        assert (walls.segments(1.0) is walls.segments(1.0, hollows=False)) == same
 
 
 def test_people_without_walls() -> None:

@@ -16,14 +16,14 @@ from torch import Tensor
 from pedzoo.batch import scene_batch
 from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.maps import segment_table
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.outlines import outlines
+from pedzoo.maps.segment_table import SegmentTable, edges
 from pedzoo.sim.policies.social_force import SocialForce
 from pedzoo.sim.policy import load_policy
-from pedzoo.sim.social_force import borders
-from pedzoo.sim.social_force.border_table import BorderTable
-from pedzoo.sim.social_force.borders import Borders
+from pedzoo.sim.social_force.borders import WallPoints, wall_points
 from pedzoo.sim.social_force.forces import (
     driving_force,
     repulsion,
@@ -340,17 +340,21 @@ def test_a_long_decision_is_integrated_in_steps_of_a_tenth_of_a_second() -> None
 # --- walls
 
 
-def block(cells: NDArray[np.bool_], cell: float = 0.05, yaw: float = 0.0) -> tuple[Borders, Tensor]:
-    """Return the borders of a floor plan and its id."""
+def block(cells: NDArray[np.bool_], cell: float = 0.05, yaw: float = 0.0) -> MapBank:
+    """Return the bank of a floor plan."""
     grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, cell, (0.0, 0.0, yaw), name=f"{cells.sum()}")
-    return Borders(MapBank([grid]), PAPER.wall_reach), torch.tensor([grid.map_id])
+    return MapBank([grid])
 
 
-def push(walls: tuple[Borders, Tensor], places: Tensor) -> Tensor:
+def points_of(bank: MapBank, places: Tensor) -> WallPoints:
+    """Return the points of walls that act at places (N, 2)."""
+    table = bank.walls.segments(PAPER.wall_reach, hollows=False, dtype=places.dtype)
+    return wall_points(table, places.T, torch.zeros(len(places), dtype=torch.long))
+
+
+def push(bank: MapBank, places: Tensor) -> Tensor:
     """Return the paper's wall force (N, 2) at places (N, 2)."""
-    found, map_id = walls
-    points = found.near(places.T, map_id.expand(len(places)))
-    return wall_force(*points, len(places), 10.0, 0.2).T
+    return wall_force(*points_of(bank, places), 10.0, 0.2).T
 
 
 def plain(distance: float) -> float:
@@ -376,9 +380,9 @@ def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch: pytest.Monk
             for polygon in outlines(occupied)
         ]
 
-    monkeypatch.setattr(borders, "outlines", cut)
+    monkeypatch.setattr(segment_table, "outlines", cut)
     torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
-    assert len(block(cells)[0].near(at.T, block(cells)[1].expand(4)).person) == 4
+    assert points_of(block(cells), at).weight.sum(0).tolist() == [1, 1, 1, 1]
 
 
 def test_a_wall_across_the_cells_is_one_wall() -> None:
@@ -427,7 +431,7 @@ def test_where_a_wall_bends_a_little_the_force_neither_doubles_nor_jumps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bent = np.array([[0.0, 0.0], [200, 0], [200, 60], [100, 40], [0, 60]])  # 11 degrees to either side
-    monkeypatch.setattr(borders, "outlines", lambda occupied: [bent])
+    monkeypatch.setattr(segment_table, "outlines", lambda occupied: [bent])
     walls = block(np.ones((2, 2), bool))
     for height in (0.15, 0.3, 0.6):
         at = torch.stack(
@@ -483,8 +487,8 @@ def test_in_clutter_the_force_changes_no_faster_than_that_of_a_few_walls() -> No
     angle = torch.from_numpy(random.random(300) * 7).float()
     line = torch.arange(120)[:, None, None] * 0.005 * torch.stack((angle.cos(), angle.sin()), 1) + start
     found = push(walls, line.view(-1, 2)).view(line.shape)
-    ids = walls[1].expand(300)
-    field = walls[0].bank.signed_distance(line.transpose(0, 1), ids, identity_pose(300)).T
+    ids = torch.full((300,), walls.grids[0].map_id)
+    field = walls.signed_distance(line.transpose(0, 1), ids, identity_pose(300)).T
     fair = (field[1:] > 0.2) & (field[:-1] > 0.2) & (field[1:] < 1)
     change = (found[1:] - found[:-1]).norm(dim=2)
     one_wall = 0.005 / 0.2 * NEAREST * (-field[1:] / 0.2).exp()
@@ -495,21 +499,21 @@ def test_in_clutter_the_force_changes_no_faster_than_that_of_a_few_walls() -> No
 def test_people_look_at_the_segments_within_reach() -> None:
     random = np.random.default_rng(1)
     maps = [outlines(random.random((40, 60)) < share) for share in (0.2, 0.6)]
-    table = BorderTable.build([[polygon * 0.3 for polygon in one] for one in maps], 1.1)
-    table = table.to(torch.device("cpu"), torch.float64)
+    segments = [np.concatenate([edges(polygon * 0.3) for polygon in one]) for one in maps]
+    table = SegmentTable.build(segments, 1.1, None).to(torch.device("cpu"), torch.float64)
     place = torch.from_numpy(random.random((2, 400))) * torch.tensor([[22.0], [16.0]]) - 2
     row = torch.from_numpy(random.integers(-1, 2, 400))
-    person, segment = table.look(place, row)
-    assert (person.diff() >= 0).all()
-    found = torch.zeros(400, table.segments.shape[1], dtype=torch.bool)
-    found[person, segment] = True
-    start, end, along = table.segments[:6, None].split(2)
+    number, valid = table.nearest(place, row, torch.full((400,), 1.1, dtype=torch.float64))
+    found = torch.zeros(400, table.segments.shape[1]).index_put_(
+        (torch.arange(400), number), valid.float(), accumulate=True
+    )[:, :-1]
+    start, along, length = table.segments[:5, None, :-1].split((2, 2, 1))
     off = place[:, :, None] - start
-    t = (off * along).sum(0).clamp_min(0).minimum((end - start).norm(dim=0))
+    t = (off * along).sum(0).clamp_min(0).minimum(length[0])
     near = (off - t * along).norm(dim=0) < 1.1
     outside = along[0] * off[1] - along[1] * off[0] < 0
-    own = torch.tensor([0] * sum(map(len, maps[0])) + [1] * sum(map(len, maps[1]))) == row[:, None]
-    assert torch.equal(found, near & outside & own)
+    own = torch.tensor([0] * len(segments[0]) + [1] * len(segments[1])) == row[:, None]
+    assert torch.equal(found, (near & outside & own).float())
 
 
 def test_walls_turn_with_map_and_scene() -> None:
@@ -540,10 +544,7 @@ def test_places_on_and_in_walls_give_numbers() -> None:
     at = torch.tensor([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [1.9, 1.9], [math.nan, 0.0], [1e4, -1e4]])
     assert push(block(cells), at).isfinite().all()
     assert push(block(np.zeros((5, 5), bool)), at).abs().sum() == 0
-    nobody = Borders(MapBank(), 1.0).near(torch.zeros(2, 0), torch.zeros(0, dtype=torch.long))
-    assert len(nobody.person) == 0
-    with pytest.raises(UserError, match="is not of this bank"):
-        block(cells)[0].near(at.T, torch.full((6,), 7))
+    assert push(MapBank(), torch.zeros(0, 2)).shape == (0, 2)
 
 
 def test_actions_are_differentiable() -> None:
@@ -551,7 +552,6 @@ def test_actions_are_differentiable() -> None:
     cells[:20] = True
     cells[30:40, 30:40] = True
     walls = block(cells)
-    ids = walls[1].expand(4)
     position = torch.tensor([[[1.0, 1.3], [1.4, 1.35], [1.3, 1.8], [0.4, 1.6]]], dtype=torch.float64)
     _, velocity, desired = (part.double() for part in crowd(1, 4, 1.0))
 
@@ -559,7 +559,7 @@ def test_actions_are_differentiable() -> None:
         mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
 
         def force(place: Tensor, rows: Tensor | None) -> Tensor:
-            return wall_force(*walls[0].near(place, ids), 4, 10.0, 0.2)
+            return wall_force(*points_of(walls, place.T), 10.0, 0.2)
 
         return social_force_velocity(
             position, velocity, desired, speed, mask, PAPER, 0.2, identity, walls=force
@@ -604,7 +604,8 @@ def test_a_lone_person_needs_the_indoor_preset_to_pass_a_door(preset: Any, passe
     cells[:, 60:63] = True
     cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025
     policy = SocialForce(preset=preset)
-    bank, map_id = block(cells)[0].bank, block(cells)[1]
+    bank = block(cells)
+    map_id = torch.tensor([bank.grids[0].map_id])
     place, velocity, goal = (
         torch.tensor([[[1.0, 3.025 + side]]]),
         torch.zeros(1, 1, 2),

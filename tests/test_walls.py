@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes, merge_cells
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
@@ -179,7 +179,47 @@ def test_maps_of_a_bank_poses_and_shapes() -> None:
     assert single.dtype == torch.float32
     torch.testing.assert_close(single.double(), distance, atol=1e-5, rtol=0)
     moved = bank.to("meta")
-    assert moved._walls.choice.device.type == "meta" and bank._walls.choice.device.type == "cpu"
+    assert moved.walls.choice.device.type == "meta" and bank.walls.choice.device.type == "cpu"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.2, 1.0])
+def test_rays_go_to_the_nearest_box(share: float) -> None:
+    torch.manual_seed(0)
+    grids = [
+        OccupancyGrid(scattered(40, 60, share, 1), 0.1, (-6.0, 4.0, 0.7), name="turned"),
+        OccupancyGrid(scattered(13, 9, share, 2), 0.3, name="small"),
+    ]
+    bank, reach = MapBank(grids), 5.0
+    ids = torch.tensor([grids[0].map_id, grids[1].map_id, -1])
+    pose = torch.tensor([[0.3, -1.0, 2.0, 1.0], [2.0, 1.0, 0.0, -1.0], [0.0, 1.0, 0.0, 0.0]]).double()
+    angle = torch.rand(3, 400, dtype=torch.float64) * 7
+    angle[:, :8] = torch.arange(8) * math.pi / 4
+    angle[1, :8] += 2.0  # along the axes of the small map
+    direction = torch.stack((angle.cos(), angle.sin()), 2)
+    origin = move_to_scene(
+        torch.rand(3, 400, 2, dtype=torch.float64) * torch.tensor([[[6.0, 4.0]], [[2.7, 3.9]], [[1.0, 1.0]]]),
+        torch.tensor([[0.7, 1.0, -6.0, 4.0], [0.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]).double(),
+    )
+    origin[:, -40:] -= 4 * direction[:, -40:]  # some from outside the map
+    expected = torch.full((3, 400), reach, dtype=torch.float64)
+    lies = torch.tensor([[0.7, 1.0, -6.0, 4.0], [0.0, 1.0, 0.0, 0.0]]).double()
+    for row, grid in enumerate(grids):
+        o, d = (move_to_map(origin, lies[[0, 1, 1]])[row], turn_to_map(direction, lies[[0, 1, 1]])[row])
+        parts = torch.from_numpy(boxes(grid, "free")).unsqueeze(1)
+        if len(parts):
+            slabs = torch.stack((parts[..., :2] - o, parts[..., 2:] - o)) / d
+            enter, leave = slabs.amin(0).amax(-1), slabs.amax(0).amin(-1)
+            met = torch.where((enter < leave) & (leave > 0), enter.clamp(0, reach), reach)
+            expected[row] = met.amin(0)
+    origin, direction = move_to_scene(origin, pose), turn_to_scene(direction, pose)
+    rays = origin.permute(2, 1, 0), direction.permute(2, 1, 0)
+    walls = bank.walls_around(ids, pose)
+    found = walls.cast(*rays, reach).t()
+    assert (found - expected).abs().max() < 1e-6
+    x_axis, y_axis, _ = walls.frame[:6].view(3, 2, 1, 3)
+    ahead = x_axis * rays[1][0] + y_axis * rays[1][1]
+    again = walls.traverse(walls.cells(rays[0]), ahead, reach).t()
+    torch.testing.assert_close(again, found, atol=1e-9, rtol=0)
 
 
 def test_the_gradient_is_the_direction() -> None:

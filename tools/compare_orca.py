@@ -34,6 +34,7 @@ from pedzoo.bench.scenes import plan
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
 from pedzoo.maps.segments import WallSegments
 from pedzoo.sim.orca.programs import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
@@ -49,13 +50,14 @@ class Pieces(WallSegments):
     """Walls as RVO2 has split them."""
 
     def __init__(self, bank: MapBank, pieces: NDArray[np.float64]) -> None:
-        """Take the segments (S, 12) of the only floor plan; of equally near ones the first counts first."""
-        super().__init__(bank, most=SETTINGS.max_obstacles)
+        """Take the segments (S, 13) of the only floor plan; of equally near ones the first counts first."""
+        super().__init__(bank, SETTINGS.max_obstacles)
         self.pieces = pieces
+        self.made = SegmentTable.build([pieces], self.reach, self.most)
 
-    def edges(self, grid: OccupancyGrid) -> NDArray[np.float64]:
-        """Return them."""
-        return self.pieces
+    def table(self, bank: MapBank, dtype: torch.dtype) -> SegmentTable:
+        """Return theirs."""
+        return self.made.to(bank.device, dtype)
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,8 @@ class Walk:
     def __init__(self, grid: OccupancyGrid, walled: bool, scenes: int, agents: int, seed: int) -> None:
         """Place them on free cells."""
         bank = MapBank([grid], unknown="wall")
-        self.walls = WallSegments(bank, most=SETTINGS.max_obstacles) if walled else None
-        polygons = self.walls.polygons(grid) if self.walls else []
+        self.walls = WallSegments(bank, SETTINGS.max_obstacles) if walled else None
+        polygons = bank.walls.outlines.polygons()[0] if walled else []
         self.peer = Rvo2(scenes, agents, TOP_SPEED, SETTINGS, polygons)
         self.polygons = polygons
         self.pieces = Pieces(bank, self.peer.edges) if walled else None
@@ -139,10 +141,11 @@ def classify(state: State, walk: Walk, scene: int, agent: int, theirs: Tensor) -
     if walk.walls and walk.pieces:
         if close(one.ours(walk.pieces), theirs):
             return "split"
-        for edges in (walk.pieces.pieces, walk.walls.edges(walk.walls.bank.grids[0])):
+        own = np.concatenate([NOWHERE[:0], *map(edges, walk.polygons)])
+        for segments in (walk.pieces.pieces, own):
             for seed in range(16):
-                order = np.random.default_rng(seed).permutation(len(edges))
-                if close(one.ours(Pieces(walk.walls.bank, edges[order])), theirs):
+                order = np.random.default_rng(seed).permutation(len(segments))
+                if close(one.ours(Pieces(walk.walls.bank, segments[order])), theirs):
                     return "tie"
     peer = Rvo2(1, one.position.shape[1], TOP_SPEED, SETTINGS, walk.polygons)
     for by in (1e-6, 1e-5, 1e-4):

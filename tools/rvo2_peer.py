@@ -19,7 +19,7 @@ class Rvo2:
     """One RVO2 simulator per scene, asked for one step from given states.
 
     Attributes:
-        edges: Segments (S, 12) of the walls in the form of `SegmentTable`, after RVO2 has split them.
+        edges: Segments (S, 13) of the walls in the form of `edges`, after RVO2 has split them.
     """
 
     def __init__(
@@ -88,5 +88,6 @@ def _edges(simulator: RVOSimulator) -> NDArray[np.float64]:
     before = direction[previous]
     turn = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0]
     convex = turn > -1e-4  # where it splits an edge, RVO2 counts the new corner as convex
+    length = np.linalg.norm(start - start[previous], axis=1)
     columns = (start, start[following], direction, before, direction[following], convex, convex[following])
-    return np.column_stack(columns).astype(float)
+    return np.column_stack((*columns, length)).astype(float)

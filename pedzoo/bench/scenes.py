@@ -113,7 +113,7 @@ def for_peers(
     top_speed: Tensor,
 ) -> Scenes:
     """Return scenes in the form that peers are told; people (B, A, 2), top speeds (B, A), one floor plan."""
-    polygons = walls.polygons(walls.bank.grids[0]) if walls else []
+    polygons = walls.bank.walls.outlines.polygons()[0] if walls else []
     return Scenes(
         section,
         *size,

@@ -93,19 +93,23 @@ class MapBank:
         )
 
     @cached_property
-    def _walls(self) -> Walls:
-        return Walls.of(self.grids, self.unknown, self.max_distance).to(self._rows.device)
+    def walls(self) -> Walls:
+        """The walls as they are: exact distances, rays and outlines; made once, and once more per device."""
+        first = self.to("cpu")
+        if first is not self:
+            return first.walls.to(self.device)
+        return Walls.of(self.grids, self.unknown, self.max_distance)
 
     @cached_property
     def wall_arrays(self) -> tuple[Any, ...]:
         """What `pedzoo.maps.compiled` reads: choices, options, lower bounds, and where distances end."""
-        walls = self._walls
+        walls = self.walls
         return walls.choice.numpy(), walls.option.numpy(), walls.least.numpy(), walls.limit
 
     @cached_property
     def map_arrays(self) -> tuple[Any, ...]:
         """What the compiled planner reads: how the maps lie, and the lower bounds of distances."""
-        walls = self._walls
+        walls = self.walls
         return walls.affine.numpy(), walls.place.numpy(), walls.side.numpy(), walls.least.numpy()
 
     @property
@@ -138,7 +142,7 @@ class MapBank:
             moved.__dict__.update(self.__dict__)
             moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
             moved._atlas = self._atlas.to(device)
-            for made in ("_walls", "wall_arrays", "map_arrays"):  # made anew on the device at first use
+            for made in ("walls", "wall_arrays", "map_arrays"):  # made anew on the device at first use
                 moved.__dict__.pop(made, None)
             moved._copies = {self.device: self}
             self._copies[device] = moved
@@ -202,7 +206,7 @@ class MapBank:
             map_id: Floor plan of each entry (N,) long, -1 for none.
             pose: Scene poses (N, 4).
         """
-        return LocalWalls.around(self._walls, self.index(map_id), pose)
+        return LocalWalls.around(self.walls, self.index(map_id), pose)
 
     def walls_of_people(self, map_id: Tensor, pose: Tensor, agents: int) -> LocalWalls | None:
         """Return the walls as the people of scenes see them, B * A entries; None where there are no maps.
@@ -221,18 +225,18 @@ class MapBank:
             row: Row of each scene's floor plan (B,) long, -1 for none.
             pose: Scene poses (B, 4).
         """
-        walls = LocalWalls.around(self._walls, row, pose)
+        walls = LocalWalls.around(self.walls, row, pose)
         return walls.frame.float().t().contiguous(), walls.place.t().contiguous()
 
     def walls_of_state(self, frame: Tensor, place: Tensor) -> LocalWalls | None:
         """Return the walls as the agents (B, A) of scenes see them, from what `walls_of_scenes` returned."""
         if not self.grids:
             return None
-        return LocalWalls(self._walls, frame.t().unsqueeze(2), place.t().unsqueeze(2))
+        return LocalWalls(self.walls, frame.t().unsqueeze(2), place.t().unsqueeze(2))
 
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
-        return LocalWalls.on_map(self._walls, row)
+        return LocalWalls.on_map(self.walls, row)
 
 
 _ALIVE: WeakValueDictionary[tuple[Any, ...], MapBank] = WeakValueDictionary()

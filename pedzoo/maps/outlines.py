@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
+
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.types import BODY_RADIUS
 
 # directions of unit steps along cell edges: right, up, left, down; a left turn adds one
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
@@ -25,6 +30,20 @@ def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[NDArra
         Corners (V, 2) of each, x (columns) and y (rows) in cells from the outer corner of cell (0, 0).
     """
     return [_simplified(polygon, tolerance) for polygon in _trace(occupied)]
+
+
+def without_hollows(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.bool_]:
+    """Return the walls (H, W) of a floor plan, among them the free places in which nobody could stand.
+
+    Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
+    """
+    from scipy.ndimage import label, maximum
+
+    # the world around the map is free and wide
+    distance = np.pad(grid.signed_distance(unknown), 1, constant_values=np.inf)
+    parts, count = cast("tuple[NDArray[np.int32], int]", label(distance > 0))
+    widest = np.asarray(maximum(distance, parts, np.arange(count + 1)))
+    return grid.occupied(unknown) | (widest < BODY_RADIUS)[parts][1:-1, 1:-1]
 
 
 def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:

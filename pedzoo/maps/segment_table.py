@@ -1,4 +1,4 @@
-"""Wall segments of several maps in coarse buckets, so that everybody looks at a few of them only."""
+"""Outlines of walls as line segments in buckets: the one look-up of those that a position is outside of."""
 
 from __future__ import annotations
 
@@ -11,32 +11,72 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-BUCKET = 0.5
-"""Metres: the side of a bucket."""
-
-TILE = 8
-"""Buckets along the side of a tile; the segments of a tile are found first, then those of its buckets."""
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.outlines import outlines, without_hollows
 
 Floats = NDArray[np.float64]
 
-NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1]])
+NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
 """Stands for no segment; it could be one, so that whoever computes with it gets numbers."""
 
+BUCKET = 0.5
+"""Metres: the side of a bucket."""
+
+HALF = BUCKET * math.sqrt(0.5) * (1 + 1e-4)
+"""Metres from the middle of a bucket to its corners, and some for rounding: it must not lose a candidate."""
+
+ROUNDED = -1 << 7
+"""The bits of a squared distance that count, so that rounding does not choose between two segments of which
+the common corner is nearest: of those the first comes first."""
 
 _NUMBER = (1 << 31) - 1
 """The bits of a key that tell which segment it is of."""
 
-_HALF = BUCKET * math.sqrt(0.5) * (1 + 1e-4)
-"""Metres from the middle of a bucket to its corners, and some for rounding: it must not lose a candidate."""
-
-_ROUNDED = -1 << 7
-"""The bits of a distance that count."""
-
-_AT_ONCE = 1 << 21
-"""Candidates, of all people together, that are looked at at once: about 100 MB."""
-
 _FAR = 1e30
 """Squared metres: nobody comes so far."""
+
+
+class Outlines:
+    """The outlines of the walls of floor plans, simplified by half a cell at most, and tables of them."""
+
+    def __init__(self, grids: Sequence[OccupancyGrid], unknown: Unknown) -> None:
+        """Take the floor plans; nothing is computed before somebody asks."""
+        self.grids = grids
+        self.unknown: Unknown = unknown
+        self._polygons: dict[bool, list[list[Floats]]] = {}
+        self._tables: dict[tuple[object, ...], SegmentTable] = {}
+
+    def polygons(self, hollows: bool = True) -> list[list[Floats]]:
+        """Return the outlines (V, 2) of each floor plan in its frame, metres, walls to the left.
+
+        Args:
+            hollows: Whether those of hollows are among them in which nobody could stand.
+        """
+        if hollows not in self._polygons:
+            walls = [grid.occupied(self.unknown) for grid in self.grids]
+            if not hollows:
+                plain, walls = walls, [without_hollows(grid, self.unknown) for grid in self.grids]
+                if all(map(np.array_equal, plain, walls)):
+                    return self._polygons.setdefault(False, self.polygons())
+            self._polygons[hollows] = [
+                [grid.cells_to_map(polygon - 0.5) for polygon in outlines(cells)]
+                for grid, cells in zip(self.grids, walls, strict=True)
+            ]
+        return self._polygons[hollows]
+
+    def table(
+        self, reach: float, most: int | None, hollows: bool, device: torch.device, dtype: torch.dtype
+    ) -> SegmentTable:
+        """Return the table of the outlines; see `SegmentTable.build`."""
+        polygons = self.polygons(hollows)
+        exact = id(polygons), reach, most
+        if exact not in self._tables:
+            segments = [np.concatenate([NOWHERE[:0], *map(edges, own)]) for own in polygons]
+            self._tables[exact] = SegmentTable.build(segments, reach, most)
+        key = *exact, device, dtype
+        if key not in self._tables:
+            self._tables[key] = self._tables[exact].to(device, dtype)
+        return self._tables[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,196 +86,151 @@ class SegmentTable:
     What is seen from a segment is in its own frame: x along it, y to its left, where the wall is.
 
     Attributes:
-        segments: Of each (11, S + 1): start and unit direction in the map's frame; length; unit direction of
+        segments: Of each (18, S + 1): start and unit direction in the map's frame; length; unit direction of
             the segment before, backwards, and of the one after, their x turned round so that both lead away
-            from it to the left; whether its corners are convex (1 or 0). The last one stands for none.
-        candidates: Numbers of segments, bucket after bucket, those nearest to its middle first, and as many
-            more as a bucket has at most.
-        least: Their distances from the middles of the buckets, metres.
-        offset: Where each bucket's candidates begin (buckets + 2,) long; the last bucket is empty.
+            from it to the left; whether its corners are convex (1 or 0). Again in the map's frame: end, unit
+            directions of the segments before and after; the length of the one before. The last one stands
+            for none.
+        candidates: Numbers of segments, bucket after bucket, those nearest to its middle first (C,) int32.
+        offset: Where each bucket's candidates begin (buckets + 2,) int32; the last bucket is empty.
         corner: Smallest x and y of each map's buckets (2, R + 1), metres.
-        buckets: Number of each map's first bucket, and how many lie along x and y (3, R + 1) long.
+        buckets: Number of each map's first bucket, and how many lie along x and y (3, R + 1) int32.
         reach: Metres up to which the candidates are complete.
+        width: Candidates of the bucket that has the most.
+        most: How many segments a position gets at most.
     """
 
     segments: Tensor
     candidates: Tensor
-    least: Tensor
     offset: Tensor
     corner: Tensor
     buckets: Tensor
     reach: float
+    width: int
+    most: int
 
     @classmethod
-    def build(cls, maps: Sequence[Floats], reach: float, most: int) -> SegmentTable:
+    def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
         """Return the table of the segments of each map.
 
         Args:
-            maps: For each map its segments (S, 12), in its frame: start, end, unit direction, directions of
-                the segments before and after, whether the corners at start and end are convex.
-            reach: Metres up to which people ask for segments.
-            most: How many segments one person gets.
+            maps: For each map its segments (S, 13), in its frame; see `edges`.
+            reach: Metres up to which segments are asked for.
+            most: How many segments one position gets; None for all.
         """
-        lists, counts, lows, sizes = [np.zeros((2, 0))], [np.zeros(0, np.int64)], [], []
-        for number, own in enumerate(maps):
+        from pedzoo.maps.compiled_walls import bucket_lists
+
+        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
+        lists, counts, lows, sizes, before = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [], [], 0
+        for own in maps:
             low = own[:, :2].min(0, initial=math.inf) - reach if len(own) else np.zeros(2)
             high = own[:, :2].max(0, initial=-math.inf) + reach if len(own) else np.zeros(2)
             size = np.ceil((high - low) / BUCKET).astype(np.int64)
-            found, count = _bucket_lists(own, low, size, reach, most)
-            found[0] += sum(map(len, maps[:number]))
-            lists.append(found)
+            mine = segments[:, before : before + len(own)]
+            numbers, count = bucket_lists(mine, low, size, reach, -1 if most is None else most)
+            lists.append(numbers + np.int32(before))
+            before += len(own)
             counts.append(count)
             lows.append(low)
             sizes.append(size)
         count = np.concatenate(counts)
-        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
-        spare = np.full((2, count.max(initial=0)), segments.shape[1] - 1)
-        candidates, least = np.concatenate([*lists, spare], axis=1)
-        first = np.cumsum([0, *(len(count) for count in counts[1:])])
+        width = int(count.max(initial=0))
+        first = np.cumsum([0, *map(len, counts[1:])])
         return cls(
             segments=torch.as_tensor(segments),
-            candidates=torch.as_tensor(candidates).long(),
-            least=torch.as_tensor(least),
-            offset=torch.as_tensor(np.cumsum(np.concatenate([[0], count, [0]])), dtype=torch.long),
+            candidates=torch.as_tensor(np.concatenate([*lists, np.full(width, before, np.int32)])),
+            offset=torch.as_tensor(np.cumsum(np.concatenate([[0], count, [0]]))).int(),
             corner=torch.as_tensor(np.array([*lows, np.zeros(2)]).T.copy()),
-            buckets=torch.as_tensor(np.column_stack((first, [*sizes, np.zeros(2)])).T.copy()).long(),
+            buckets=torch.as_tensor(np.column_stack((first, [*sizes, np.zeros(2)])).T.copy()).int(),
             reach=reach,
+            width=width,
+            most=width if most is None else min(most, width),
         )
 
     def to(self, device: torch.device, dtype: torch.dtype) -> SegmentTable:
-        """Return the table for people on a device whose positions are of a dtype."""
+        """Return the table for positions of a dtype on a device."""
         whole = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "buckets")}
-        floats = {name: getattr(self, name).to(device, dtype) for name in ("segments", "least", "corner")}
-        return replace(self, **whole, **floats)
+        return replace(
+            self, **whole, segments=self.segments.to(device, dtype), corner=self.corner.to(device, dtype)
+        )
 
-    def nearest(self, place: Tensor, row: Tensor, reach: Tensor, most: int) -> tuple[Tensor, Tensor]:
-        """Return the nearest segments that people are outside of and within reach of, nearest first.
+    @torch.no_grad()
+    def nearest(self, place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the nearest segments that positions are outside of and within reach of, nearest first.
+
+        Nothing is read back to the host. On the CPU single precision is looked up by compiled loops.
 
         Args:
             place: Positions in the maps' frames (2, N), metres.
             row: Which map (N,) long, -1 for none.
             reach: Metres (N,), at most the table's.
-            most: So many at most.
 
         Returns:
-            The segments (11, K, N), and which of the K there are (K, N), 1 or 0; the others are any.
+            The numbers of the segments (K, N) long, and which of the K there are (K, N), 1 or 0; the others
+            are `NOWHERE`.
         """
-        begin, count = self._bucket(place, row)
-        candidates = int(count.max()) if len(row) else 0
-        columns = min(candidates, 2 * most)
-        key = self._keys(place, begin, count, columns)[:most]
-        # those beyond can only matter to people who have not found as many as near as the next can be
-        while 0 < columns < candidates:
-            enough = _distance2_of(key[-1]).sqrt().minimum(reach) + _HALF
-            rows = ((count > columns) & (self.least.index_select(0, begin + columns) < enough)).nonzero()[
-                :, 0
-            ]
-            columns = min(2 * columns, candidates)
-            key[:, rows] = self._keys(place[:, rows], begin[rows], count[rows], columns)[:most]
-        valid = torch.lt(_distance2_of(key), (reach * reach).float(), out=place.new_empty(0))
-        used = int(valid.amax(1).sum()) if valid.numel() else 0
-        chosen = (key[:used] & _NUMBER).flatten()
-        return self.segments.index_select(1, chosen).view(len(self.segments), used, len(row)), valid[:used]
+        if place.device.type == "cpu" and place.dtype == torch.float32:
+            from pedzoo.maps.compiled_walls import nearest
 
-    def _keys(self, place: Tensor, begin: Tensor, count: Tensor, columns: int) -> Tensor:
-        """Return numbers (C, N) in the order of the distances of people's first C candidates, ascending.
+            number = torch.full((self.most, len(row)), self.segments.shape[1] - 1)
+            squared = torch.full((self.most, len(row)), math.inf)
+            tables = self.segments, self.candidates, self.offset, self.corner, self.buckets
+            arrays = [part.numpy() for part in (place.detach(), row, reach, *tables, number, squared)]
+            used = nearest(*arrays)
+            return number[:used], torch.lt(squared[:used], _FAR, out=torch.empty(0))
+        key = self._keys(place, row)
+        distance2 = (key >> 31).int().view(torch.float32)
+        valid = distance2 < (reach * reach).float()
+        return torch.where(valid, key & _NUMBER, self.segments.shape[1] - 1), valid.to(place.dtype)
+
+    def _keys(self, place: Tensor, row: Tensor) -> Tensor:
+        """Return numbers (K, N) in the order of the distances of the nearest candidates, ascending.
 
         The lower bits tell the segment, the upper ones the squared distance: floats that are not negative are
-        ordered as their bits are. The last of these are left out, so that rounding does not choose between
-        two segments of which the common corner is nearest.
+        ordered as their bits are.
         """
-        chunk = max(1, _AT_ONCE // max(1, columns))
-        if len(count) > chunk:
-            people = zip(place.split(chunk, 1), begin.split(chunk), count.split(chunk), strict=True)
-            return torch.cat([self._keys(*some, columns) for some in people], dim=1)
-        number = torch.arange(columns, device=place.device)[:, None]
-        segment = self.candidates.index_select(0, (begin + number).flatten())
-        distance2 = self._distance2(place, segment).view(columns, len(count)).float()
-        distance2 = distance2.add_(torch.ge(number, count, out=torch.empty_like(distance2)), alpha=_FAR)
-        bits = distance2.view(torch.int32).bitwise_and_(_ROUNDED).long().bitwise_left_shift_(31)
-        return (bits + segment.view(bits.shape)).T.contiguous().sort(dim=1)[0].T.contiguous()
-
-    def _bucket(self, place: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where the candidates of people's buckets begin, and how many there are, both (N,)."""
-        first, columns, rows = self.buckets[:, row]
-        cell = ((place - self.corner[:, row]) / BUCKET).floor()
-        x, y = cell
-        inside = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
-        x, y = torch.where(inside, cell, 0).long()
+        first, columns, rows = self.buckets.index_select(1, row % self.buckets.shape[1])
+        cell = ((place - self.corner.index_select(1, row % self.buckets.shape[1])) / BUCKET).floor()
+        inside = (cell[0] >= 0) & (cell[1] >= 0) & (cell[0] < columns) & (cell[1] < rows)
+        x, y = torch.where(inside, cell, 0).int()
         bucket = torch.where(inside, first + y * columns + x, len(self.offset) - 2)
         begin = self.offset.index_select(0, bucket)
-        return begin, self.offset.index_select(0, bucket + 1) - begin
-
-    def _distance2(self, place: Tensor, segment: Tensor) -> Tensor:
-        """Return squared distances (C, N) of C segments each to people; far where they are not outside."""
-        shape = 5, len(segment) // max(1, place.shape[1]), place.shape[1]
-        x, y, dx, dy, length = self.segments[:5].index_select(1, segment).view(shape)
-        from_x, from_y = place[0] - x, place[1] - y
+        column = torch.arange(self.width, device=row.device).unsqueeze(1)
+        segment = self.candidates.index_select(0, (begin + column).flatten())
+        start_x, start_y, dx, dy, length = (
+            self.segments[:5].index_select(1, segment).unflatten(1, column.shape[:1] + row.shape)
+        )
+        from_x, from_y = place[0] - start_x, place[1] - start_y
         along, apart = from_x * dx + from_y * dy, from_x * dy - from_y * dx
-        beyond = along - along.minimum(length).clamp_min_(0)
-        inside = torch.le(apart, 0, out=torch.empty_like(apart))
-        return (beyond * beyond + apart * apart).add_(inside, alpha=_FAR)
-
-
-def _distance2_of(key: Tensor) -> Tensor:
-    """Return the squared distances (...) that keys tell, single precision."""
-    return (key >> 31).int().view(torch.float32)
+        beyond = along - along.minimum(length).clamp_min(0)
+        counts = (column < self.offset.index_select(0, bucket + 1) - begin) & (apart > 0)
+        distance2 = torch.where(counts, beyond * beyond + apart * apart, _FAR).float()
+        bits = distance2.view(torch.int32).bitwise_and(ROUNDED).long().bitwise_left_shift(31)
+        return (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
 
 
 def edges(polygon: Floats) -> Floats:
-    """Return the segments (V, 12) of a polygon as `SegmentTable.build` takes them."""
+    """Return the segments (V, 13) of an outline (V, 2) as `SegmentTable.build` takes them.
+
+    Of each: start, end, unit direction, directions of the segments before and after, whether the corners at
+    start and end are convex, and the length of the segment before.
+    """
     end = np.roll(polygon, -1, axis=0)
-    direction = (end - polygon) / np.linalg.norm(end - polygon, axis=1, keepdims=True)
+    length = np.linalg.norm(end - polygon, axis=1)
+    direction = (end - polygon) / length[:, None]
     before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
     convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
-    return np.column_stack((polygon, end, direction, before, after, convex, np.roll(convex, -1)))
+    return np.column_stack(
+        (polygon, end, direction, before, after, convex, np.roll(convex, -1), np.roll(length, 1))
+    )
 
 
 def _seen_from_themselves(segments: Floats) -> Floats:
-    """Return segments (S, 12) in the form of the table (11, S)."""
+    """Return segments (S, 13) of `edges` in the form of the table (18, S)."""
     start, end, direction, before, after = (segments[:, at : at + 2] for at in range(0, 10, 2))
     left = np.column_stack((-direction[:, 1], direction[:, 0]))
     legs = [(way * axis).sum(1) for way in (before, after) for axis in (direction, left)]
     back_x, back_y, ahead_x, ahead_y = legs
     length = np.linalg.norm(end - start, axis=1)
-    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:])
-    return np.column_stack(columns).T.copy()
-
-
-def _bucket_lists(
-    segments: Floats, low: Floats, size: NDArray[np.int64], reach: float, most: int
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the candidates of a map's buckets and their distances (2, C), and how many each bucket has."""
-    lists: list[Floats] = [np.zeros((2, 0))] * int(size.prod())
-    columns, rows = np.meshgrid(np.arange(TILE), np.arange(TILE))
-    cells = np.column_stack((columns.ravel(), rows.ravel()))
-    for corner in np.ndindex(*(-(-size // TILE))):
-        tile = np.array(corner) * TILE
-        inside = cells[((tile + cells) < size).all(1)] + tile
-        distance, _ = _distances(segments, low + (tile + TILE / 2)[None] * BUCKET)
-        near = (distance[0] <= reach + TILE * _HALF).nonzero()[0]
-        if not len(near):
-            continue
-        distance, left = _distances(segments[near], low + (inside + 0.5) * BUCKET)
-        wanted = (distance <= reach + _HALF) & (left < _HALF)
-        # For every point of the bucket, `most` segments are nearer than this and have it outside.
-        surely = np.where(left < -_HALF, distance, np.inf)
-        if 0 < most < len(near):
-            wanted &= distance <= np.partition(surely, most - 1, axis=1)[:, most - 1 : most] + 2 * _HALF
-        for (x, y), gap, chosen in zip(inside, distance, wanted, strict=True):
-            order = chosen.nonzero()[0]
-            order = order[gap[order].argsort(kind="stable")]
-            lists[y * size[0] + x] = np.stack((near[order], gap[order]))
-    return np.concatenate([np.zeros((2, 0)), *lists], axis=1), np.array(
-        [one.shape[1] for one in lists], np.int64
-    )
-
-
-def _distances(segments: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Return the distances (N, S) of points (N, 2) to segments, and how far left of their lines they are."""
-    (x, y), (start_x, start_y, end_x, end_y, dx, dy) = points.T[:, :, None], segments.T[:6]
-    along = (x - start_x) * dx + (y - start_y) * dy
-    left = dx * (y - start_y) - dy * (x - start_x)
-    length = np.hypot(end_x - start_x, end_y - start_y)
-    beyond = along - along.clip(0, length)
-    return np.hypot(beyond, left), left
+    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:12])
+    return np.column_stack((*columns, end, before, after, segments[:, 12])).T.copy()

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.outlines import outlines
-from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
+from pedzoo.maps.segment_table import SegmentTable
+
+FASTEST = 4.0
+"""m/s: walls are looked up as far as they matter to agents of this speed, so that no tensor has to say it."""
 
 
 class Segments(NamedTuple):
@@ -53,21 +51,17 @@ class Segments(NamedTuple):
 
 
 class WallSegments:
-    """Outlines of all walls of a bank's floor plans, with a look-up of the nearest.
+    """The segments of a bank's walls that matter to each person; made at no cost, the bank keeps the tables.
 
     Attributes:
         bank: The floor plans; their unknown cells count as it says.
-        tolerance: How many cells a simplified outline may depart from the cells' edges. Half of one makes
-            staircases straight; with a whole one people of radius 0.2 m touched walls in a scanned apartment.
         most: Segments that are returned for one person at most.
+        reach: Metres up to which segments are found.
     """
 
-    def __init__(self, bank: MapBank, tolerance: float = 0.5, most: int = 16) -> None:
+    def __init__(self, bank: MapBank, most: int = 16, reach: float = 2 * FASTEST) -> None:
         """Take the floor plans; nothing is computed before the first look-up."""
-        self.bank = bank
-        self.tolerance = tolerance
-        self.most = most
-        self._known: dict[tuple[torch.device, torch.dtype], tuple[MapBank, SegmentTable]] = {}
+        self.bank, self.most, self.reach = bank, most, reach
 
     def near(self, points: Tensor, map_id: Tensor, pose: Tensor, reach: Tensor | float) -> Segments:
         """Return the nearest segments of each person that they are outside of, nearest first.
@@ -78,17 +72,19 @@ class WallSegments:
             points: Scene positions (N, 2), metres.
             map_id: Floor plan of each (N,) long, -1 for none.
             pose: Scene poses (N, 4).
-            reach: Metres (N,) or one number within which a segment has to come.
+            reach: Metres (N,) or one number within which a segment has to come; at most that of the look-up.
 
         Raises:
             UserError: A ``map_id`` is of another bank.
         """
         reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
-        bank, table = self._look_up(float(reach.max()) if len(points) else 0.0, points)
+        bank = self.bank.to(points.device)
+        table = self.table(bank, points.dtype)
         cos, sin, mirror, shift = pose[:, 0].cos(), pose[:, 0].sin(), pose[:, 1], pose[:, 2:]
         x, y = (points - shift).unbind(1)
         place = torch.stack((cos * x + sin * y, (cos * y - sin * x) * mirror))
-        parts, valid = table.nearest(place, bank.index(map_id), reach, self.most)
+        number, valid = table.nearest(place, bank.index(map_id), reach)
+        parts = table.segments[:11].index_select(1, number.flatten()).unflatten(1, number.shape)
         start, along, length, legs, convex = parts.split((2, 2, 1, 4, 2))
         from_x, from_y = place[:, None] - start
         x, y = along[0], along[1] * mirror
@@ -103,22 +99,6 @@ class WallSegments:
             valid=valid,
         )
 
-    def polygons(self, grid: OccupancyGrid) -> list[NDArray[np.float64]]:
-        """Return the outlines (V, 2) of a floor plan's walls in its frame, metres, walls to the left."""
-        found = outlines(grid.occupied(self.bank.unknown), self.tolerance)
-        return [grid.cells_to_map(polygon - 0.5) for polygon in found]
-
-    def edges(self, grid: OccupancyGrid) -> NDArray[np.float64]:
-        """Return the segments (S, 12) of a floor plan's walls in the form of `SegmentTable`."""
-        return np.concatenate([NOWHERE[:0], *(edges(polygon) for polygon in self.polygons(grid))])
-
-    def _look_up(self, reach: float, points: Tensor) -> tuple[MapBank, SegmentTable]:
-        """Return bank and table for people like these, computed anew where they do not reach far enough."""
-        key = points.device, points.dtype
-        bank, table = self._known.get(key) or (self.bank.to(points.device), None)
-        if table is None or table.reach < reach:
-            whole = math.ceil(reach) or 1  # slightly faster people do not compute it again
-            segments = [self.edges(grid) for grid in self.bank.grids]
-            table = SegmentTable.build(segments, whole, self.most).to(*key)
-            self._known[key] = bank, table
-        return bank, table
+    def table(self, bank: MapBank, dtype: torch.dtype) -> SegmentTable:
+        """Return the segments of the bank for positions of a dtype on its device."""
+        return bank.walls.segments(self.reach, self.most, dtype=dtype)

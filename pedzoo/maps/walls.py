@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from pedzoo.maps.contenders import CONTENDERS, contenders
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.segment_table import Outlines, SegmentTable
 
 _ROUNDING = 1e-4
 """Cells that single precision may err by."""
@@ -39,6 +40,7 @@ class Walls:
         place: Columns and rows of quarters of each padded map, and where they begin (3, R + 1) int32.
         side: Of half a cell in metres (R + 1,) float64.
         limit: Distances are clipped to plus and minus this, metres.
+        outlines: The same walls as line segments, on the CPU.
     """
 
     option: Tensor
@@ -48,6 +50,7 @@ class Walls:
     place: Tensor
     side: Tensor
     limit: float
+    outlines: Outlines
 
     @classmethod
     def of(cls, grids: Sequence[OccupancyGrid], unknown: Unknown, max_distance: float) -> Walls:
@@ -83,11 +86,29 @@ class Walls:
             place=torch.from_numpy(np.stack((width, height, begin)).astype(np.int32)),
             side=torch.tensor(sides, dtype=torch.float64) / 2,
             limit=max_distance,
+            outlines=Outlines(grids, unknown),
         )
 
     def to(self, device: torch.device | str) -> Walls:
         """Return the walls on a device: themselves where they are there already."""
         if self.choice.device == torch.device(device):
             return self
-        parts = {part.name: getattr(self, part.name) for part in fields(self)}
-        return Walls(**{key: part if key == "limit" else part.to(device) for key, part in parts.items()})
+        tensors = ("option", "choice", "least", "affine", "place", "side")
+        return replace(self, **{name: getattr(self, name).to(device) for name in tensors})
+
+    def segments(
+        self,
+        reach: float,
+        most: int | None = None,
+        hollows: bool = True,
+        dtype: torch.dtype = torch.float32,
+    ) -> SegmentTable:
+        """Return the walls' outlines as segments in buckets, on the device of the walls, made once.
+
+        Args:
+            reach: Metres up to which segments are asked for.
+            most: How many segments one position gets; None for all.
+            hollows: Whether hollows have outlines in which nobody could stand.
+            dtype: Of the positions.
+        """
+        return self.outlines.table(reach, most, hollows, self.choice.device, dtype)

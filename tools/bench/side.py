@@ -178,13 +178,12 @@ def scenes_for_peers(scenes: int, people: int) -> dict[str, Any]:
     agents, bank = walk.now["agents"], walk.env.bank
     # Loaded by name: only the checkout that is asked for scenes has to have these.
     settings = import_module("pedzoo.sim.orca.settings").OrcaSettings(time_step=DECISION)
-    segments = import_module("pedzoo.maps.segments").WallSegments(bank)
     return {
         "section": "loop",
         "scenes": scenes,
         "people": people,
         "orca": {key: value for key, value in asdict(settings).items() if key != "max_obstacles"},
-        "walls": [polygon.tolist() for polygon in segments.polygons(bank.grids[0])],
+        "walls": [polygon.tolist() for polygon in bank.walls.outlines.polygons()[0]],
         "position": agents["history"][:, :, -1].tolist(),
         "velocity": agents["velocity"].tolist(),
         "preferred": agents["desired_velocity"].tolist(),

@@ -28,6 +28,8 @@ _TOUCHING = 1e-6
 def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
+    Those that do not count are 0; compiled loops leave them out.
+
     Args:
         walls: K segments of each person, nearest first.
         velocity: Velocities (2, N), m/s.
@@ -35,6 +37,13 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
         settings: Horizon and how many segments are heeded.
     """
     walls = walls.nearest(settings.max_obstacles)
+    if velocity.device.type == "cpu" and velocity.dtype == torch.float32:
+        from pedzoo.sim.orca.compiled_lines import compiled_lines
+
+        lines = torch.zeros(4, *walls.along.shape)
+        given = [part.numpy() for part in (*walls, velocity, radius)]
+        count = compiled_lines(*given, 1 / settings.time_horizon_obst, EPSILON, lines.numpy())
+        return lines[:, :count]
     right, ahead = walls.direction, walls.side * left(walls.direction)
     own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
     x, y, dx, dy, counts = _lines(walls, own_x, own_y, radius, settings)

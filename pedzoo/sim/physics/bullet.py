@@ -14,11 +14,12 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts
+from pedzoo.sim.neighbors import pairs_within
 from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
 from pedzoo.sim.worlds.bullet_scene import BulletScene
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.frames import Affine, scene_to_grid
-from pedzoo.sim.worlds.near import farthest, near_pairs
+from pedzoo.sim.worlds.near import farthest
 from pedzoo.sim.worlds.pybullet_client import load_pybullet
 from pedzoo.types import BODY_RADIUS
 
@@ -171,7 +172,7 @@ class Bullet(Physics):
         far = farthest(path.flatten(2, 3).permute(3, 2, 0, 1), people.position.movedim(-1, 0))
         present = people.mask & far.isfinite()
         agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
-        pairs = near_pairs(people.position, present, far, self._radius(people) + _SLACK)
+        pairs = pairs_within(people.position, present, far + self._radius(people) + _SLACK)
         both = 2 * self.body_radius + extra[pairs.scene, pairs.first] + extra[pairs.scene, pairs.second]
         apart = (path[pairs.scene, pairs.first] - path[pairs.scene, pairs.second]).abs().amax(-1)
         pair, trace, step = (apart < both.view(-1, 1, 1) + _SLACK).nonzero(as_tuple=True)

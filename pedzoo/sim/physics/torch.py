@@ -7,15 +7,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts, Motion
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.near import agent_contacts
 from pedzoo.sim.worlds.top_view import draw_top_view
-from pedzoo.sim.worlds.wall_rays import WallRays
-from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
+from pedzoo.types import GOAL_RADIUS
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""
@@ -23,15 +21,6 @@ _CHUNK = 4_000_000
 
 class Torch(Physics):
     """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
-
-    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
-        """Take the floor plans.
-
-        Raises:
-            UserError: The radius is too small.
-        """
-        super().__init__(bank, body_radius)
-        self._wall_rays: WallRays | None = None
 
     def distances(self, people: People, reach: float = REACH) -> Distances:
         """See `Physics.distances`; differentiable with respect to positions."""
@@ -99,12 +88,10 @@ class Torch(Physics):
     @torch.no_grad()
     def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `Physics.rays`: a traversal of the grid, and discs by formula."""
-        if self._wall_rays is None or self._wall_rays.leap.device != origin.device:
-            self._wall_rays = WallRays.of(self.bank.grids, self.bank.unknown, origin.device)
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
-        row = self.bank.index(people.map_id[:, 0])
-        walls = self._wall_rays.cast(origin, direction, row, people.pose, reach).to(origin.dtype)
+        around = self.bank.walls_around(people.map_id[:, 0], people.pose)
+        walls = around.cast(origin.permute(2, 1, 0), direction.permute(2, 1, 0), reach).t().to(origin.dtype)
         chunk = max(1, _CHUNK // max(1, people.mask.numel()))
         bodies = [
             self._body_rays(people, some_origins, some_directions, reach)

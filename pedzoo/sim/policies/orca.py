@@ -10,9 +10,7 @@ from tensordict import TensorDictBase
 from pedzoo import draws
 from pedzoo.batch import ROBOT, ids_of, maps_of
 from pedzoo.errors import UserError
-from pedzoo.maps.bank import MapBank
-from pedzoo.maps.per_bank import PerBank
-from pedzoo.maps.segments import WallSegments
+from pedzoo.maps.segments import FASTEST, WallSegments
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.policy import Policy
@@ -78,7 +76,6 @@ class Orca(Policy):
         self.settings = OrcaSettings.preset(preset, time_step=dt, **changes)
         self.jitter, self.top_speed_ratio = jitter, top_speed_ratio
         self._sees_walls = walls
-        self._segments: PerBank[WallSegments] = PerBank()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -99,7 +96,8 @@ class Orca(Policy):
             map_id = tensordict["map_id"].expand(scenes, slots).flatten()
             pose = tensordict["scene_pose"].repeat_interleave(slots, 0)
             reach = self.settings.wall_reach(top_speed, radius).flatten()
-            segments = self._segments.of(maps_of(tensordict), self._outlined)
+            farthest = self.settings.time_horizon_obst * FASTEST
+            segments = WallSegments(maps_of(tensordict), self.settings.max_obstacles, farthest)
             walls = segments.near(position.flatten(0, 1), map_id, pose, reach)
         velocity = orca_velocity(
             position,
@@ -114,6 +112,3 @@ class Orca(Policy):
         )
         tensordict["agents", "action"] = velocity
         return tensordict
-
-    def _outlined(self, bank: MapBank) -> WallSegments:
-        return WallSegments(bank, most=self.settings.max_obstacles)

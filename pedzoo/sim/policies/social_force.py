@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
@@ -12,10 +13,8 @@ from pedzoo import draws
 from pedzoo.batch import agents_of, ids_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, turn_to_scene
-from pedzoo.maps.bank import MapBank
-from pedzoo.maps.per_bank import PerBank
 from pedzoo.sim.policy import Policy
-from pedzoo.sim.social_force.borders import Borders
+from pedzoo.sim.social_force.borders import wall_points
 from pedzoo.sim.social_force.forces import closer, wall_force
 from pedzoo.sim.social_force.settings import Anisotropy, SocialForceSettings
 from pedzoo.sim.social_force.velocity import social_force_velocity
@@ -100,7 +99,6 @@ class SocialForce(Policy):
                 "for longer than it takes to change it follows no forces"
             )
         self._sees_walls = walls
-        self._borders: PerBank[Borders] = PerBank()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -124,29 +122,26 @@ class SocialForce(Policy):
             self.settings,
             self.decision_dt,
             identity,
-            None if not self._sees_walls else lambda place, rows: self._walls(tensordict, place, rows),
+            self._walls(tensordict) if self._sees_walls else None,
             fluctuation,
             agents["radius"][..., 0],
         )
         return tensordict
 
-    def _walls(self, tensordict: TensorDictBase, place: Tensor, rows: Tensor | None) -> Tensor:
-        """Return the walls' forces (2, N) on the people ``rows`` (N,) of B * A, at ``place`` (2, N)."""
-        borders = self._borders.of(maps_of(tensordict), self._outlined)
-        mask, poses, ids = (
-            cast("Tensor", tensordict[key]) for key in (("agents", "mask"), "scene_pose", "map_id")
-        )
-        radius = cast("Tensor", agents_of(tensordict)["radius"]).flatten()
-        radius = radius if rows is None else radius[rows]
-        slots = mask.shape[1]
-        scene = torch.arange(len(mask), device=mask.device).repeat_interleave(slots)
-        scene = scene if rows is None else scene[rows]
-        pose = poses[scene]
-        points = borders.near(move_to_map(place.T, pose).T.contiguous(), ids.flatten()[scene])
-        offset = closer(points.offset, radius.index_select(0, points.person) - BODY_RADIUS)
-        strength, reach = self.settings.wall_strength, self.settings.wall_range
-        force = wall_force(points.person, offset, points.weight, place.shape[1], strength, reach)
-        return turn_to_scene(force.T, pose).T
+    def _walls(self, tensordict: TensorDictBase) -> Callable[[Tensor, Tensor | None], Tensor]:
+        """Return the walls' forces (2, N): a function of places (2, N) and rows (N,) of B * A people."""
+        bank, settings = maps_of(tensordict), self.settings
+        radius = cast("Tensor", agents_of(tensordict)["radius"])
+        poses, ids = cast("Tensor", tensordict["scene_pose"]), cast("Tensor", tensordict["map_id"])
+        wider, pose = radius.flatten() - BODY_RADIUS, poses.repeat_interleave(radius.shape[1], 0)
+        row = bank.index(ids.flatten()).repeat_interleave(radius.shape[1])
 
-    def _outlined(self, bank: MapBank) -> Borders:
-        return Borders(bank, self.settings.wall_reach)
+        def force(place: Tensor, rows: Tensor | None) -> Tensor:
+            mine = [part if rows is None else part.index_select(0, rows) for part in (pose, row, wider)]
+            table = bank.walls.segments(settings.wall_reach, hollows=False, dtype=place.dtype)
+            points = wall_points(table, move_to_map(place.T, mine[0]).T.contiguous(), mine[1])
+            offset = closer(points.offset, mine[2])
+            total = wall_force(offset, points.weight, settings.wall_strength, settings.wall_range)
+            return turn_to_scene(total.T, mine[0]).T
+
+        return force

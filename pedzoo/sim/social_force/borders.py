@@ -18,111 +18,55 @@ Borders do not hide each other, and two obstacles are two however narrow the gap
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.outlines import outlines
+from pedzoo.maps.segment_table import SegmentTable
 from pedzoo.sim.orca.vectors import cross, dot
-from pedzoo.sim.social_force.border_table import BorderTable
 from pedzoo.sim.social_force.forces import direction
-from pedzoo.types import BODY_RADIUS
 
 
 class WallPoints(NamedTuple):
-    """M points of walls that act on people.
+    """M points of walls for each of N people.
 
     Attributes:
-        person: Whom each acts on (M,) long.
-        offset: From the point to the person (2, M), metres, in the frame of the floor plan.
-        weight: 1 for minima of the distance, down to -1 for maxima (M,).
+        offset: From the point to the person (2, M, N), metres, in the frame of the floor plan.
+        weight: 1 for minima of the distance, down to -1 for maxima, 0 for points that do not act (M, N).
     """
 
-    person: Tensor
     offset: Tensor
     weight: Tensor
 
 
-class Borders:
-    """The walls of a bank's floor plans: outlines that are simplified by half a cell at most.
+def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> WallPoints:
+    """Return the points of walls that act on people; none without a map.
 
-    Attributes:
-        bank: The floor plans; their unknown cells count as it says.
-        reach: Metres within which walls act.
+    Args:
+        table: The walls; they act within its reach.
+        place: Where people are on their floor plans (2, N), metres; differentiable.
+        row: Row of each one's floor plan (N,) long, -1 for none.
     """
+    number, valid = table.nearest(place, row, place.new_full(row.shape, table.reach))
+    wall = table.segments.index_select(1, number.flatten()).unflatten(1, number.shape)
+    start, along, own, end, before, after, length_before = wall.split((2, 2, 7, 2, 2, 2, 1))
+    length, convex = own[0], own[5]
+    seen = valid > 0
+    off, off_end = (torch.where(seen, place.unsqueeze(1) - corner, 0) for corner in (start, end))
+    # the end of a segment is the start of the next, to the last bit: so are these of both
+    t, t_end, past = dot(off, along), dot(off_end, along), dot(off, before)
+    offset = off - along * t.clamp_min(0).minimum(length)
+    near = seen & (dot(offset, offset) < table.reach**2)
 
-    def __init__(self, bank: MapBank, reach: float) -> None:
-        """Take the floor plans; nothing is computed before the first look-up."""
-        self.bank = bank
-        self.reach = reach
-        self._known: dict[tuple[torch.device, torch.dtype], tuple[MapBank, BorderTable]] = {}
+    # A foot inside the segment; or its start, where the segment before has no foot either. A pointed end
+    # may be seen from one side only: then it is the start of no segment that the person is outside of.
+    foot, first = (t > 0) & (t_end < 0), (t <= 0) & (past >= 0)
+    last = (t_end >= 0) & (dot(off_end, after) <= 0) & (cross(after, off_end) >= 0)
+    acts = near & (foot | first | last)
 
-    def near(self, place: Tensor, map_id: Tensor) -> WallPoints:
-        """Return the points of walls that act on people; none without a map.
-
-        Args:
-            place: Where people are on their floor plans (2, N), metres; differentiable.
-            map_id: Floor plan of each (N,) long, -1 for none.
-
-        Raises:
-            UserError: A ``map_id`` is of another bank.
-        """
-        bank, table = self._look_up(place)
-        person, segment = table.look(place, bank.index(map_id))
-        wall = table.segments.index_select(1, segment)
-        start, end, along, before, after = wall[:10].split(2)
-        at = place.index_select(1, person)
-        off, off_end = at - start, at - end
-        t, t_end, past = dot(off, along), dot(off_end, along), dot(off, before)
-        offset = off - along * t.clamp_min(0).minimum(dot(end - start, along))
-
-        # A foot inside the segment; or its start, where the segment before has no foot either. A pointed end
-        # may be seen from one side only: then it is the start of no segment that the person is outside of.
-        foot, first = (t > 0) & (t_end < 0), (t <= 0) & (past >= 0)
-        last = (t_end >= 0) & (dot(off_end, after) <= 0) & (cross(after, off_end) >= 0)
-        kept = (foot | first | last).nonzero()[:, 0]
-        points = WallPoints(
-            person.index_select(0, kept), offset.index_select(1, kept), torch.ones_like(t[: len(kept)])
-        )
-
-        hollow = ((wall[11] > 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)).nonzero()[:, 0]
-        if not len(hollow):
-            return points
-        off, before, nearest = (part.index_select(1, hollow) for part in (off, before, offset))
-        length = wall[10].index_select(0, hollow)
-        nearest_before = off + before * (-dot(off, before)).minimum(length)
-        likeness = dot(direction(nearest), direction(nearest_before))
-        return WallPoints(
-            torch.cat((points.person, person.index_select(0, hollow))),
-            torch.cat((points.offset, off), dim=1),
-            torch.cat((points.weight, -(2 * likeness).clamp(0, 1))),
-        )
-
-    def _look_up(self, place: Tensor) -> tuple[MapBank, BorderTable]:
-        """Return bank and segments for people like these."""
-        key = place.device, place.dtype
-        if key not in self._known:
-            outlined = [_polygons(grid, self.bank.unknown) for grid in self.bank.grids]
-            table = BorderTable.build(outlined, self.reach).to(*key)
-            self._known[key] = self.bank.to(place.device), table
-        return self._known[key]
-
-
-def _polygons(grid: OccupancyGrid, unknown: Unknown) -> list[NDArray[np.float64]]:
-    """Return the outlines (V, 2) of walls in the map's frame, without hollows in which nobody could stand.
-
-    Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
-    """
-    from scipy.ndimage import label, maximum
-
-    # the world around the map is free and wide
-    distance = np.pad(grid.signed_distance(unknown), 1, constant_values=np.inf)
-    parts, count = cast("tuple[NDArray[np.int32], int]", label(distance > 0))
-    widest = np.asarray(maximum(distance, parts, np.arange(count + 1)))
-    hollow = (widest < BODY_RADIUS)[parts][1:-1, 1:-1]
-    return [grid.cells_to_map(polygon - 0.5) for polygon in outlines(grid.occupied(unknown) | hollow)]
+    hollow = near & (convex == 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)
+    nearest_before = off + before * (-past).minimum(length_before[0])
+    likeness = dot(*(direction(torch.where(hollow, part, 0)) for part in (offset, nearest_before)))
+    weight = torch.where(hollow, -(2 * likeness).clamp(0, 1), 0)
+    return WallPoints(torch.cat((offset, off), dim=1), torch.cat((acts.to(weight.dtype), weight)))

@@ -95,19 +95,18 @@ def smooth_weight(offset: Tensor, heading: Tensor, behind: float) -> Tensor:
     return behind + (1 - behind) * 0.5 * (1 + cosine)
 
 
-def wall_force(
-    person: Tensor, offset: Tensor, weight: Tensor, count: int, strength: float, reach: float
-) -> Tensor:
+def wall_force(offset: Tensor, weight: Tensor, strength: float, reach: float) -> Tensor:
     """Return the sum of the walls' forces on everybody (2, N) (eq. 5).
 
     Args:
-        person: Whom each of M points of walls acts on (M,) long.
-        offset: From the point to the person (2, M), metres.
-        weight: How much it counts (M,).
-        count: N.
+        offset: From M points of walls to each person (2, M, N), metres.
+        weight: How much each counts (M, N).
         strength: U0, m^2/s^2.
         reach: R, metres.
     """
+    if not len(weight):
+        return offset.new_zeros(2, weight.shape[1])
     distance = length(offset, 1e-6)
     force = offset * (weight * (distance * (-1 / reach)).exp() * (strength / reach) / distance)
-    return force.new_zeros(2, count).index_add(1, person, force)
+    # one after the other: a sum's rounding would depend on how many points act on others
+    return force.cumsum(1)[:, -1]
