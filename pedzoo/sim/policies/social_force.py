@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo import draws
-from pedzoo.batch import agents_of, ids_of, maps_of
+from pedzoo.batch import ROBOT, agents_of, ids_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
@@ -126,9 +126,20 @@ class SocialForce(Policy):
             identity,
             None if not self._sees_walls else lambda place, rows: self._walls(tensordict, place, rows),
             fluctuation,
-            agents["radius"][..., 0],
+            self._radius(agents),
         )
         return tensordict
+
+    def _radius(self, agents: Any) -> Tensor:
+        """Return the radii (B, A) that the others' forces see, metres.
+
+        People who both give way stop some way into each other's potential, which begins at the centre. That
+        of a body that gives no way begins where it would be touched.
+        """
+        radius = agents["radius"][..., 0]
+        usual = (radius - BODY_RADIUS).abs() < 1e-6
+        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~usual)
+        return torch.where(gives_no_way, radius + 2 * BODY_RADIUS, radius)
 
     def _walls(self, tensordict: TensorDictBase, place: Tensor, rows: Tensor | None) -> Tensor:
         """Return the walls' forces (2, N) on the people ``rows`` (N,) of B * A, at ``place`` (2, N)."""
