@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -341,6 +342,11 @@ def test_ids_have_numbers_that_no_run_changes():
     assert number_of(-1) >= 0
 
 
+def seen(policy: Straight, key: str) -> torch.Tensor:
+    """Return what the policy was last told of all agents."""
+    return cast("torch.Tensor", agents_of(policy.seen[-1])[key])
+
+
 def row_of(batch: Any, radius: float) -> int:
     """Return the only row with a body of this radius."""
     rows = (agents_of(batch)["radius"][0, :, 0] - radius).abs().lt(1e-6).nonzero()[:, 0]
@@ -413,11 +419,11 @@ def test_others_are_seen_and_not_returned():
         assert agents["controlled"][0].tolist() == [row == anna for row in range(3)]
         assert agents["kind"][0].tolist() == [PERSON if row == anna else ROBOT for row in range(3)]
     controller.step({"anna": (0.0, 0.0)}, others={"husky": (1.0, 1.0)}, radius={"husky": 0.4})
-    assert agents_of(policy.seen[-1])["radius"].flatten().sort()[0].tolist() == pytest.approx([0.2, 0.4])
+    assert sorted(seen(policy, "radius").flatten().tolist()) == pytest.approx([0.2, 0.4])
     assert controller.step({}, others={"husky": (1.0, 1.0)}) == {}
     # the empty call was one: the history of the robot goes on
     controller.step({"anna": (0.0, 0.0)}, {"anna": (9.0, 0.0)}, others={"husky": (1.5, 1.0)})
-    history = agents_of(policy.seen[-1])["history"][0, row_of(policy.seen[-1], 0.4), -3:, 0]
+    history = seen(policy, "history")[0, row_of(policy.seen[-1], 0.4), -3:, 0]
     assert history.tolist() == [1.0, 1.0, 1.5]
 
 
@@ -428,10 +434,9 @@ def test_a_box_is_several_discs_with_histories_of_their_own():
         discs = np.array([[4.0, 0.2 * tick], [5.0, 0.4 * tick], [6.0, 0.6 * tick]])
         box = discs if tick else discs.tolist()
         controller.step({0: (0.0, 0.0)}, {0: (9.0, 0.0)}, others={"box": box}, radius={"box": 0.45})
-    agents = agents_of(policy.seen[-1])
-    wide = agents["radius"][0, :, 0] > 0.4
+    wide = seen(policy, "radius")[0, :, 0] > 0.4
     assert int(wide.sum()) == 3
-    last = sorted(map(tuple, agents["history"][0, wide][:, -3:].flatten(1).tolist()))
+    last = sorted(map(tuple, seen(policy, "history")[0, wide][:, -3:].flatten(1).tolist()))
     expected = [(x, 0.0, x, 0.2 * (x - 3), x, 0.4 * (x - 3)) for x in (4.0, 5.0, 6.0)]
     np.testing.assert_allclose(last, expected, atol=1e-6)
 
@@ -472,7 +477,7 @@ def test_a_clock_that_jitters_gives_the_histories_of_a_regular_one():
     for batch in policy.seen[7:]:
         now = times[0] + batch["time"].item()
         expected = torch.from_numpy(at(now - 0.4 * np.arange(7, -1, -1))).float()
-        history = agents_of(batch)["history"][0]
+        history = cast("torch.Tensor", agents_of(batch)["history"])[0]
         assert (history[0] - expected).norm(dim=-1).max() < 0.01
         assert (history[1] + expected).norm(dim=-1).max() < 0.01
 
@@ -486,7 +491,7 @@ def test_people_walk_alike_by_a_clock_that_jitters(name: str):
         policy = load_policy(name)
         controller = Controller(policy, dt=0.1, deterministic=True)
         times, place = 5.0 + 0.1 * np.arange(61) + shift, {0: np.zeros(2)}
-        for time, after in zip(times[:-1], times[1:], strict=True):
+        for time, after in pairwise(times):
             found = controller.step(place, {0: (50.0, 20.0)}, time=float(time))
             place = {0: place[0] + (after - time) * found[0]}
         paths.append(place[0])
@@ -522,9 +527,8 @@ def test_what_others_radii_and_times_cannot_be_is_refused_and_changes_nothing(gi
     with pytest.raises(UserError, match=message):
         controller.step({"anna": (1.5, 1)}, **({"time": 3.4} | given if given else given))
     controller.step({"anna": (1.52, 1)}, time=3.4)
-    agents = agents_of(policy.seen[-1])
-    np.testing.assert_allclose(agents["velocity"][0, 0], (1.3, 0), atol=1e-4)
-    assert agents["radius"].flatten().tolist() == [pytest.approx(0.15)]
+    np.testing.assert_allclose(seen(policy, "velocity")[0, 0], (1.3, 0), atol=1e-4)
+    assert seen(policy, "radius").flatten().tolist() == [pytest.approx(0.15)]
 
 
 def test_time_at_some_calls_only_is_refused():

@@ -12,7 +12,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
+import sys
+from collections.abc import Iterator
+from itertools import chain, product
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +82,15 @@ class Run(NamedTuple):
     seconds: float
 
 
+class Row(NamedTuple):
+    """What came of the runs of one policy in one encounter; ``metrics`` by name, the unit last."""
+
+    name: str
+    case: str
+    n: int
+    metrics: dict[str, float]
+
+
 def walls(place: str, encounter: str) -> list[tuple[float, float, float, float]]:
     """Return the walls of a place as rectangles (x0, y0, x1, y1), metres: none in the open.
 
@@ -99,7 +113,7 @@ def walked(policy: str, place: str, encounter: str, aside: float, seed: int = 0)
     """Return one run; ``aside`` is the robot's offset, metres."""
     case, dt = ENCOUNTERS[encounter], TRACE_SECONDS
     blocks = walls(place, encounter)
-    plan: OccupancyGrid | None = rectangles(blocks, resolution=0.05) if blocks else None
+    plan: OccupancyGrid | None = rectangles(blocks, resolution=0.1) if blocks else None
     steering = Controller(load_policy(policy), plan, case.pref_speed, dt, seed)
     person, velocity = np.array([-5.0, 0.0]), np.array(case.velocity)
     robot = np.array(case.start) + aside * np.array(case.aside)
@@ -139,25 +153,19 @@ def slid(
     return place
 
 
-def table(policies: list[str], places: list[str], encounters: list[str]) -> list[dict[str, object]]:
-    """Return one row for every policy, place and encounter."""
-    rows: list[dict[str, object]] = []
-    for policy in policies:
-        for place in places:
-            for encounter in encounters:
-                offsets = np.linspace(-WIDEST[place], WIDEST[place], OFFSETS)
-                runs = [walked(policy, place, encounter, float(aside)) for aside in offsets]
-                metrics = {
-                    "touches": sum(run.nearest < CONTACT - 1e-3 for run in runs),
-                    "arrived": sum(run.arrived for run in runs),
-                    "nearest_m": round(min(run.nearest for run in runs), 3),
-                    "median_time_s": round(float(np.median([run.seconds for run in runs])), 1),
-                }
-                rows.append(
-                    {"name": policy, "case": f"{place}, {encounter}", "n": OFFSETS, "metrics": metrics}
-                )
-                print(policy, place, encounter, metrics, flush=True)
-    return rows
+def rows(policy: str, places: list[str], encounters: list[str], seeds: int) -> Iterator[Row]:
+    """Yield one row for every place and encounter."""
+    for place, encounter in product(places, encounters):
+        offsets = np.linspace(-WIDEST[place], WIDEST[place], OFFSETS)
+        cases = product(offsets.tolist(), range(seeds))
+        runs = [walked(policy, place, encounter, aside, seed) for aside, seed in cases]
+        metrics = {
+            "touches": sum(run.nearest < CONTACT - 1e-3 for run in runs),
+            "arrived": sum(run.arrived for run in runs),
+            "nearest_m": round(min(run.nearest for run in runs), 3),
+            "median_time_s": round(median(run.seconds for run in runs), 1),
+        }
+        yield Row(policy, f"{place}, {encounter}", len(runs), metrics)
 
 
 def main() -> None:
@@ -166,24 +174,22 @@ def main() -> None:
     parser.add_argument("policies", nargs="*", default=list(POLICIES))
     parser.add_argument("--places", nargs="+", default=list(WIDEST), choices=list(WIDEST))
     parser.add_argument("--encounters", nargs="+", default=list(ENCOUNTERS), choices=list(ENCOUNTERS))
+    parser.add_argument("--seeds", type=int, default=1, help="noise of so many seeds for every offset")
     parser.add_argument("--json", type=Path, metavar="FILE")
     given = parser.parse_args()
-    rows = table(given.policies, given.places, given.encounters)
-    head = ["policy", "case", "touches", "arrived", "nearest, m", "median time, s"]
-    print(
-        markdown_table(
-            head, [[str(r["name"]), str(r["case"]), *map(str, r["metrics"].values())] for r in rows]
-        )
-    )
+    walks = (rows(policy, given.places, given.encounters, given.seeds) for policy in given.policies)
+    found = list(chain.from_iterable(walks))
     if given.json:
-        protocol = f"one person, one robot of {ROBOT_RADIUS} m that does not react, {OFFSETS} lateral offsets"
         report = {
-            "command": "tools/robots_respected.py",
-            "protocol": protocol,
-            "seeds": [0],
+            "command": shlex.join(["tools/robots_respected.py", *sys.argv[1:]]),
+            "protocol": f"a person and a robot of {ROBOT_RADIUS} m that does not react, {OFFSETS} offsets",
+            "seeds": list(range(given.seeds)),
             "versions": versions(),
+            "rows": [row._asdict() for row in found],
         }
-        given.json.write_text(json.dumps({**report, "rows": rows}, indent=1) + "\n")
+        given.json.write_text(json.dumps(report, indent=1) + "\n")
+    head = ["policy", "case", "runs", "touches", "arrived", "nearest, m", "median time, s"]
+    print(markdown_table(head, [[*row[:3], *row.metrics.values()] for row in found]), end="")
 
 
 if __name__ == "__main__":

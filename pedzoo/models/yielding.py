@@ -16,23 +16,23 @@ from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.models.clearance import MARGIN, Steps
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS
 
-HORIZON = 3.0
+HORIZON = 4.0
 """Seconds within which a contact with a robot counts."""
-
-WALL_HORIZON = 1.2
-"""Seconds within which one with a wall does."""
 
 ROOM = 0.1
 """Metres that are kept beyond a contact with a robot: between two decisions velocities blend."""
 
-WEIGHT, WALL_WEIGHT = 3.0, 1.0
+WEIGHT = 3.0
 """Metres: what a contact after t seconds costs in m/s, as WEIGHT / t, less the same at the horizon."""
 
-DIRECTIONS, SPEEDS, PLACES = 24, 4, 6
+DIRECTIONS, SPEEDS, PLACES = 24, 4, 8
 """Sampled directions, speeds, and places on the way at which walls are asked for."""
 
 _SOONEST = 0.1
 """Seconds: a contact is not sooner than this."""
+
+_LEAST_VIEW = 0.8
+"""Seconds within which a contact with a wall counts at least."""
 
 
 def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
@@ -73,12 +73,14 @@ def _chosen(steps: Steps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
     move = samples.unsqueeze(1) - velocity[scene].unsqueeze(2)
     times = _contact(away[scene, agent].unsqueeze(2), move, room[scene, agent].unsqueeze(2))
     times = torch.where(avoided[scene].unsqueeze(2), times, torch.inf).amin(1)
-    cost = (samples - asked.unsqueeze(1)).norm(dim=-1) + _cost(times, WEIGHT, HORIZON)
+    cost = (samples - asked.unsqueeze(1)).norm(dim=-1) + _cost(times)
     if walls is not None:
-        rows = scene * steps.present.shape[1] + agent
-        seen, place = walls.rows(rows), steps.position[scene, agent]
-        times = _wall_contact(seen, place, samples, steps.radius[scene, agent])
-        cost = cost + _cost(times, WALL_WEIGHT, WALL_HORIZON)
+        # the way has to be free of walls until the robot is passed
+        passed = -(away[scene, agent].unsqueeze(2) * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
+        passed = torch.where((soon & others)[scene, agent].unsqueeze(2), passed, 0.0).amax(1)
+        seen = walls.rows(scene * steps.present.shape[1] + agent)
+        place, radius = steps.position[scene, agent], steps.radius[scene, agent]
+        cost = cost + _cost(_wall_contact(seen, place, samples, radius, passed.clamp(_LEAST_VIEW, HORIZON)))
     best = samples[torch.arange(len(scene), device=scene.device), cost.argmin(1)]
     return steps.step.index_put((scene, agent), best * STEP_SECONDS)
 
@@ -112,15 +114,15 @@ def _contact(away: Tensor, move: Tensor, room: Tensor) -> Tensor:
     return torch.where((closing > 0) & (root > 0), time, torch.inf)
 
 
-def _wall_contact(walls: LocalWalls, place: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
-    """Return after how many seconds (N, V) people at (N, 2) run into a wall; inf: not soon."""
-    when = torch.arange(1, PLACES + 1, device=place.device) * (WALL_HORIZON / PLACES)
-    points = place.view(-1, 1, 1, 2) + velocity.unsqueeze(2) * when.view(-1, 1)
+def _wall_contact(walls: LocalWalls, place: Tensor, velocity: Tensor, radius: Tensor, view: Tensor) -> Tensor:
+    """Return after how many seconds (N, V) people at (N, 2) run into a wall; inf: not in ``view`` (N, V)."""
+    when = view.unsqueeze(2) * torch.arange(1, PLACES + 1, device=place.device) / PLACES
+    points = place.view(-1, 1, 1, 2) + velocity.unsqueeze(2) * when.unsqueeze(3)
     gap, _ = walls.closest(torch.cat((place.unsqueeze(1), points.flatten(1, 2)), 1))
     least = gap[:, :1].minimum(radius.unsqueeze(1) + MARGIN) - 1e-3
     hit = gap[:, 1:].view(points.shape[:-1]) < least.unsqueeze(2)
     return torch.where(hit, when, torch.inf).amin(2)
 
 
-def _cost(time: Tensor, weight: float, horizon: float) -> Tensor:
-    return weight * (1 / time.clamp_min(_SOONEST) - 1 / horizon).clamp_min(0)
+def _cost(time: Tensor) -> Tensor:
+    return WEIGHT * (1 / time.clamp_min(_SOONEST) - 1 / HORIZON).clamp_min(0)
