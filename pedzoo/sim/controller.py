@@ -161,26 +161,28 @@ class Controller:
         position[agents.rows(present)] = as_points(present, "position").float()
         # on the way since the last call, or at once for a new goal
         agents = agents.arrived(agents.past[:, -1], position)
-        ways, agents = self._ways.with_goals(agents, position, _of(people, goals))
-        agents = agents.arrived(position, position)
+        ways, told, new = self._ways, _of(people, goals), agents.is_new
+        comes = bool(new.any())
+        if told or comes:
+            ways, agents = ways.with_goals(agents, position, told)
+            agents = agents.arrived(position, position)
 
-        new = agents.is_new
         past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
         trace = torch.where(_each(agents.walks), agents.trace, 0.0)
         agents = agents._replace(past=past, trace=trace)
         decides = (new | clock.decides) & agents.walks
-        if new.any() or decides.any():
+        if comes or decides.any():
             guidance = ways.guide(agents, position)
             given = _of(people, velocities) | {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
             moving = guidance.desired_velocity.index_put(
                 (agents.rows(given),), as_points(given, "velocity").float()
             )
             agents = agents.begun(position, moving, clock.ago(past.shape[1]), new)
+            velocity = clock.velocity(agents.past)
+            agents = agents._replace(heading=heading_of(velocity, agents.heading, TURNS_FROM))
             if decides.any():
                 batch = self._batch(agents, guidance, clock)
                 agents = self._decided(agents, batch, decides, new)
-        velocity = clock.velocity(agents.past)
-        agents = agents._replace(heading=heading_of(velocity, agents.heading, TURNS_FROM))
         self._ways, self._agents, self._clock = ways, agents, clock
         answer = self._walked(agents, clock).double().numpy()
         return {one: answer[agents.row[one]] for one in people}
@@ -237,7 +239,7 @@ class Controller:
             valid=everybody.unsqueeze(-1).expand(*size, OBS_LEN),
             mask=everybody,
             velocity=velocity.unsqueeze(0),
-            heading=heading_of(velocity, agents.heading, TURNS_FROM).view(*size, 1),
+            heading=agents.heading.view(*size, 1),
             pref_speed=agents.pref_speed.view(*size, 1),
             radius=agents.radius.view(*size, 1),
             kind=torch.where(agents.other, ROBOT, PERSON).unsqueeze(0),
