@@ -20,7 +20,7 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room
-from pedzoo.models.controller import Controller
+from pedzoo.sim.controller import Controller
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import load_policy
 

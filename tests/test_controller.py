@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,14 +13,15 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
-from pedzoo.batch import agents_of
+from pedzoo.batch import PERSON, ROBOT, agents_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.models.controller import Controller
-from pedzoo.models.roster import number_of
+from pedzoo.sim.called_with import number_of
+from pedzoo.sim.controller import Controller
+from pedzoo.sim.dynamics import blended
 from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.types import TOP_SPEED_RATIO
+from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 # two rooms of 5 x 6 m with a door of 1.2 m between, and a third behind a wall without one
 ROOMS = rectangles(
@@ -67,7 +69,11 @@ def test_it_walks_as_the_same_policy_does_in_the_environment(env, name: str, det
     with torch.no_grad(), set_exploration_type(kind):
         action = policy(batch.clone())["agents", "action"][0]
     state = env.state
-    expected = limit_speed(action, TOP_SPEED_RATIO * state.pref_speed[0])
+    top_speed = TOP_SPEED_RATIO * state.pref_speed[0]
+    command = limit_speed(action, top_speed)
+    # the first 0.1 s of the decision
+    expected = blended(state.velocity[0].T, command.T, 4)[:, 0].T
+    expected = limit_speed(expected, top_speed)
 
     controller = pedzoo.load(name).controller(
         env.bank.grids[0],
@@ -186,7 +192,7 @@ def test_people_are_remembered_while_they_are_named():
     assert history[1, :, 1].tolist() == [4, 5, 6, 7, 8, 9, 10, 11]
 
 
-def test_between_decisions_the_velocity_is_held():
+def test_the_policy_decides_at_its_interval_and_for_newcomers_at_once():
     policy = Straight()
     controller = Controller(policy, dt=0.1)
     goals: dict[int, Any] = {0: (10.0, 0.0)}
@@ -205,6 +211,33 @@ def test_between_decisions_the_velocity_is_held():
     # every 0.4 s, back from now
     expected = 0.1 * torch.tensor([-20.0, -16, -12, -8, -4, 0, 4, 8])
     torch.testing.assert_close(policy.seen[3]["agents", "history"][0, 0, 5:, 1], expected[5:])
+
+
+@pytest.mark.parametrize(
+    ("dt", "shares"),
+    [
+        (0.1, [0.5, 1.25, 1.25, 1.0]),
+        (0.2, [0.875, 1.125]),
+        (0.05, [0.5, 0.5, 1.25, 1.25, 1.25, 1.25, 1.0, 1.0]),
+        (0.4, [1.0]),
+    ],
+)
+def test_between_two_decisions_velocities_blend(dt: float, shares: list[float]):
+    """From 1.3 m/s along x to 1.3 m/s along y: half-way in the first 0.1 s, made up for in the next 0.2 s."""
+    controller, calls = Controller(Straight(), dt=dt), len(shares)
+    place, goal = np.zeros(2), (100.0, 0.0)
+    for _ in range(calls):
+        place = place + dt * controller.step({0: place}, {0: goal})[0]
+    turn = place
+    found = []
+    for _ in range(calls):
+        velocity = controller.step({0: place}, {0: (turn[0], 100.0)})[0]
+        place = place + dt * velocity
+        found.append(velocity)
+    expected = [(1.3 * (1 - share), 1.3 * share) for share in shares]
+    # no faster than 1.3 times the preferred speed
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+    np.testing.assert_allclose(place - turn, (0.0, 0.52), atol=2e-5)
 
 
 def test_velocities_are_shortened_to_the_top_speed():
@@ -250,7 +283,7 @@ def test_goals_that_nobody_has_any_more_are_forgotten():
         )
         np.testing.assert_allclose(velocity["stays"], (1.3, 0), atol=1e-5)
         way = goal - (2.0, 2.0)
-        if np.linalg.norm(way) > 0.1:
+        if np.linalg.norm(way) > GOAL_RADIUS:
             np.testing.assert_allclose(velocity["turns"], 1.3 * way / np.linalg.norm(way), atol=1e-5)
     assert controller._ways.planner.goals < 80
 
@@ -307,6 +340,202 @@ def test_ids_have_numbers_that_no_run_changes():
     assert [number_of(one) for one in (0, 3, np.int64(3), True)] == [0, 3, 3, 1]
     assert number_of("anna") == 1857110474486603798
     assert number_of(-1) >= 0
+
+
+def seen(policy: Straight, key: str) -> torch.Tensor:
+    """Return what the policy was last told of all agents."""
+    return cast("torch.Tensor", agents_of(policy.seen[-1])[key])
+
+
+def row_of(batch: Any, radius: float) -> int:
+    """Return the only row with a body of this radius."""
+    rows = (agents_of(batch)["radius"][0, :, 0] - radius).abs().lt(1e-6).nonzero()[:, 0]
+    assert len(rows) == 1
+    return int(rows[0])
+
+
+@pytest.mark.parametrize("goal", [None, (0.8, 0.0)])
+@pytest.mark.parametrize("name", ["sgan_goal_map.zara1", "sgan_goal.indoor"])
+def test_a_person_without_a_further_goal_stands_for_a_minute_and_walks_on_with_another(name: str, goal: Any):
+    controller = pedzoo.load(name).controller(room_of_ten(), dt=0.1)
+    place, passer = np.array([0.0, 0.0]), np.array([-4.0, 0.3])
+    told: dict[Any, Any] = {"stands": goal, "passes": (4.0, 0.3)}
+    path = []
+    for _ in range(700):
+        found = controller.step({"stands": place, "passes": passer}, told)
+        place, passer = place + 0.1 * found["stands"], passer + 0.1 * found["passes"]
+        path.append(place)
+        told = {"stands": goal}  # the same goal again is no other goal
+    assert np.linalg.norm(place - (goal or (0.0, 0.0))) <= GOAL_RADIUS
+    last_minute = np.stack(path[-600:])
+    assert np.linalg.norm(last_minute - last_minute[0], axis=1).max() < 0.2
+    for _ in range(150):
+        place = (
+            place
+            + 0.1 * controller.step({"stands": place, "passes": passer}, {"stands": (3.0, 3.0)})["stands"]
+        )
+    assert np.linalg.norm(place - (3.0, 3.0)) <= GOAL_RADIUS
+
+
+def room_of_ten():
+    return rectangles(room((-5, -5), (5, 5), 0.1), resolution=0.1)
+
+
+def test_a_goal_counts_as_reached_between_two_calls_and_once():
+    policy = Straight()
+    controller = Controller(policy)
+    controller.step({"a": (0.0, 0.0), "b": (0.0, 9.0)}, {"a": (1.0, 0.2), "b": (99.0, 9.0)})
+    controller.step({"a": (2.0, 0.0), "b": (0.0, 9.0)})  # past it, 0.2 m beside
+    agents, a = agents_of(policy.seen[-1]), sorted("ab", key=number_of).index("a")
+    assert agents["controlled"][0].tolist() == [one != a for one in range(2)]
+    assert agents["kind"].unique().tolist() == [PERSON] and agents["mask"].all()
+    assert agents["desired_velocity"][0, a].tolist() == [0, 0]
+    assert controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)})["a"].tolist() == [0, 0]  # carried away
+    found = controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": (1.0, 0.3)})["a"]
+    assert found[0] > 1.2
+    assert controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": None})["a"].tolist() == [0, 0]
+
+
+def test_others_are_seen_and_not_returned():
+    policy = Straight()
+    controller = Controller(policy)
+    for tick in range(10):
+        found = controller.step(
+            {"anna": (0.0, 0.0)},
+            {"anna": (9.0, 0.0)},
+            others={"husky": (5.0 - 0.4 * tick, 1.0), 7: [3.0, 3.0]},
+            radius={"husky": 0.5, "anna": 0.2},
+            velocities={"husky": (-1.0, 0.0)},
+        )
+        assert list(found) == ["anna"]
+    for batch, tick in ((policy.seen[0], 0), (policy.seen[-1], 9)):
+        agents = agents_of(batch)
+        husky, anna, usual = (row_of(batch, radius) for radius in (0.5, 0.2, 0.3))
+        expected = 5.0 - 0.4 * (tick - torch.arange(7.0, -1, -1))
+        torch.testing.assert_close(agents["history"][0, husky, :, 0], expected)
+        torch.testing.assert_close(agents["velocity"][0, husky], torch.tensor([-1.0, 0.0]))
+        assert agents["heading"][0, husky, 0].item() == pytest.approx(np.pi, abs=1e-4)
+        assert (agents["history"][0, usual] == 3).all()  # at rest
+        assert agents["controlled"][0].tolist() == [row == anna for row in range(3)]
+        assert agents["kind"][0].tolist() == [PERSON if row == anna else ROBOT for row in range(3)]
+    controller.step({"anna": (0.0, 0.0)}, others={"husky": (1.0, 1.0)}, radius={"husky": 0.4})
+    assert sorted(seen(policy, "radius").flatten().tolist()) == pytest.approx([0.2, 0.4])
+    assert controller.step({}, others={"husky": (1.0, 1.0)}) == {}
+    # the empty call was one: the history of the robot goes on
+    controller.step({"anna": (0.0, 0.0)}, {"anna": (9.0, 0.0)}, others={"husky": (1.5, 1.0)})
+    history = seen(policy, "history")[0, row_of(policy.seen[-1], 0.4), -3:, 0]
+    assert history.tolist() == [1.0, 1.0, 1.5]
+
+
+def test_a_box_is_several_discs_with_histories_of_their_own():
+    policy = Straight()
+    controller = Controller(policy)
+    for tick in range(3):
+        discs = np.array([[4.0, 0.2 * tick], [5.0, 0.4 * tick], [6.0, 0.6 * tick]])
+        box = discs if tick else discs.tolist()
+        controller.step({0: (0.0, 0.0)}, {0: (9.0, 0.0)}, others={"box": box}, radius={"box": 0.45})
+    wide = seen(policy, "radius")[0, :, 0] > 0.4
+    assert int(wide.sum()) == 3
+    last = sorted(map(tuple, seen(policy, "history")[0, wide][:, -3:].flatten(1).tolist()))
+    expected = [(x, 0.0, x, 0.2 * (x - 3), x, 0.4 * (x - 3)) for x in (4.0, 5.0, 6.0)]
+    np.testing.assert_allclose(last, expected, atol=1e-6)
+
+
+def test_neither_the_order_of_others_nor_their_names_matter(model):
+    people, goals = {"a": (0.0, 0.0), "b": (1.0, 2.0)}, {"a": (4.0, 0.0), "b": (4.0, 2.0)}
+    others = {"r": (2.0, 0.2), "s": [(3.0, 2.0), (3.5, 2.0)]}
+    radius = {"r": 0.5, "s": 0.25}
+    answers = []
+    for named in ({"r": "r", "s": "s"}, {"s": "s", "r": "r"}, {"r": 3, "s": ("x", 1)}):
+        controller = model.controller()
+        for _ in range(3):
+            found = controller.step(
+                people,
+                goals,
+                others={named[one]: others[one] for one in named},
+                radius={named[one]: radius[one] for one in named},
+            )
+        answers.append(arrays(found))
+    assert (answers[0] == answers[1]).all()
+    np.testing.assert_allclose(answers[2], answers[0], atol=1e-5)
+
+
+def test_a_clock_that_jitters_gives_the_histories_of_a_regular_one():
+    """On a circle of 2 m at 1.2 m/s: what the policy sees is where they were every 0.4 s, within 1 cm."""
+
+    def at(time):
+        angle = 0.6 * np.asarray(time)
+        return 2 * np.stack((np.cos(angle), np.sin(angle)), -1)
+
+    draw, policy = np.random.default_rng(0), Straight()
+    controller = Controller(policy, dt=0.1)
+    times = 1.7e9 + 0.1 * np.arange(100) + draw.uniform(-0.04, 0.04, 100)
+    for time in times:
+        controller.step({0: at(time)}, {0: (50.0, 0.0)}, others={1: -at(time)}, time=float(time))
+    clock = np.array([batch["time"].item() for batch in policy.seen])
+    assert len(clock) == 25 and np.abs(np.diff(clock) - 0.4).max() < 0.09
+    for batch in policy.seen[7:]:
+        now = times[0] + batch["time"].item()
+        expected = torch.from_numpy(at(now - 0.4 * np.arange(7, -1, -1))).float()
+        history = cast("torch.Tensor", agents_of(batch)["history"])[0]
+        assert (history[0] - expected).norm(dim=-1).max() < 0.01
+        assert (history[1] + expected).norm(dim=-1).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["sgan_goal.zara1", "orca"])
+def test_people_walk_alike_by_a_clock_that_jitters(name: str):
+    draw = np.random.default_rng(1)
+    jitter = np.concatenate(([0.0], draw.uniform(-0.02, 0.02, 59), [0.0]))
+    paths = []
+    for shift in (np.zeros(61), jitter):
+        policy = load_policy(name)
+        controller = Controller(policy, dt=0.1, deterministic=True)
+        times, place = 5.0 + 0.1 * np.arange(61) + shift, {0: np.zeros(2)}
+        for time, after in pairwise(times):
+            found = controller.step(place, {0: (50.0, 20.0)}, time=float(time))
+            place = {0: place[0] + (after - time) * found[0]}
+        paths.append(place[0])
+    counted, place = Controller(load_policy(name), dt=0.1, deterministic=True), {0: np.zeros(2)}
+    for _ in range(60):
+        place = {0: place[0] + 0.1 * counted.step(place, {0: (50.0, 20.0)})[0]}
+    assert np.linalg.norm(paths[0] - place[0]) < 1e-3
+    assert np.linalg.norm(paths[1] - paths[0]) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"others": {"anna": (3, 3)}}, "'anna' is in people and in others"),
+        ({"others": {"r": (1, 2, 3)}}, r"others: position \(1, 2, 3\) of 'r': expected two numbers"),
+        ({"others": {"r": []}}, r"others: position \[\] of 'r'"),
+        ({"others": {"r": "there"}}, "others: position 'there' of 'r'"),
+        ({"others": {"r": (float("nan"), 1)}}, "position .* of 'r'.*expected finite"),
+        ({"others": {"r": (3, 3)}, "velocities": {"r": (1,)}}, "velocity .* of 'r'"),
+        ({"radius": {"anna": 0}}, "radius 0 of 'anna': expected metres, above 0"),
+        ({"radius": {"anna": float("nan")}}, "radius nan of 'anna'"),
+        ({"others": {"r": (3, 3)}, "radius": {"r": "wide"}}, "radius 'wide' of 'r'"),
+        ({"time": 3.0}, r"time 3\.0: expected later than at the call before, 3"),
+        ({"time": 2.9}, r"time 2\.9: expected later"),
+        ({"time": float("nan")}, "time nan: expected seconds"),
+        ({}, "time None: expected at every call or at none"),
+    ],
+)
+def test_what_others_radii_and_times_cannot_be_is_refused_and_changes_nothing(given, message):
+    policy = Straight()
+    controller = Controller(policy)
+    controller.step({"anna": (1, 1)}, {"anna": (8, 1)}, time=3.0)
+    with pytest.raises(UserError, match=message):
+        controller.step({"anna": (1.5, 1)}, **({"time": 3.4} | given if given else given))
+    controller.step({"anna": (1.52, 1)}, time=3.4)
+    np.testing.assert_allclose(seen(policy, "velocity")[0, 0], (1.3, 0), atol=1e-4)
+    assert seen(policy, "radius").flatten().tolist() == [pytest.approx(0.15)]
+
+
+def test_time_at_some_calls_only_is_refused():
+    controller = Controller(Straight())
+    controller.step({"anna": (1, 1)}, {"anna": (8, 1)})
+    with pytest.raises(UserError, match=r"time 3\.0: expected at every call or at none"):
+        controller.step({"anna": (1, 1)}, time=3.0)
 
 
 @pytest.mark.gpu

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pedzoo.maps.grid import OccupancyGrid
-    from pedzoo.models.controller import Controller
     from pedzoo.models.walker import Walker
+    from pedzoo.sim.controller import Controller
 
 Noise = Literal["episode", "step", "scene", "mixed"]
 """How often noise is drawn for people who walk; see `pedzoo.models.walker.Walker`."""
@@ -86,14 +87,14 @@ class Forecaster(nn.Module):
         Args:
             map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
             noise: As of `policy`.
-            settings: As of `pedzoo.models.controller.Controller`: ``dt``, ``pref_speed``, ``seed``, ...
+            settings: As of `pedzoo.sim.controller.Controller`: ``dt``, ``pref_speed``, ``seed``, ...
 
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
         """
-        from pedzoo.models.controller import Controller
-
-        return Controller(self.policy(noise), map, **settings)
+        # sim is above models in the order of imports: this one name is looked up when it is called
+        controller = import_module("pedzoo.sim.controller").Controller
+        return controller(self.policy(noise), map, **settings)
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""

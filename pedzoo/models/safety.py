@@ -2,7 +2,8 @@
 
 In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018: the
 network decides where to go, and what it asks for is projected on what can be walked without a contact. It
-looks one step ahead and no farther: it plans nothing, waits for nobody and finds no way around.
+looks one step ahead and no farther: it plans nothing, waits for nobody and finds no way around. Only robots,
+which leave all of the avoidance to people, are seen from afar: `pedzoo.models.yielding`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pedzoo.batch import ROBOT, agents_of, maps_of
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.models.clearance import Near, Pairs, Steps
+from pedzoo.models.yielding import yielding
 from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
 
 ROUNDS = 8
@@ -99,7 +101,8 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
         cast("Tensor", agents["radius"])[..., 0],
         agents["kind"] == ROBOT,
     )
-    return kept_clear(steps, bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1]))
+    walls = bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1])
+    return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:

@@ -88,7 +88,7 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
         radius=agents["radius"][..., 0],
         kind=agents["kind"],
         drive=none,
-        top_speed=TOP_SPEED_RATIO * pref_speed,
+        top_speed=pref_speed * TOP_SPEED_RATIO,
         acceleration=endless,
         turn_acceleration=endless,
         track=torch.ones_like(nothing),

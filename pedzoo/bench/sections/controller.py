@@ -16,10 +16,10 @@ from pedzoo.bench.turns import Clock, ratio, seconds_of
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
-from pedzoo.models import controller
 from pedzoo.models.base import Forecaster
 from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
+from pedzoo.sim import controller
 from pedzoo.types import OBS_LEN, PRED_LEN, STEP_SECONDS
 
 MODEL = "sgan_goal.zara1"

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo import draws
-from pedzoo.batch import agents_of, ids_of, maps_of
+from pedzoo.batch import ROBOT, agents_of, ids_of, maps_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, turn_to_scene
 from pedzoo.sim.policy import Policy
@@ -124,9 +124,20 @@ class SocialForce(Policy):
             identity,
             self._walls(tensordict) if self._sees_walls else None,
             fluctuation,
-            agents["radius"][..., 0],
+            self._radius(agents),
         )
         return tensordict
+
+    def _radius(self, agents: Any) -> Tensor:
+        """Return the radii (B, A) that the others' forces see, metres.
+
+        People who both give way stop some way into each other's potential, which begins at the centre. That
+        of a body that gives no way begins where it would be touched.
+        """
+        radius = agents["radius"][..., 0]
+        usual = (radius - BODY_RADIUS).abs() < 1e-6
+        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~usual)
+        return torch.where(gives_no_way, radius + 2 * BODY_RADIUS, radius)
 
     def _walls(self, tensordict: TensorDictBase) -> Callable[[Tensor, Tensor | None], Tensor]:
         """Return the walls' forces (2, N): a function of places (2, N) and rows (N,) of B * A people."""

@@ -12,11 +12,12 @@ from pedzoo.errors import UserError
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.planner import Planner
-from pedzoo.models.roster import Roster, as_points
+from pedzoo.sim.called_with import as_points
+from pedzoo.sim.roster import Roster
 from pedzoo.types import AHEAD_SECONDS
 
 _KEPT = 64
-"""Goals that nobody has any more are forgotten when there are more than this in all, and 4 per person."""
+"""Goals that no person has any more are forgotten when there are more than this in all, and 4 per agent."""
 
 
 class Ways(NamedTuple):
@@ -35,47 +36,60 @@ class Ways(NamedTuple):
         return grids[0].map_id if grids else -1
 
     def with_goals(self, people: Roster, position: Tensor, goals: Mapping[Any, Any]) -> tuple[Ways, Roster]:
-        """Return the ways, and the people with their goals.
+        """Return the ways, and the people with their goals. A goal that is new ends their standing.
 
         Args:
-            people: Everybody who is here.
+            people: All agents that are here.
             position: Where they are (N, 2), metres.
-            goals: Where some of them are going, by id.
+            goals: Where some of the people are going, by id; None to stand.
 
         Raises:
-            UserError: Somebody has no goal, or one that is in a wall, outside the map or out of reach.
+            UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
         """
-        asked = people.goal.clone()
-        asked[people.rows(goals)] = as_points(goals, "goal")
-        missing = asked[:, 0].isnan()
+        told = {one: goal for one, goal in goals.items() if goal is not None}
+        idle = people.rows({one: None for one in goals if one not in told})
+        asked, stands = people.goal.clone(), people.stands.clone()
+        asked[people.rows(told)] = as_points(told, "goal")
+        asked[idle], stands[idle] = torch.nan, True
+        has_goal = ~asked[:, 0].isnan()
+        missing = ~(has_goal | stands | people.other)
         if missing.any():
             raise UserError(
-                f"no goal for {people.names(missing)}: whoever is new needs one, "
-                "step(positions, {id: (x, y)})"
+                f"no goal for {people.names(missing)}: a person who is new needs one, "
+                "step(people, {id: (x, y)}), or None to stand, step(people, {id: None})"
             )
-        fresh = (asked != people.goal).any(1)
+        fresh = (asked != people.goal).any(1) & has_goal
+        goal_id = torch.where(has_goal, people.goal_id, -1)
+        goal_point = torch.where(has_goal.unsqueeze(1), people.goal_point, torch.nan)
+        people = people._replace(goal=asked, goal_id=goal_id, goal_point=goal_point, stands=stands & ~fresh)
         if not fresh.any():
             return self, people
         planner, added = self.planner, fresh
         if planner.goals > max(_KEPT, 4 * len(fresh)):
             # what is kept of a goal is as large as the floor plan, and people keep coming with others
-            planner, added = Planner(planner.bank, planner.clearance), torch.ones_like(fresh)
-        ways, goal_id = Ways(planner), people.goal_id.clone()
+            planner, added = Planner(planner.bank, planner.clearance), has_goal
+        ways, goal_id = Ways(planner), goal_id.clone()
         goal_id[added] = ways._added(people, asked, added)
-        people = people._replace(goal=asked, goal_id=goal_id)
-        unreached = ways.guide(people, position).distance.isinf() & fresh
+        people = people._replace(goal_id=goal_id)
+        guidance = ways.guide(people, position)
+        unreached = guidance.distance.isinf() & fresh
         if unreached.any():
             raise UserError(
                 f"no way leads to the goal of {people.names(unreached)}: it is in another room, without a "
                 f"door between that leaves clearance {planner.clearance} m"
             )
-        return ways, people
+        goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
+        return ways, people._replace(goal_point=goal_point)
 
     def guide(self, people: Roster, position: Tensor) -> Guidance:
-        """Return the carrots and desired velocities (N, 2) of people at ``position`` (N, 2)."""
+        """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
+
+        Agents that stand, and others, have their position as carrot and desire no velocity.
+        """
         map_id = torch.full_like(people.goal_id, self.map_id)
         pose = identity_pose(len(map_id))
-        return self.planner.guide(position, people.goal_id, map_id, pose, people.pref_speed, AHEAD_SECONDS)
+        goal_id = torch.where(people.walks, people.goal_id, -1)
+        return self.planner.guide(position, goal_id, map_id, pose, people.pref_speed, AHEAD_SECONDS)
 
     def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
         row = 0 if self.planner.bank.grids else -1

@@ -1,0 +1,177 @@
+"""People leave a robot its course: the look ahead of the safety layer, and all policies in the encounters."""
+
+from __future__ import annotations
+
+import math
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import cast
+
+import pytest
+import torch
+from test_batch import scene
+from torch import Tensor
+
+from pedzoo.batch import PERSON, ROBOT
+from pedzoo.geometry import move_to_scene, turn_to_scene
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.plain import rectangles, room
+from pedzoo.models.clearance import Steps
+from pedzoo.models.yielding import yielding
+from pedzoo.sim.controller import Controller
+from pedzoo.sim.policy import load_policy
+
+TOOLS = Path(__file__).parents[1] / "tools"
+CORRIDOR = rectangles(room((-8.0, -1.2), (8.0, 1.2), 0.2), resolution=0.05)
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    sys.path.insert(0, str(TOOLS))
+    try:
+        return import_module("robots_respected")
+    finally:
+        sys.path.remove(str(TOOLS))
+
+
+def steps_of(place: Tensor, velocity: Tensor, radius: Tensor, robot: Tensor, moved: Tensor) -> Steps:
+    """Return scenes (B, A) of agents who like 1.3 m/s."""
+    here = torch.ones(place.shape[:2], dtype=torch.bool)
+    longest = torch.full(place.shape[:2], 1.3 * 1.3 * 0.4)
+    return Steps(place, 0.4 * velocity, longest, here, moved, ~here, radius, robot)
+
+
+def one_and_a_robot(place: tuple[float, float], other: tuple[float, float], drives: float = 0.0) -> Steps:
+    """Return a person who walks along x at 1.3 m/s, and a robot of 0.5 m on the x axis at ``drives``."""
+    return steps_of(
+        torch.tensor([[place, other]]),
+        torch.tensor([[[1.3, 0.0], [drives, 0.0]]]),
+        torch.tensor([[0.15, 0.5]]),
+        torch.tensor([[False, True]]),
+        torch.tensor([[True, False]]),
+    )
+
+
+def crowds(seed: int, robots: bool, scenes: int = 16) -> Steps:
+    """Return dense scenes of six agents, of which some are not moved."""
+    random = torch.Generator().manual_seed(seed)
+    size = scenes, 6
+    moved = torch.rand(size, generator=random) < 0.6
+    robot = torch.zeros(size, dtype=torch.bool)
+    if robots:
+        robot = (torch.rand(size, generator=random) < 0.4) & ~moved
+    radius = torch.where(robot, 0.4, 0.15)
+    place = 6 * torch.rand(*size, 2, generator=random)
+    return steps_of(place, torch.randn(*size, 2, generator=random), radius, robot, moved)
+
+
+def test_among_people_nothing_changes_not_even_a_bit() -> None:
+    for seed in range(5):
+        steps = crowds(seed, robots=False)
+        assert torch.equal(yielding(steps, None), steps.step)
+
+
+@pytest.mark.parametrize("policy", ["social_force:fluctuation=0", "go_to_goal:safety=true"])
+def test_a_robot_out_of_sight_changes_nothing(policy: str) -> None:
+    steps = crowds(1, robots=False)
+    far = torch.tensor([900.0, 900.0]).expand(16, 1, 2)
+    place, still = torch.cat((steps.position, far), 1), torch.zeros(16, 1, 2)
+    velocity = torch.cat((steps.step / 0.4, still), 1)
+    moved = torch.cat((steps.moved, torch.zeros(16, 1, dtype=torch.bool)), 1)
+    found = []
+    for kind, radius in ((PERSON, 0.15), (ROBOT, 0.5)):
+        kinds = torch.full((16, 7), PERSON)
+        kinds[:, 6] = kind
+        radii = torch.full((16, 7), 0.15)
+        radii[:, 6] = radius
+        batch = scene(place, velocity, velocity, radii, kinds, moved)
+        found.append(load_policy(policy)(batch)["agents", "action"][:, :6])
+    assert torch.equal(found[0], found[1])
+
+
+def test_steps_lead_past_the_robot_and_no_farther_than_people_can() -> None:
+    for drives in (0.0, -1.0):
+        steps = one_and_a_robot((-2.5, 0.0), (0.5, 0.1), drives)
+        velocity = yielding(steps, None)[0, 0] / 0.4
+        assert velocity[1] < -0.1 and velocity[0] > 0.5  # to the nearer side, and on
+        time = torch.arange(0, 3, 0.02).view(-1, 1)
+        person = torch.tensor([-2.5, 0.0]) + time * velocity
+        robot = torch.tensor([0.5, 0.1]) + time * torch.tensor([drives, 0.0])
+        assert (person - robot).norm(dim=1).min() >= 0.65
+        assert velocity.norm() <= 1.69 + 1e-5
+
+
+def test_people_pass_on_the_side_that_leaves_room() -> None:
+    bank = MapBank([CORRIDOR])
+    pose = torch.tensor([[0.0, 1.0, 0.0, 0.0]])
+    walls = bank.walls_of_people(torch.tensor([CORRIDOR.map_id]), pose, 2)
+    for side in (1.0, -1.0):
+        # the person walks on the side where 0.35 m are left between the robot and the wall
+        steps = one_and_a_robot((-2.5, 0.45 * side), (0.5, 0.35 * side))
+        open_space, corridor = yielding(steps, None)[0, 0, 1], yielding(steps, walls)[0, 0, 1]
+        assert float(open_space) * side > 0
+        assert float(corridor) * side < 0
+
+
+def test_a_person_slows_down_for_what_leaves_no_room() -> None:
+    bank = MapBank([CORRIDOR])
+    walls = bank.walls_of_people(torch.tensor([CORRIDOR.map_id]), torch.tensor([[0.0, 1.0, 0.0, 0.0]]), 2)
+    wide = one_and_a_robot((-2.0, 0.0), (0.0, 0.0))._replace(radius=torch.tensor([[0.15, 1.1]]))
+    assert yielding(wide, walls)[0, 0].norm() < 0.75 * 0.52
+
+
+def test_turned_scenes_are_walked_alike_and_others_keep_their_steps() -> None:
+    steps = crowds(3, robots=True, scenes=200)
+    found = yielding(steps, None)
+    changed = (found != steps.step).any(-1)
+    assert changed.sum() > 10 and not (changed & ~steps.moved).any()
+    pose = torch.tensor([[0.9, 1.0, 4.0, -2.0]]).expand(200, 4)
+    turned = steps._replace(
+        position=move_to_scene(steps.position, pose), step=turn_to_scene(steps.step, pose)
+    )
+    apart = (yielding(turned, None) - turn_to_scene(found, pose)).norm(dim=-1)
+    assert (apart < 1e-4).float().mean() > 0.98  # equally good samples may be chosen in another order
+    order = torch.tensor([3, 0, 5, 1, 4, 2])
+    permuted = Steps(*(part[:, order] for part in steps))
+    torch.testing.assert_close(yielding(permuted, None), found[:, order])
+
+
+def test_the_gradient_is_that_of_what_is_asked_for() -> None:
+    steps = one_and_a_robot((-2.5, 0.0), (0.5, 0.1))
+    asked = steps.step.clone().requires_grad_()
+    cast("Tensor", yielding(steps._replace(step=asked), None)[0, 0].sum()).backward()
+    assert asked.grad is not None and asked.grad[0].tolist() == [[1.0, 1.0], [0.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("place", "encounter"),
+    [("open", "parked"), ("open", "head-on"), ("open", "crossing"), ("corridor", "head-on")],
+)
+@pytest.mark.parametrize("policy", ["orca", "social_force:preset=indoor", "sgan_goal_map.indoor"])
+def test_robots_are_respected(tool: ModuleType, policy: str, place: str, encounter: str) -> None:
+    """All offsets: tools/robots_respected.py. The corridor leaves 0.7 m beside a robot in the middle."""
+    for share in (0.0, 0.5):
+        run = tool.walked(policy, place, encounter, share * tool.WIDEST[place])
+        assert run.nearest >= 0.65 - 1e-3 and run.arrived, share
+
+
+@pytest.mark.parametrize("encounter", ["overtaken", "overtakes"])
+def test_robots_are_respected_that_come_from_behind_or_are_slower(tool: ModuleType, encounter: str) -> None:
+    run = tool.walked("sgan_goal_map.indoor", "open", encounter, 0.0)
+    assert run.nearest >= 0.65 - 1e-3 and run.arrived
+
+
+def test_a_husky_of_three_discs_is_walked_around() -> None:
+    """A parked box of 0.99 x 0.67 m, lengthwise in the way: three discs of 0.37 m."""
+    controller = Controller(load_policy("sgan_goal_map.indoor"), dt=0.1)
+    place, nearest = torch.zeros(2, dtype=torch.float64), math.inf
+    discs = torch.tensor([[2.7, 0.1], [3.0, 0.1], [3.3, 0.1]], dtype=torch.float64)
+    for _ in range(80):
+        told = {"others": {"husky": discs}, "radius": {"husky": 0.37}}
+        velocity = controller.step({0: place}, {0: (7.0, 0.0)}, **told)[0]
+        place = place + 0.1 * torch.from_numpy(velocity)
+        nearest = min(nearest, float((place - discs).norm(dim=1).min()))
+    assert nearest >= 0.52 - 1e-3
+    assert float(place[0]) > 6.5
