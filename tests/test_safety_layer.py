@@ -22,7 +22,7 @@ from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.types import BODY_RADIUS
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
@@ -171,8 +171,9 @@ def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
     ago = torch.arange(-7.0, 1.0).view(-1, 1)
     for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN), (0.3, SHOULDERS)):
         agents["history"] = (place.unsqueeze(1) + walked * ago * ahead.unsqueeze(1)).unsqueeze(0)
+        agents["velocity"] = ahead.unsqueeze(0) / STEP_SECONDS
         found = safe(seen, ahead.unsqueeze(0))
-        assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.02)
+        assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.03)
 
 
 def test_in_a_room_nobody_touches_walls_or_others() -> None:
@@ -212,9 +213,7 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(wa
     moved = steps(asked.position @ turn.T + 5, asked.step @ turn.T)
     turned = kept_clear(moved, walls(torch.tensor([[0.7, 1.0, 5.0, 5.0]]).expand(4, -1)))
     assert torch.allclose(turned, found @ turn.T, atol=1e-4)
-    swapped = kept_clear(
-        Steps(*(values[:, order] for values in asked if values is not None)), walls(identity_pose(4))
-    )
+    swapped = kept_clear(Steps(*(values[:, order] for values in asked[:8])), walls(identity_pose(4)))
     assert torch.allclose(swapped, found[:, order], atol=1e-5)
 
 
@@ -222,9 +221,7 @@ def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:
     """One that needs nothing beside one that needs all corrections."""
     random = torch.Generator().manual_seed(4)
     asked = steps(0.6 * torch.randn(5, 8, 2, generator=random), 0.4 * torch.randn(5, 8, 2, generator=random))
-    alone = torch.cat(
-        [kept_clear(Steps(*(values[[row]] for values in asked if values is not None))) for row in range(5)]
-    )
+    alone = torch.cat([kept_clear(Steps(*(values[[row]] for values in asked[:8]))) for row in range(5)])
     assert torch.equal(kept_clear(asked), alone)
 
 

@@ -144,12 +144,18 @@ class MapBank:
     def index(self, map_id: Tensor) -> Tensor:
         """Return the row in this bank of each ``map_id`` (N,) long; -1 stays -1.
 
+        On an accelerator nothing is read back: there a foreign id fails as an assertion of the device.
+
         Raises:
             UserError: An id is of a map that is not in this bank.
         """
         place = torch.searchsorted(self._sorted_ids, map_id.contiguous()).clamp_max(len(self._sorted_ids) - 1)
         foreign = self._sorted_ids[place] != map_id
-        if foreign.any():
+        if map_id.device.type != "cpu":
+            torch.ops.aten._assert_async.msg(
+                ~foreign.any(), "a map_id is not of this bank: see MapBank.index"
+            )
+        elif foreign.any():
             raise UserError(
                 f"map_id {int(map_id[foreign][0])} is not of this bank, which holds "
                 f"{', '.join(f'{name} ({identity})' for name, identity in self._ids.items()) or 'no map'}: "

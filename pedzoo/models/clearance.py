@@ -27,6 +27,9 @@ insights into pedestrian flow through bottlenecks", 2009, found 1.9)."""
 FIRST = 0.125
 """Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
 
+BEYOND = 1.125
+"""Of a step that is to be clear: a body whose velocity is then switched to zero would blend so far."""
+
 ROUNDING = 1e-5
 """Metres: two who lack less have done their part, and ask for nothing."""
 
@@ -67,6 +70,11 @@ class Steps(NamedTuple):
         """How the place after 0.1 s moves with the step."""
         return _QUARTER if self.velocity is None else FIRST
 
+    @property
+    def beyond(self) -> float:
+        """How much of the step is to be clear."""
+        return 1.0 if self.velocity is None else BEYOND
+
     def walk(self, step: Tensor) -> Tensor:
         """Return where steps (B, A, 2) lead after 0.1, 0.3 and 0.4 s (3, 2, B, A), metres from here.
 
@@ -92,7 +100,7 @@ class Pairs(NamedTuple):
         away: From each to each other's place (2, B, A, A): mine less theirs, metres.
         apart: Its length (B, A, A), metres.
         room: Distance that is to be kept (S, B, A, A), metres, below 0 where nobody is: on the straight way
-            to the end of the step; where velocities blend also in the first 0.1 s and the next 0.2 s.
+            to the end of the step; where velocities blend also in the first 0.1 s, the next 0.2 s, beyond.
         mine: Share of the corrections that is mine (B, A, A).
         least: Distance below which they touch (B, A, A), metres: the sum of their radii.
         first: Of the steps.
@@ -123,7 +131,7 @@ class Pairs(NamedTuple):
             broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
             broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
             wanted = torch.where(broad, wanted.clamp_min(SHOULDERS), wanted)
-        rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies]
+        rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
         room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first)
 
@@ -135,6 +143,7 @@ class Pairs(NamedTuple):
         weights = [part[0]]
         if len(part) > 1:
             weights += [self.first * part[1], self.first + (1 - _QUARTER - self.first) * part[2]]
+            weights += [torch.full_like(part[3], BEYOND)]
         weight = torch.stack(weights).gather(0, worst)[0]
         at = at.gather(1, worst.expand(2, *lack.shape))[:, 0]
         gap, lack = gap.gather(0, worst)[0], lack[0]
@@ -143,9 +152,11 @@ class Pairs(NamedTuple):
         # who meets exactly head-on has no side
         aside = torch.where(gap > 1e-3, lack / weight.clamp_min(1e-3), torch.inf)
         line = self.away / self.apart
-        back = self.room[0] - self.apart - (line * move[2]).sum(0)
+        full = (line * move[2]).sum(0)
+        back = self.room[0] - self.apart - full
         if len(part) > 1:
-            back = back.maximum((self.room[1] - self.apart - (line * move[0]).sum(0)) / self.first)
+            less = self.room[1] - self.apart
+            back = back.maximum((less - (line * move[0]).sum(0)) / self.first).maximum(less / BEYOND - full)
         way = torch.where(aside < back, (aside.clamp_max(1e3) / gap) * at, back.clamp_min(0) * line)
         way = torch.where(active, self.mine * way, 0.0)
         # somebody whom many ask to give way need not do it for the sake of each alone
@@ -154,7 +165,7 @@ class Pairs(NamedTuple):
     def touching(self, mine: Tensor, theirs: Tensor) -> Tensor:
         """Return which two run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
         bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
-        return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound).any(0)
+        return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
 
     def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return for relative walks (3, 2, B, A, A) where each of S straight parts comes closest.
@@ -164,8 +175,9 @@ class Pairs(NamedTuple):
         """
         begin, go = self.away.unsqueeze(1), move[2].unsqueeze(1)
         if len(self.room) > 1:
-            begin = torch.stack((self.away, self.away, self.away + move[0]), 1)
-            go = torch.stack((move[2], move[0], move[1] - move[0]), 1)
+            beyond = self.away + BEYOND * move[2]
+            begin = torch.stack((self.away, self.away, self.away + move[0], beyond), 1)
+            go = torch.stack((move[2], move[0], move[1] - move[0], torch.zeros_like(beyond)), 1)
         part = -(begin * go).sum(0) / go.square().sum(0).clamp_min(1e-9)
         part = part.detach().clamp(0, 1)
         at = begin + part * go
@@ -201,6 +213,8 @@ class Near(NamedTuple):
         begins, ends = place / begin, (place - middle) / (_PLACES - middle)
         between = (place - begin) / (middle - begin)
         parts = torch.stack((begins.minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
+        if steps.velocity is not None:
+            parts = torch.cat((parts, BEYOND * parts[-1:]))
         weight = steps.first * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
         room = torch.minimum(gap, _plus(steps.radius, MARGIN, BODY_RADIUS))
         position = steps.position.movedim(-1, 0).unsqueeze(1)
@@ -220,7 +234,7 @@ class Near(NamedTuple):
         gap, _ = self._along(walk)
         # corners are cut a little between two places
         bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4
-        return (gap < bound).any(0) & self.moved
+        return (gap[:_PLACES] < bound).any(0) & self.moved
 
     def _along(self, walk: Tensor) -> tuple[Tensor, Tensor]:
         """Return distances to walls (S, B, A) along a walk, and where they grow (2, S, B, A)."""

@@ -52,7 +52,7 @@ def _nearest(x, y, to_x, to_y):
 
 
 @jit
-def _closest(x, y, mine, theirs, room, firm, blends, first):
+def _closest(x, y, mine, theirs, room, firm, blends, first, beyond):
     """Return where two lack most room: how much, its weight (see `weights`), the relative place, the gap."""
     part, at_x, at_y, gap = _nearest(x, y, mine[4] - theirs[4], mine[5] - theirs[5])
     lack, weight = room - gap, part
@@ -67,12 +67,19 @@ def _closest(x, y, mine, theirs, room, firm, blends, first):
         if firm - near > lack:
             weight = first + part * (0.75 - first)
             lack, at_x, at_y, gap = firm - near, near_x, near_y, near
+    if beyond > 1:
+        near_x, near_y = x + beyond * (mine[4] - theirs[4]), y + beyond * (mine[5] - theirs[5])
+        near = _length(near_x, near_y)
+        if firm - near > lack:
+            lack, weight, at_x, at_y, gap = firm - near, beyond, near_x, near_y, near
     return lack, weight, at_x, at_y, gap
 
 
 @jit
-def _place(path, n, first):
-    """Return the place after ``n`` eighths of a walk, and its weight."""
+def _place(path, n, first, beyond):
+    """Return the place after ``n`` eighths of a walk, the ninth being beyond its end, and its weight."""
+    if n == 9:
+        return beyond * path[4], beyond * path[5], beyond
     if n <= 2:
         return 0.5 * n * path[0], 0.5 * n * path[1], 0.5 * n * first
     if n <= 6:
@@ -85,12 +92,12 @@ def _place(path, n, first):
 
 
 @jit
-def _push(x, y, path, room, first, frame, place, choice, option, bound, limit):
-    """Return by how much a step has to change for its worst place (x, y), and whether any place is too near."""
+def _push(x, y, path, room, first, beyond, frame, place, choice, option, bound, limit):
+    """Return the change of a step that its worst place asks for (x, y), and whether any is too near."""
     most, push_x, push_y, told, lacks = 0.0, 0.0, 0.0, False, False
     for everywhere in range(2):
-        for n in range(1, 9):
-            off_x, off_y, weight = _place(path, n, first)
+        for n in range(1, 10 if beyond > 1 else 9):
+            off_x, off_y, weight = _place(path, n, first, beyond)
             _, _, index = quarter(x + off_x, y + off_y, frame, place)
             if bound[index] > max(room, 0.0):
                 told = True
@@ -108,7 +115,7 @@ def _push(x, y, path, room, first, frame, place, choice, option, bound, limit):
 def _touches(x, y, path, least, frame, place, choice, option, bound, limit):
     """Return whether a walk comes nearer to a wall than ``least``."""
     for n in range(1, 9):
-        off_x, off_y, _ = _place(path, n, 0.25)
+        off_x, off_y, _ = _place(path, n, 0.25, 1.0)
         _, _, index = quarter(x + off_x, y + off_y, frame, place)
         if bound[index] < least:
             gap, _, _ = wall_gap(x + off_x, y + off_y, frame, place, choice, option, limit)
@@ -118,16 +125,19 @@ def _touches(x, y, path, least, frame, place, choice, option, bound, limit):
 
 
 @jit
-def _yield(away, apart, room, firm, mine, theirs, blends, first, rounding):
+def _yield(away, apart, room, firm, mine, theirs, blends, first, beyond, rounding):
     """Return whether two come too near, and the change of their relative step that prevents it."""
-    lack, weight, at_x, at_y, gap = _closest(away[0], away[1], mine, theirs, room, firm, blends, first)
+    lack, weight, at_x, at_y, gap = _closest(
+        away[0], away[1], mine, theirs, room, firm, blends, first, beyond
+    )
     if lack <= rounding:
         return False, 0.0, 0.0
     line_x, line_y = away[0] / apart, away[1] / apart
-    back = room - apart - line_x * (mine[4] - theirs[4]) - line_y * (mine[5] - theirs[5])
+    full = line_x * (mine[4] - theirs[4]) + line_y * (mine[5] - theirs[5])
+    back = room - apart - full
     if blends:
         along = line_x * (mine[0] - theirs[0]) + line_y * (mine[1] - theirs[1])
-        back = max(back, (firm - apart - along) / first)
+        back = max(back, (firm - apart - along) / first, (firm - apart) / beyond - full)
     back = max(back, 0.0)
     aside = lack / max(weight, 1e-3) if gap > 1e-3 else np.inf
     if aside < back:
@@ -138,16 +148,17 @@ def _yield(away, apart, room, firm, mine, theirs, blends, first, rounding):
 
 @compiled(
     "void(f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:], b1[:,:], b1[:,:], b1[:,:], f4[:,:], b1[:,:], b1,"
-    " i8, f8, f8, f8, f8, f8, f4[:,:], i4[:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:])"
+    " i8, f8, f8, f8, f8, f8, f8, f4[:,:], i4[:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:])"
 )
 def keep_clear(
     position, asked, velocity, longest, present, moved, waits, radius, robot, blends,
-    rounds, margin, shoulders, narrow_gap, first, rounding, frames, places, choice, option, bound, limit, out,
+    rounds, margin, shoulders, narrow_gap, first, beyond, rounding, frames, places,
+    choice, option, bound, limit, out,
 ):  # fmt: skip
     """Write steps (B, A, 2) in which nobody touches anything: see `pedzoo.models.safety.kept_clear`.
 
     Args are those of `Steps`, with velocities as metres in a quarter of a step; whether velocities blend;
-    constants; the walls as scenes see them, frames (B, 7) and places (B, 3), none without walls; their tables.
+    constants; the walls as scenes see them, frames (B, 7) and places (B, 3), none without walls; tables.
     """
     scenes, agents = moved.shape
     step, change = np.zeros((agents, 2)), np.zeros((agents, 2))
@@ -169,7 +180,7 @@ def keep_clear(
                 continue
             x, y = position[b, a, 0], position[b, a, 1]
             if has_walls:
-                reach = max(longest[b, a] + radius[b, a] + margin, narrow_gap)
+                reach = max(beyond * longest[b, a] + radius[b, a] + margin, narrow_gap)
                 _, _, index = quarter(x, y, frame, place)
                 if bound[index] < reach:
                     gap, _, _ = wall_gap(x, y, frame, place, choice, option, limit)
@@ -199,7 +210,7 @@ def keep_clear(
                     most = max(most, shoulders)
                 reach = longest[b, a] if moved[b, a] else _length(step[a, 0], step[a, 1])
                 reach += longest[b, o] if moved[b, o] else _length(step[o, 0], step[o, 1])
-                if distance > most + reach + margin:
+                if distance > most + beyond * reach + margin:
                     continue
                 yields, other = moved[b, a] and not robot[b, a], moved[b, o] and not robot[b, o]
                 gives, other_gives = (
@@ -220,7 +231,7 @@ def keep_clear(
             for k in range(pairs):
                 a, o = who[k]
                 lacks, x, y = _yield(
-                    away[k], apart[k], wanted[k], firm[k], path[a], path[o], blends, first, rounding
+                    away[k], apart[k], wanted[k], firm[k], path[a], path[o], blends, first, beyond, rounding
                 )
                 if lacks:
                     settled = False
@@ -240,7 +251,7 @@ def keep_clear(
                     _walk(step[a, 0], step[a, 1], before[0], before[1], longest[b, a], blends, path[a])
                 if near[a]:
                     x, y, lacks = _push(
-                        position[b, a, 0], position[b, a, 1], path[a], room[a], first,
+                        position[b, a, 0], position[b, a, 1], path[a], room[a], first, beyond,
                         frame, place, choice, option, bound, limit,
                     )  # fmt: skip
                     safe = safe and not lacks
@@ -267,9 +278,9 @@ def keep_clear(
                     a, o = who[k]
                     x, y, least = away[k, 0], away[k, 1], touch[k]
                     my_path, their_path = levels[level[a], a], levels[level[o], o]
-                    if _closest(x, y, my_path, their_path, least, least, blends, first)[0] > 0:
-                        alone = _closest(x, y, my_path, still, least, least, blends, first)[0] > 0
-                        other = _closest(x, y, still, their_path, least, least, blends, first)[0] > 0
+                    if _closest(x, y, my_path, their_path, least, least, blends, first, 1.0)[0] > 0:
+                        alone = _closest(x, y, my_path, still, least, least, blends, first, 1.0)[0] > 0
+                        other = _closest(x, y, still, their_path, least, least, blends, first, 1.0)[0] > 0
                         stops[a] = stops[a] or (mine[k] > 0 and (alone or not other))
                         stops[o] = stops[o] or (theirs[k] > 0 and (other or not alone))
                 ended = True

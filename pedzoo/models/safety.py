@@ -119,9 +119,10 @@ def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> 
     # half a step first, then none; every turn stops somebody, and when all stand nobody touches anybody
     for turn in range(step.shape[1] + 2):
         mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
+        none = torch.full_like(chosen, kinds - 1)
         both, alone, other = (
             touch.gather(0, (kinds * i + j).expand(touch.shape[1:]).unsqueeze(0))[0]
-            for i, j in ((mine, theirs), (mine, 2), (2, theirs))
+            for i, j in ((mine, theirs), (mine, none.unsqueeze(1)), (none.unsqueeze(2), theirs))
         )
         stops = (both & (alone | ~other) & (pairs.mine > 0)).any(2)
         stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
@@ -145,7 +146,8 @@ def _compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
     people: Any = [steps.position, steps.step, before, *steps[2:8]]
     keep_clear(
         *(part.detach().numpy() for part in people), blends,
-        ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, ROUNDING, *_wall_arrays(walls), kept.numpy(),
+        ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond, ROUNDING,
+        *_wall_arrays(walls), kept.numpy(),
     )  # fmt: skip
     return kept
 
