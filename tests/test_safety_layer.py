@@ -22,7 +22,7 @@ from pedzoo.models.walker import Walker
 from pedzoo.models.zoo import load
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.types import BODY_RADIUS
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
@@ -122,16 +122,16 @@ def test_in_a_crowd_that_runs_into_each_other_nobody_touches(people: int) -> Non
     assert nearest(position, kept_clear(asked)) > 2 * BODY_RADIUS - 1e-3
 
 
-def around(bank: MapBank, scenes: int, people: int) -> Any:
-    """Return the walls as people see them."""
-    return bank.walls_of_people(torch.full((scenes,), bank.grids[0].map_id), identity_pose(scenes), people)
+def around(bank: MapBank, scenes: int) -> LocalWalls:
+    """Return the walls as the people of scenes see them."""
+    return bank.walls_around(torch.full((scenes,), bank.grids[0].map_id), identity_pose(scenes))
 
 
 def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
     """From 0.35 m before the wall's face, straight on and at 45 degrees."""
     bank = MapBank([ROOM])
     asked = steps([[-0.4, 1.5], [-0.4, -1.5]], [[0.5, 0.0], [0.4, 0.4]])
-    found = kept_clear(asked, around(bank, 1, 2))[0]
+    found = kept_clear(asked, around(bank, 1))[0]
     room_left = 0.35 - BODY_RADIUS - MARGIN
     assert found[0].tolist() == pytest.approx([room_left, 0.0], abs=5e-3)
     assert found[1].tolist() == pytest.approx([room_left, 0.4], abs=5e-3)
@@ -145,7 +145,7 @@ def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
         places = torch.tensor([[[-0.5, -0.05], [0.5, 0.05]]])
         move = torch.tensor([[[0.6, 0.0], [ahead, 0.0]]])
         for place in (places, places - torch.tensor([0.4, 0.0]), places + torch.tensor([1.5, 1.0])):
-            gaps.append(nearest(place, kept_clear(steps(place, move), around(bank, 1, 2))))
+            gaps.append(nearest(place, kept_clear(steps(place, move), around(bank, 1))))
     body = 2 * BODY_RADIUS + MARGIN
     assert gaps[:3] == pytest.approx([SHOULDERS, SHOULDERS, body], abs=0.01)
     assert gaps[3:] == pytest.approx([SHOULDERS, SHOULDERS, nearest(places, move)], abs=0.01)
@@ -158,7 +158,7 @@ def test_two_who_wait_for_each_other_in_a_narrow_place_turn_a_shoulder() -> None
     move = torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]])
     body = 2 * BODY_RADIUS + MARGIN
     for waits, room_left in (((True, True), body), ((True, False), SHOULDERS), ((False, False), SHOULDERS)):
-        found = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(bank, 1, 2))
+        found = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(bank, 1))
         assert nearest(place, found) == pytest.approx(room_left, abs=0.01)
 
 
@@ -171,8 +171,9 @@ def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
     ago = torch.arange(-7.0, 1.0).view(-1, 1)
     for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN), (0.3, SHOULDERS)):
         agents["history"] = (place.unsqueeze(1) + walked * ago * ahead.unsqueeze(1)).unsqueeze(0)
+        agents["velocity"] = ahead.unsqueeze(0) / STEP_SECONDS
         found = safe(seen, ahead.unsqueeze(0))
-        assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.02)
+        assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.03)
 
 
 def test_in_a_room_nobody_touches_walls_or_others() -> None:
@@ -186,10 +187,10 @@ def test_in_a_room_nobody_touches_walls_or_others() -> None:
     position = position[apart.amin((1, 2)) > 2 * BODY_RADIUS]
     assert len(position) >= 5
     asked = steps(position, 0.4 * torch.randn(position.shape, generator=random))
-    walls = around(bank, *position.shape[:2])
+    walls = around(bank, len(position))
     found = kept_clear(asked, walls)
     path = position.unsqueeze(2) + torch.linspace(0, 1, 21).view(-1, 1) * found.unsqueeze(2)
-    gap, _ = walls.closest(path.flatten(0, 1))
+    gap, _ = walls.each(10).closest(path.flatten(0, 1))
     assert gap.min() > BODY_RADIUS - 1e-3 and nearest(position, found) > 2 * BODY_RADIUS - 1e-3
 
 
@@ -200,7 +201,7 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(wa
     plan = torch.full((4,), bank.grids[0].map_id)
 
     def walls(pose: Tensor) -> LocalWalls | None:
-        return bank.walls_of_people(plan, pose, 6) if walled else None
+        return bank.walls_around(plan, pose) if walled else None
 
     random = torch.Generator().manual_seed(3)
     asked = steps(0.8 * torch.randn(4, 6, 2, generator=random), 0.4 * torch.randn(4, 6, 2, generator=random))
@@ -212,7 +213,7 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(wa
     moved = steps(asked.position @ turn.T + 5, asked.step @ turn.T)
     turned = kept_clear(moved, walls(torch.tensor([[0.7, 1.0, 5.0, 5.0]]).expand(4, -1)))
     assert torch.allclose(turned, found @ turn.T, atol=1e-4)
-    swapped = kept_clear(Steps(*(values[:, order] for values in asked)), walls(identity_pose(4)))
+    swapped = kept_clear(Steps(*(values[:, order] for values in asked[:8])), walls(identity_pose(4)))
     assert torch.allclose(swapped, found[:, order], atol=1e-5)
 
 
@@ -220,7 +221,7 @@ def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:
     """One that needs nothing beside one that needs all corrections."""
     random = torch.Generator().manual_seed(4)
     asked = steps(0.6 * torch.randn(5, 8, 2, generator=random), 0.4 * torch.randn(5, 8, 2, generator=random))
-    alone = torch.cat([kept_clear(Steps(*(values[[row]] for values in asked))) for row in range(5)])
+    alone = torch.cat([kept_clear(Steps(*(values[[row]] for values in asked[:8]))) for row in range(5)])
     assert torch.equal(kept_clear(asked), alone)
 
 

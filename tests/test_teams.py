@@ -23,7 +23,7 @@ from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.rollout import Rollout
-from pedzoo.models.controller import Controller
+from pedzoo.sim.controller import Controller
 from pedzoo.sim.crowd import Member, is_crowd, members, parts
 from pedzoo.sim.dynamics import blended
 from pedzoo.sim.make import make_env

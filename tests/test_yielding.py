@@ -106,7 +106,7 @@ def test_steps_lead_past_the_robot_and_no_farther_than_people_can() -> None:
 def test_people_pass_on_the_side_that_leaves_room() -> None:
     bank = MapBank([CORRIDOR])
     pose = torch.tensor([[0.0, 1.0, 0.0, 0.0]])
-    walls = bank.walls_of_people(torch.tensor([CORRIDOR.map_id]), pose, 2)
+    walls = bank.walls_around(torch.tensor([CORRIDOR.map_id]), pose)
     for side in (1.0, -1.0):
         # the person walks on the side where 0.35 m are left between the robot and the wall
         steps = one_and_a_robot((-2.5, 0.45 * side), (0.5, 0.35 * side))
@@ -117,7 +117,7 @@ def test_people_pass_on_the_side_that_leaves_room() -> None:
 
 def test_a_person_slows_down_for_what_leaves_no_room() -> None:
     bank = MapBank([CORRIDOR])
-    walls = bank.walls_of_people(torch.tensor([CORRIDOR.map_id]), torch.tensor([[0.0, 1.0, 0.0, 0.0]]), 2)
+    walls = bank.walls_around(torch.tensor([CORRIDOR.map_id]), torch.tensor([[0.0, 1.0, 0.0, 0.0]]))
     wide = one_and_a_robot((-2.0, 0.0), (0.0, 0.0))._replace(radius=torch.tensor([[0.15, 1.1]]))
     assert yielding(wide, walls)[0, 0].norm() < 0.75 * 0.52
 

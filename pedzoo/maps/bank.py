@@ -151,12 +151,18 @@ class MapBank:
     def index(self, map_id: Tensor) -> Tensor:
         """Return the row in this bank of each ``map_id`` (N,) long; -1 stays -1.
 
+        On an accelerator nothing is read back: there a foreign id fails as an assertion of the device.
+
         Raises:
             UserError: An id is of a map that is not in this bank.
         """
         place = torch.searchsorted(self._sorted_ids, map_id.contiguous()).clamp_max(len(self._sorted_ids) - 1)
         foreign = self._sorted_ids[place] != map_id
-        if foreign.any():
+        if map_id.device.type != "cpu":
+            torch.ops.aten._assert_async.msg(
+                ~foreign.any(), "a map_id is not of this bank: see MapBank.index"
+            )
+        elif foreign.any():
             raise UserError(
                 f"map_id {int(map_id[foreign][0])} is not of this bank, which holds "
                 f"{', '.join(f'{name} ({identity})' for name, identity in self._ids.items()) or 'no map'}: "
@@ -207,16 +213,6 @@ class MapBank:
             pose: Scene poses (N, 4).
         """
         return LocalWalls.around(self.walls, self.index(map_id), pose)
-
-    def walls_of_people(self, map_id: Tensor, pose: Tensor, agents: int) -> LocalWalls | None:
-        """Return the walls as the people of scenes see them, B * A entries; None where there are no maps.
-
-        Args:
-            map_id: Floor plan of each scene (B,) long, -1 for none.
-            pose: Scene poses (B, 4).
-            agents: A.
-        """
-        return self.walls_around(map_id, pose).each(agents) if self.grids else None
 
     def walls_of_scenes(self, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Return how walls lie in B scenes, `LocalWalls.frame` (B, 7) and `LocalWalls.place` (B, 3).

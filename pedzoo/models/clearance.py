@@ -1,4 +1,8 @@
-"""Room kept between people, and to walls: who lacks it in the next step, where they are led, who touches."""
+"""Room kept between people, and to walls: who lacks it in the next step, where they are led, who touches.
+
+Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
+is read back to the host. `pedzoo.models.clearance_loops` says the same in compiled loops.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import nearest_part
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.types import BODY_RADIUS
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
@@ -21,8 +24,19 @@ people with their arms and steps. They would squeeze past each other in a door w
 queues of them pass faster than real ones (2.9 persons per metre and second, where Seyfried et al., "New
 insights into pedestrian flow through bottlenecks", 2009, found 1.9)."""
 
+FIRST = 0.125
+"""Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
+
+BEYOND = 1.125
+"""Of a step that is to be clear: a body whose velocity is then switched to zero would blend so far."""
+
+ROUNDING = 1e-5
+"""Metres: two who lack less have done their part, and ask for nothing."""
+
 _PLACES = 8
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
+
+_QUARTER = TRACE_SECONDS / STEP_SECONDS
 
 
 class Steps(NamedTuple):
@@ -37,6 +51,8 @@ class Steps(NamedTuple):
         waits: Who has hardly moved of late (B, A) bool.
         radius: Of their bodies (B, A), metres.
         robot: Which of them are robots (B, A) bool.
+        velocity: With which they begin the step (B, A, 2), m/s: the simulation blends it with the new one.
+            None where velocities are switched, and steps straight.
     """
 
     position: Tensor
@@ -47,17 +63,47 @@ class Steps(NamedTuple):
     waits: Tensor
     radius: Tensor
     robot: Tensor
+    velocity: Tensor | None = None
+
+    @property
+    def first(self) -> float:
+        """How the place after 0.1 s moves with the step."""
+        return _QUARTER if self.velocity is None else FIRST
+
+    @property
+    def beyond(self) -> float:
+        """How much of the step is to be clear."""
+        return 1.0 if self.velocity is None else BEYOND
+
+    def walk(self, step: Tensor) -> Tensor:
+        """Return where steps (B, A, 2) lead after 0.1, 0.3 and 0.4 s (3, 2, B, A), metres from here.
+
+        As `pedzoo.sim.dynamics.blended` does, straight in between.
+        """
+        step = step.movedim(-1, 0)
+        straight = torch.stack((_QUARTER * step, (1 - _QUARTER) * step, step))
+        if self.velocity is None:
+            return straight
+        command = _QUARTER * step
+        half = 0.5 * (TRACE_SECONDS * self.velocity.movedim(-1, 0) - command)
+        size, length = ((values.square().sum(0) + 1e-12).sqrt() for values in (half, command))
+        half = half * (length / size).clamp_max(1.0)
+        begin = _limited(command + half, _QUARTER * self.longest)
+        middle = begin + 2 * _limited(command - 0.5 * half, _QUARTER * self.longest)
+        return torch.where(self.moved, torch.stack((begin, middle, middle + command)), straight)
 
 
 class Pairs(NamedTuple):
     """Everybody and everybody else.
 
     Attributes:
-        away: From each to each other's place (B, A, A, 2): mine less theirs, metres.
+        away: From each to each other's place (2, B, A, A): mine less theirs, metres.
         apart: Its length (B, A, A), metres.
-        room: Distance that is to be kept (B, A, A), metres; below 0 where nobody is.
+        room: Distance that is to be kept (S, B, A, A), metres, below 0 where nobody is: on the straight way
+            to the end of the step; where velocities blend also in the first 0.1 s, the next 0.2 s, beyond.
         mine: Share of the corrections that is mine (B, A, A).
         least: Distance below which they touch (B, A, A), metres: the sum of their radii.
+        first: Of the steps.
     """
 
     away: Tensor
@@ -65,123 +111,143 @@ class Pairs(NamedTuple):
     room: Tensor
     mine: Tensor
     least: Tensor
+    first: float
 
     @classmethod
-    def of(cls, steps: Steps, narrow: Tensor | None) -> Pairs | None:
-        """Return them, None where there are none; ``narrow`` is who is in a narrow place (B, A) bool."""
-        people = steps.present.shape[1]
-        if people < 2:
-            return None
-        away = steps.position.unsqueeze(2) - steps.position.unsqueeze(1)
-        apart = (away.square().sum(-1) + 1e-9).sqrt()
+    def of(cls, steps: Steps, narrow: Tensor | None) -> Pairs:
+        """Return them; ``narrow`` is who is in a narrow place (B, A) bool."""
+        position = steps.position.movedim(-1, 0)
+        away = position.unsqueeze(3) - position.unsqueeze(2)
+        apart = (away.square().sum(0) + 1e-9).sqrt()
         both = steps.present.unsqueeze(2) & steps.present.unsqueeze(1)
-        both &= ~torch.eye(people, dtype=torch.bool, device=away.device)
+        both &= ~torch.eye(both.shape[1], dtype=torch.bool, device=away.device)
         yields = steps.moved & ~steps.robot
         gives = yields.unsqueeze(2) | (steps.moved.unsqueeze(2) & ~yields.unsqueeze(1))
         share = gives.to(away.dtype)
         mine = share / (share + share.mT).clamp_min(1)
         least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
-        wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
+        bodies = wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
         if narrow is not None:
             broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
             broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
             wanted = torch.where(broad, wanted.clamp_min(SHOULDERS), wanted)
-        room = torch.where(both, torch.minimum(apart, wanted), -1.0)
-        return cls(away, apart, room, torch.where(both, mine, 0.0), least)
+        rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
+        room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
+        return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first)
 
-    def corrected(self, step: Tensor) -> Tensor:
-        """Return everybody's steps (B, A, 2), led off others; those given where nothing is to be done."""
-        move = step.unsqueeze(2) - step.unsqueeze(1)
-        place, closest, gap = self._approach(move)
-        lack = (self.room - gap).clamp_min(0)
-        active = lack > 0
-        if not bool(active.any()):
-            return step
+    def corrected(self, walk: Tensor) -> Tensor:
+        """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off others."""
+        move = walk.unsqueeze(4) - walk.unsqueeze(3)
+        part, at, gap = self._approach(move)
+        lack, worst = (self.room - gap).max(0, keepdim=True)
+        weights = [part[0]]
+        if len(part) > 1:
+            weights += [self.first * part[1], self.first + (1 - _QUARTER - self.first) * part[2]]
+            weights += [torch.full_like(part[3], BEYOND)]
+        weight = torch.stack(weights).gather(0, worst)[0]
+        at = at.gather(1, worst.expand(2, *lack.shape))[:, 0]
+        gap, lack = gap.gather(0, worst)[0], lack[0]
+        active = lack > ROUNDING
         # to the side, at the closest approach, or back, along the line between the two: what is less;
         # who meets exactly head-on has no side
-        aside = torch.where(gap > 1e-3, lack / place.clamp_min(1e-3), torch.inf)
-        line = self.away / self.apart.unsqueeze(-1)
-        back = (self.room - self.apart - (line * move).sum(-1)).clamp_min(0)
-        way = torch.where(
-            (aside < back).unsqueeze(-1),
-            (aside.clamp_max(1e3) / gap).unsqueeze(-1) * closest,
-            back.unsqueeze(-1) * line,
-        )
-        way = torch.where(active.unsqueeze(-1), self.mine.unsqueeze(-1) * way, 0.0)
+        aside = torch.where(gap > 1e-3, lack / weight.clamp_min(1e-3), torch.inf)
+        line = self.away / self.apart
+        full = (line * move[2]).sum(0)
+        back = self.room[0] - self.apart - full
+        if len(part) > 1:
+            less = self.room[1] - self.apart
+            back = back.maximum((less - (line * move[0]).sum(0)) / self.first).maximum(less / BEYOND - full)
+        way = torch.where(aside < back, (aside.clamp_max(1e3) / gap) * at, back.clamp_min(0) * line)
+        way = torch.where(active, self.mine * way, 0.0)
         # somebody whom many ask to give way need not do it for the sake of each alone
-        return step + way.sum(2) / active.sum(2).clamp_min(1).sqrt().unsqueeze(-1)
+        return way.sum(3) / active.sum(2).clamp_min(1).sqrt()
 
-    def touching(self, step: Tensor) -> Tensor:
-        """Return who would run into somebody, and more than now (B, A) bool; both where it takes both."""
+    def touching(self, mine: Tensor, theirs: Tensor) -> Tensor:
+        """Return which two run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
         bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
-        touch = self._approach(step.unsqueeze(2) - step.unsqueeze(1))[2] < bound
-        alone = touch & (self._approach(step.unsqueeze(2).expand_as(self.away))[2] < bound)
-        return (touch & (alone | ~alone.mT) & (self.mine > 0)).any(2)
+        return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
 
     def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the part of relative moves (B, A, A, 2), the place and the distance of closest approach."""
-        place = nearest_part(self.away, move)
-        closest = self.away + place.unsqueeze(-1) * move
-        return place, closest, (closest.square().sum(-1) + 1e-9).sqrt()
+        """Return for relative walks (3, 2, B, A, A) where each of S straight parts comes closest.
+
+        Returns:
+            The part of it (S, B, A, A), the place there (2, S, B, A, A) and its distance (S, B, A, A).
+        """
+        begin, go = self.away.unsqueeze(1), move[2].unsqueeze(1)
+        if len(self.room) > 1:
+            beyond = self.away + BEYOND * move[2]
+            begin = torch.stack((self.away, self.away, self.away + move[0], beyond), 1)
+            go = torch.stack((move[2], move[0], move[1] - move[0], torch.zeros_like(beyond)), 1)
+        part = -(begin * go).sum(0) / go.square().sum(0).clamp_min(1e-9)
+        part = part.detach().clamp(0, 1)
+        at = begin + part * go
+        return part, at, (at.square().sum(0) + 1e-9).sqrt()
 
 
 class Near(NamedTuple):
-    """Whoever can come to a wall within the step.
+    """Walls on everybody's way.
 
     Attributes:
-        who: Which of the B * A people (N,) long.
-        walls: As they see them.
-        position: Where they are (N, 1, 2), metres.
-        room: Distance that is to be kept (N, 1), metres.
-        least: That below which a wall is touched (N, 1), metres: the radius.
-        parts: Parts of a step at which walls are asked for (S,).
+        walls: As the people of each scene see them.
+        position: Where they are (2, 1, B, A), metres.
+        room: Distance that is to be kept (B, A), metres.
+        least: That below which a wall is touched (B, A), metres: the radius.
+        moved: Whose steps may be changed (B, A) bool.
+        blend: What a place is made of (S, 3): parts of the three places of a walk.
+        weight: How much a place moves with the step (S, 1, 1).
     """
 
-    who: Tensor
     walls: LocalWalls
     position: Tensor
     room: Tensor
     least: Tensor
-    parts: Tensor
+    moved: Tensor
+    blend: Tensor
+    weight: Tensor
 
     @classmethod
-    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor) -> Near | None:
-        """Return whoever a step can bring to a wall, None for nobody; ``gap`` is how far it is (B * A, 1)."""
-        radius = steps.radius.flatten()
-        reach = steps.longest.flatten() + radius + MARGIN
-        who = ((gap[:, 0] < reach) & steps.moved.flatten()).nonzero()[:, 0]
-        if not len(who):
-            return None
-        position = steps.position.flatten(0, 1)[who].unsqueeze(1)
-        parts = torch.arange(1, _PLACES + 1, device=position.device, dtype=position.dtype) / _PLACES
-        least = radius[who].unsqueeze(1)
-        room = torch.minimum(gap[who], _plus(least, MARGIN, BODY_RADIUS))
-        return cls(who, walls.rows(who), position, room, least, parts)
+    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor) -> Near:
+        """Return them; ``gap`` is how far walls are (B, A), metres."""
+        place = torch.arange(1, _PLACES + 1, device=gap.device, dtype=gap.dtype)
+        begin, middle = _QUARTER * _PLACES, (1 - _QUARTER) * _PLACES
+        begins, ends = place / begin, (place - middle) / (_PLACES - middle)
+        between = (place - begin) / (middle - begin)
+        parts = torch.stack((begins.minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
+        if steps.velocity is not None:
+            parts = torch.cat((parts, BEYOND * parts[-1:]))
+        weight = steps.first * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
+        room = torch.minimum(gap, _plus(steps.radius, MARGIN, BODY_RADIUS))
+        position = steps.position.movedim(-1, 0).unsqueeze(1)
+        return cls(walls, position, room, steps.radius, steps.moved, parts, weight.view(-1, 1, 1))
 
-    def corrected(self, step: Tensor) -> Tensor:
-        """Return everybody's steps (B, A, 2), theirs led off the walls; those given likewise."""
-        flat = step.flatten(0, 1)
-        mine = flat[self.who]
-        gap, away = self._along(mine)
+    def corrected(self, walk: Tensor) -> Tensor:
+        """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off walls."""
+        gap, away = self._along(walk)
         # in the midst of a wall the way out may be the far side: places before it know better
-        told = (gap > 0) | (gap <= 0).all(1, keepdim=True)
-        most, place = ((self.room - gap) / self.parts * told).max(1, keepdim=True)
-        if not bool((most > 0).any()):
-            return step
-        direction = away.gather(1, place.unsqueeze(-1).expand(-1, 1, 2))[:, 0]
-        return flat.index_copy(0, self.who, mine + most.clamp_min(0) * direction).view_as(step)
+        told = (gap > 0) | (gap <= 0).all(0)
+        most, place = ((self.room - gap) / self.weight * told).max(0, keepdim=True)
+        direction = away.gather(1, place.expand(2, *place.shape))[:, 0]
+        return torch.where(self.moved, most.clamp_min(0) * direction, 0.0)
 
-    def touching(self, step: Tensor) -> Tensor:
+    def touching(self, walk: Tensor) -> Tensor:
         """Return who would touch a wall, and more than now (B, A) bool."""
-        gap, _ = self._along(step.flatten(0, 1)[self.who])
+        gap, _ = self._along(walk)
         # corners are cut a little between two places
         bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4
-        found = torch.zeros(step.shape[0] * step.shape[1], dtype=torch.bool, device=step.device)
-        found[self.who] = (gap < bound).any(1)
-        return found.view(step.shape[:2])
+        return (gap[:_PLACES] < bound).any(0) & self.moved
 
-    def _along(self, step: Tensor) -> tuple[Tensor, Tensor]:
-        return self.walls.closest(self.position + self.parts.view(-1, 1) * step.unsqueeze(1))
+    def _along(self, walk: Tensor) -> tuple[Tensor, Tensor]:
+        """Return distances to walls (S, B, A) along a walk, and where they grow (2, S, B, A)."""
+        places = (self.blend @ walk.flatten(1)).view(len(self.blend), *walk.shape[1:]).transpose(0, 1)
+        places = self.position + places
+        gap, away = self.walls.look(places.detach(), edges=False)
+        if places.requires_grad:
+            gap = gap + ((places - places.detach()) * away).sum(0)
+        return gap, away
+
+
+def _limited(move: Tensor, longest: Tensor) -> Tensor:
+    return move * (longest / move.square().sum(0).clamp_min(1e-12).sqrt()).clamp_max(1.0)
 
 
 def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:

@@ -8,9 +8,9 @@ which leave all of the avoidance to people, are seen from afar: `pedzoo.models.y
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import cast
+from typing import Any, cast
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -18,9 +18,9 @@ from torch import Tensor
 from pedzoo.batch import ROBOT, agents_of, maps_of
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.models.clearance import Near, Pairs, Steps
+from pedzoo.models.clearance import MARGIN, ROUNDING, SHOULDERS, Near, Pairs, Steps
 from pedzoo.models.yielding import yielding
-from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 ROUNDS = 8
 """Corrections at most: each may undo a part of another."""
@@ -32,6 +32,9 @@ WAITED = 0.4
 """Metres within the observed steps, 2.8 s, below which somebody waits. Two who wait for each other in a
 narrow place turn a shoulder, too: nobody else would end that."""
 
+_SHARES = 1.0, 0.5, 0.0
+"""Of a step that would touch something all the same."""
+
 
 def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
     """Return steps (B, A, 2) near those that are asked for, in which nobody touches anybody or a wall.
@@ -42,41 +45,11 @@ def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
 
     Args:
         steps: What is asked for.
-        walls: As people see them (`MapBank.walls_of_people`), B * A entries; None for none.
+        walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
     """
-    narrow = near = None
-    if walls is not None:
-        ends = torch.stack((steps.position, steps.position + steps.step), 2)
-        gap, _ = walls.closest(ends.flatten(0, 1))
-        narrow = (gap < NARROW).any(1).view(steps.moved.shape)
-        near = Near.of(steps, walls, gap[:, :1])
-    pairs = Pairs.of(steps, narrow)
-    step = _capped(steps, steps.step)
-    groups = [group for group in (pairs, near) if group is not None]
-    for _ in range(ROUNDS):
-        before = step
-        for group in groups:
-            step = group.corrected(step)
-        if step is before:
-            return step
-        step = _capped(steps, step)
-    return _stopped(step, groups)
-
-
-def _stopped(step: Tensor, groups: Sequence[Pairs | Near]) -> Tensor:
-    """Return steps (B, A, 2), shorter ones of whoever would touch something all the same.
-
-    Whoever is run into goes on: in a jam those in front have to get away first.
-    """
-    with torch.no_grad():
-        share = torch.ones_like(step[..., :1])
-        # half a step first, then none; every turn stops somebody, and when all stand nobody touches anybody
-        for turn in range(step.shape[1] + 2):
-            touching = torch.stack([group.touching(step * share) for group in groups]).any(0)
-            if not bool(touching.any()):
-                break
-            share = torch.where(touching.unsqueeze(-1), 0.0 if turn else 0.5, share)
-    return step * share
+    if _compiles(steps):
+        return _compiled(steps, walls)
+    return _in_torch(steps, walls)
 
 
 def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
@@ -89,20 +62,112 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     agents, bank = agents_of(batch), maps_of(batch)
     moved = agents["mask"] & agents["controlled"]
     there = agents["mask"].unsqueeze(-1)
-    history = cast("Tensor", agents["history"])
+    history, velocity = cast("Tensor", agents["history"]), cast("Tensor", agents["velocity"])
     here = history[:, :, -1]
     steps = Steps(
         torch.where(there, here, 0.0),
-        torch.where(moved.unsqueeze(-1), step, agents["velocity"] * STEP_SECONDS).where(there, 0.0),
+        torch.where(moved.unsqueeze(-1), step, velocity * STEP_SECONDS).where(there, 0.0),
         TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
         agents["mask"],
         moved,
         (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED,
         cast("Tensor", agents["radius"])[..., 0],
         agents["kind"] == ROBOT,
+        torch.where(there, velocity, 0.0),
     )
-    walls = bank.walls_of_people(batch["map_id"][:, 0], batch["scene_pose"], moved.shape[1])
+    walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
+
+
+def _in_torch(steps: Steps, walls: LocalWalls | None) -> Tensor:
+    narrow = near = None
+    if walls is not None:
+        walls = walls.per_scene()
+        ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
+        gap, _ = walls.look(ends, edges=False)
+        narrow = (gap < NARROW).any(0)
+        near = Near.of(steps, walls, gap[0])
+    pairs = Pairs.of(steps, narrow)
+    step = _capped(steps, steps.step)
+    for _ in range(ROUNDS):
+        step = step + pairs.corrected(steps.walk(step)).movedim(0, -1)
+        if near is not None:
+            step = step + near.corrected(steps.walk(step)).movedim(0, -1)
+        step = _capped(steps, step)
+    return step * _kept_share(steps, step.detach(), pairs, near).unsqueeze(-1)
+
+
+@torch.no_grad()
+def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> Tensor:
+    """Return which part of their steps (B, A) people walk: less of it if they would touch something.
+
+    Whoever is run into goes on: in a jam those in front have to get away first.
+    """
+    walks = [steps.walk(share * step) for share in _SHARES]
+    kinds = len(walks)
+    # who touches whom depends on both shares, and is known for all of them before anybody stops
+    upper = {
+        (i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds) for j in range(i, kinds) if i < 2
+    }
+    upper[2, 2] = torch.zeros_like(upper[0, 0])
+    touch = torch.stack(
+        [upper[i, j] if i <= j else upper[j, i].mT for i in range(kinds) for j in range(kinds)]
+    )
+    wall = torch.zeros(kinds, *steps.moved.shape, dtype=torch.bool, device=step.device)
+    if near is not None:
+        wall = torch.stack([*(near.touching(walk) for walk in walks[:2]), wall[2]])
+    chosen = torch.zeros_like(steps.moved, dtype=torch.long)
+    # half a step first, then none; every turn stops somebody, and when all stand nobody touches anybody
+    for turn in range(step.shape[1] + 2):
+        mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
+        none = torch.full_like(chosen, kinds - 1)
+        both, alone, other = (
+            touch.gather(0, (kinds * i + j).expand(touch.shape[1:]).unsqueeze(0))[0]
+            for i, j in ((mine, theirs), (mine, none.unsqueeze(1)), (none.unsqueeze(2), theirs))
+        )
+        stops = (both & (alone | ~other) & (pairs.mine > 0)).any(2)
+        stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
+        chosen = torch.where(stops, min(turn + 1, 2), chosen)
+    return 1 - 0.5 * chosen.to(step.dtype)
+
+
+def _compiles(steps: Steps) -> bool:
+    """Return whether the compiled loops may take these: float32 on the CPU, and no gradient is asked for."""
+    numbers = [part for part in steps if part is not None and part.is_floating_point()]
+    plain = all(part.device.type == "cpu" and part.dtype == torch.float32 for part in numbers)
+    return plain and not (torch.is_grad_enabled() and any(part.requires_grad for part in numbers))
+
+
+def _compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
+    from pedzoo.models.clearance_loops import keep_clear
+
+    kept = torch.empty_like(steps.step, memory_format=torch.contiguous_format)
+    blends = steps.velocity is not None
+    before = steps.step if steps.velocity is None else steps.velocity * TRACE_SECONDS
+    people: Any = [steps.position, steps.step, before, *steps[2:8]]
+    keep_clear(
+        *(part.detach().numpy() for part in people), blends,
+        ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond, ROUNDING,
+        *_wall_arrays(walls), kept.numpy(),
+    )  # fmt: skip
+    return kept
+
+
+def _wall_arrays(walls: LocalWalls | None) -> tuple[Any, ...]:
+    """Return frames (B, 7) and places (B, 3) of scenes, no rows for no walls, and the tables behind them."""
+    if walls is None:
+        none = np.zeros((1, 1), np.float32)
+        return (
+            np.zeros((0, 7), np.float32),
+            np.zeros((0, 3), np.int32),
+            none[0].astype(np.int32),
+            none,
+            none[0],
+            0.0,
+        )
+    table = walls.walls
+    scenes = walls.frame.t().float().numpy(), walls.place.t().numpy()
+    return *scenes, table.choice.numpy(), table.option.numpy(), table.least.numpy(), table.limit
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
 
     Args:
         steps: What is asked for.
-        walls: As people see them (`MapBank.walls_of_people`), B * A entries; None for none.
+        walls: Of the scenes (`MapBank.walls_around`), B entries; None for none.
     """
     usual = (steps.radius - BODY_RADIUS).abs() < 1e-6
     avoided = steps.present & ~steps.moved & (steps.robot | ~usual)
@@ -78,7 +78,7 @@ def _chosen(steps: Steps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
         # the way has to be free of walls until the robot is passed
         passed = -(away[scene, agent].unsqueeze(2) * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
         passed = torch.where((soon & others)[scene, agent].unsqueeze(2), passed, 0.0).amax(1)
-        seen = walls.rows(scene * steps.present.shape[1] + agent)
+        seen = walls.rows(scene)
         place, radius = steps.position[scene, agent], steps.radius[scene, agent]
         cost = cost + _cost(_wall_contact(seen, place, samples, radius, passed.clamp(_LEAST_VIEW, HORIZON)))
     best = samples[torch.arange(len(scene), device=scene.device), cost.argmin(1)]

@@ -1,0 +1,160 @@
+"""The safety layer on blended velocities: bodies' true paths, compiled loops against torch, no host reads."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from pedzoo.geometry import identity_pose, limit_speed
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.models.clearance import Steps
+from pedzoo.models.safety import kept_clear, safe
+from pedzoo.sim.dynamics import blended, limited
+from pedzoo.sim.make import make_env
+from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
+
+ROOM = rectangles(
+    [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
+)
+"""Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
+
+PART = math.sqrt(0.5)
+
+
+def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> Steps:
+    """Return people on a grid of 0.55 m about the door, going anywhere and coming from anywhere."""
+    random = torch.Generator().manual_seed(seed)
+    side = math.ceil(math.sqrt(people))
+    cell = torch.cartesian_prod(torch.arange(side), torch.arange(side))[:people] - (side - 1) / 2
+
+    def draw(*more: int) -> Tensor:
+        return torch.rand(scenes, people, *more, generator=random)
+
+    position = 0.55 * cell + 0.15 * (draw(2) - 0.5) + torch.rand(scenes, 1, 2, generator=random) - 0.5
+    longest = STEP_SECONDS * (1.3 + 0.4 * draw())
+    velocity = limit_speed(0.8 * torch.randn(position.shape, generator=random), longest / STEP_SECONDS)
+    step = 0.4 * torch.randn(position.shape, generator=random)
+    everybody, nobody = draw() >= 0, draw() > 1
+    if not mixed:
+        radius = torch.full_like(longest, BODY_RADIUS)
+        return Steps(position, step, longest, everybody, everybody, nobody, radius, nobody, velocity)
+    present = draw() > 0.1
+    moved = present & (draw() > 0.15)
+    return Steps(
+        position, step, longest, present, moved, draw() > 0.8, 0.12 + 0.1 * draw(), draw() > 0.85, velocity
+    )
+
+
+def path_of(steps: Steps, step: Tensor) -> Tensor:
+    """Return where the simulation takes people (40, B, A, 2), metres, every 0.01 s."""
+    velocity: Any = steps.velocity
+    top = steps.longest / STEP_SECONDS
+    each = limited(blended(velocity.movedim(-1, 0), limited(step.movedim(-1, 0) / STEP_SECONDS, top), 4), top)
+    moved = (0.1 * TRACE_SECONDS * each.repeat_interleave(10, 1)).cumsum(1)
+    return steps.position + moved.movedim(0, -1)
+
+
+def around(bank: MapBank, scenes: int) -> LocalWalls:
+    """Return the walls as the people of scenes see them."""
+    return bank.walls_around(torch.full((scenes,), ROOM.map_id), identity_pose(scenes))
+
+
+def test_a_walk_is_what_the_simulation_makes_of_a_step() -> None:
+    """After 0.1, 0.3 and 0.4 s; agents that the policy does not move go straight."""
+    asked = crowd(6)
+    step = limit_speed(asked.step, asked.longest)
+    found = asked.walk(step).movedim(1, -1)
+    assert torch.allclose(asked.position + found, path_of(asked, step)[[9, 29, 39]], atol=1e-5)
+    still = asked._replace(moved=torch.zeros_like(asked.moved)).walk(step).movedim(1, -1)
+    assert torch.allclose(still, torch.stack((step / 4, 3 * step / 4, step)))
+    assert torch.equal(asked._replace(velocity=None).walk(step).movedim(1, -1), still)
+
+
+@pytest.mark.parametrize("people", [2, 6, 20])
+def test_on_blended_paths_nobody_touches_anybody(people: int) -> None:
+    """However they come: they stop, where nothing else helps."""
+    asked = crowd(people)
+    for steps, bound in ((asked.step, 0.15), (kept_clear(asked), 2 * BODY_RADIUS - 1e-3)):
+        path = path_of(asked, steps)
+        apart = torch.cdist(path, path) + 9 * torch.eye(people)
+        touching = apart.amin((0, 2, 3)) < bound
+        assert bool(touching.any()) == (bound < 0.2)
+
+
+def test_on_blended_paths_nobody_touches_a_wall() -> None:
+    """People who run at a wall and are told to turn along it: the old velocity still leads into it."""
+    bank = MapBank([ROOM])
+    asked = crowd(1, scenes=512)
+    walls = around(bank, 512).each(1)
+    gap, _ = walls.closest(asked.position)
+    free = gap[:, 0] > BODY_RADIUS
+    for steps, touches in ((asked.step, True), (kept_clear(asked, around(bank, 512)), False)):
+        path = path_of(asked, steps).movedim(0, 1).flatten(1, 2)
+        gap, _ = walls.closest(path)
+        assert bool((gap[free] < BODY_RADIUS - 2e-3).any()) is touches
+
+
+@pytest.mark.parametrize("people", [1, 2, 5, 12, 20])
+@pytest.mark.parametrize("blends", [False, True])
+@pytest.mark.parametrize("walled", [False, True])
+def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: bool) -> None:
+    """Crowds of mixed radii with absent and uncontrolled agents and robots, in the open and at a door.
+
+    Where gradients are asked for, torch answers, in single precision: it may matter at corners.
+    """
+    asked = crowd(people, scenes=200, mixed=True)
+    if not blends:
+        asked = asked._replace(velocity=None)
+    walls = around(MapBank([ROOM]), 200) if walled else None
+    if walls is not None:
+        free = walls.each(people).closest(asked.position.flatten(0, 1))[0] > 0
+        free = free.view(asked.present.shape)
+        asked = asked._replace(present=asked.present & free, moved=asked.moved & free)
+    compiled = kept_clear(asked, walls)
+    in_torch = kept_clear(asked._replace(step=asked.step.clone().requires_grad_()), walls)
+    assert not compiled.requires_grad and in_torch.requires_grad
+    apart = (compiled - in_torch.detach()).norm(dim=-1).where(asked.present, 0.0)
+    assert ((apart < 1e-4).all(1)).float().mean() >= (0.95 if walled else 0.99)
+    assert (apart < 1e-4).float().mean() > 0.99
+
+
+def test_strided_inputs_are_read_as_they_are() -> None:
+    """Views of a batch need no copies."""
+    asked = crowd(5, mixed=True)
+    strided: Any = [torch.stack((part, part), -1)[..., 0] for part in asked if part is not None]
+    assert torch.equal(kept_clear(Steps(*strided)), kept_clear(asked))
+
+
+def test_gradients_through_walks_are_finite() -> None:
+    """People who stand, who go on as they go, who touch, and who are at walls."""
+    asked = crowd(12, mixed=True)
+    velocity: Any = asked.velocity
+    velocity[:16] = 0.0
+    velocity[16:32] = asked.step[16:32] / STEP_SECONDS
+    step = asked.step.clone().requires_grad_()
+    kept_clear(asked._replace(step=step), around(MapBank([ROOM]), 64)).square().sum().backward()
+    assert step.grad is not None and step.grad.isfinite().all()
+
+
+def test_the_torch_path_reads_nothing_back_to_the_host() -> None:
+    """On the meta device there is nothing to read: every look at a value raises."""
+    env = make_env("door:people=4,width=0.8", 3, "grid")
+    seen: Any = env.reset(seed=0).select("agents", "maps", "map_id", "scene_pose").to("meta")
+    step = torch.zeros(3, 4, 2, device="meta")
+    assert safe(seen, step).shape == (3, 4, 2)
+
+
+@pytest.mark.parametrize("pair", [((0.0, 0.5), (PART, PART)), ((0.5, 0.0), (0.0, 1.0))])
+def test_in_the_open_an_old_velocity_changes_nothing(pair: tuple[tuple[float, float], ...]) -> None:
+    """Somebody alone may turn as they like."""
+    step, velocity = torch.tensor(pair).view(2, 1, 1, 2)
+    one = torch.ones(1, 1, dtype=torch.bool)
+    size = torch.full((1, 1), BODY_RADIUS)
+    asked = Steps(torch.zeros(1, 1, 2), step, size + 1, one, one, ~one, size, ~one, velocity)
+    assert torch.equal(kept_clear(asked), step)
