@@ -48,7 +48,7 @@ def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
     """
     usual = (steps.radius - BODY_RADIUS).abs() < 1e-6
     avoided = steps.present & ~steps.moved & (steps.robot | ~usual)
-    if not bool(avoided.any()):
+    if avoided.device.type == "cpu" and not bool(avoided.any()):
         return steps.step
     with torch.no_grad():
         chosen = _chosen(steps, avoided, walls)
@@ -65,7 +65,11 @@ def _chosen(steps: Steps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
     move = (velocity.unsqueeze(2) - velocity.unsqueeze(1)).unsqueeze(3)
     soon = _contact(away.unsqueeze(3), move, room.unsqueeze(3))[..., 0] < HORIZON
     threatened = (soon & others).any(2) & steps.moved
-    scene, agent = threatened.nonzero(as_tuple=True)
+    # on the CPU few agents are looked at, elsewhere all of them: nothing is read back from there
+    scenes, agents = (torch.arange(size, device=threatened.device) for size in threatened.shape)
+    which = threatened.flatten().nonzero()[:, 0] if threatened.device.type == "cpu" else slice(None)
+    scene = scenes.repeat_interleave(len(agents))[which]
+    agent = agents.repeat(len(scenes))[which]
     if not len(scene):
         return steps.step
     asked = velocity[scene, agent]
@@ -82,7 +86,8 @@ def _chosen(steps: Steps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
         place, radius = steps.position[scene, agent], steps.radius[scene, agent]
         cost = cost + _cost(_wall_contact(seen, place, samples, radius, passed.clamp(_LEAST_VIEW, HORIZON)))
     best = samples[torch.arange(len(scene), device=scene.device), cost.argmin(1)]
-    return steps.step.index_put((scene, agent), best * STEP_SECONDS)
+    chosen = torch.where(threatened[scene, agent].unsqueeze(1), best * STEP_SECONDS, steps.step[scene, agent])
+    return steps.step.index_put((scene, agent), chosen)
 
 
 def _samples(asked: Tensor, away: Tensor, fastest: Tensor) -> Tensor:
