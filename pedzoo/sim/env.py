@@ -247,15 +247,14 @@ class PedestrianEnv(EnvBase):
     ) -> TensorDict:
         scenes, agents = state.mask.shape
         points = self.rules.ticks
-        nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
-        info = {
-            "trace": outcome.trace if outcome else state.past[:, :, -points:],
-            "agent_contact": outcome.agent_contact if outcome else nothing,
-            "wall_contact": outcome.wall_contact if outcome else nothing,
-            "reached": outcome.reached if outcome else state.reached.unsqueeze(-1).repeat(1, 1, points),
-            "late": state.late,
-            "way": state.way,
-        }
+        if outcome is None:
+            nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
+            reached = state.reached.unsqueeze(-1).repeat(1, 1, points)
+            happened = state.past[:, :, -points:], nothing, nothing, reached
+        else:
+            happened = outcome[:4]
+        names = ("trace", "agent_contact", "wall_contact", "reached")
+        info = dict(zip(names, happened, strict=True)) | {"late": state.late, "way": state.way}
         batch = observed(state, guidance, self.bank)
         batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
         batch["failed"] = state.failed.unsqueeze(1)

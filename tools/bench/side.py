@@ -141,7 +141,7 @@ def kernel_loop(scenes: int, people: int, policy: str, physics: str) -> tuple[St
     @torch.no_grad()
     def step() -> None:
         nonlocal state
-        state, _ = advance(state, commands, walk.env.physics)
+        state = advance(state, commands, walk.env.physics, walk.env.rules)[0]
 
     def again() -> None:
         nonlocal state
