@@ -18,6 +18,7 @@ from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
 from pedzoo.eval.workers import Backend, finished
 from pedzoo.registry import SUITES
+from pedzoo.sim.env import usable
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.policy import load_policy
 
@@ -37,6 +38,7 @@ def evaluate(
     maps: Sequence[str | Path] = (),
     root: str | Path | None = None,
     rollouts: int | None = None,
+    device: str = "cpu",
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -55,6 +57,7 @@ def evaluate(
         maps: Floor plans on which ``goals`` is walked too: every episode of five more cases draws one.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
+        device: Where scenes and policies are, such as ``cuda``.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -70,7 +73,7 @@ def evaluate(
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
     folder = None if root is None else str(root)
-    request = Request(episodes, quick, physics, tuple(map(str, plans)), folder, rollouts)
+    request = Request(episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device)
     evaluation = Evaluation(policies, suites, request, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -110,6 +113,7 @@ class Evaluation:
             UserError: As of `evaluate`.
         """
         self.request = request or Request()
+        usable(self.request.device)
         if self.request.physics is not None:
             self.request = self.request._replace(physics=renamed.backend(self.request.physics))
         for key in ("episodes", "rollouts"):
@@ -129,7 +133,8 @@ class Evaluation:
         for suite in self._suites:
             for case in suite.cases(self.request):
                 physics_class(case.physics).check()
-                self.units += suite.units(case, self._policies, self._seeds, deterministic)
+                units = suite.units(case, self._policies, self._seeds, deterministic)
+                self.units += [unit._replace(device=self.request.device) for unit in units]
         self._digests = [digest(unit) for unit in self.units]
         self.journal = Path(resume) if resume else None
         self._journal = Journal(self.journal)

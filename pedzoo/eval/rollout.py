@@ -14,7 +14,7 @@ from pedzoo import renamed
 from pedzoo.errors import UserError
 from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.models.walker import Walker
-from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.env import PedestrianEnv, usable
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
@@ -77,6 +77,8 @@ def prepare(
         raise UserError(f"{policy} decides every {walks.decision_dt} s, not every {wanted} s: {why}")
     runs = -(-episodes // physics_class(physics).scenes_at_once)
     settings |= {"physics": physics, "seed": seed, "decision_dt": walks.decision_dt}
+    if (device := settings.get("device", "cpu")) != "cpu":
+        walks = walks.to(usable(device))
     env = make_env(scenario, num_envs=-(-episodes // runs), **settings)
     env.policy_name = policy
     return walks, env
@@ -114,7 +116,7 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
     """
     now = env.reset()
     start = before = env.state
-    alive = torch.ones(env.batch_size, dtype=torch.bool)
+    alive = torch.ones(env.batch_size, dtype=torch.bool, device=env.device)
     late, failed = start.late, start.failed
     steps: list[dict[str, Tensor]] = []
     while alive.any():
@@ -128,7 +130,8 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
         if ended:
             ended(int((~alive).sum()))
         before, now = state, step_mdp(result)
-    return rollout_of(env.scenario, start, steps, late, failed)
+    kept = [{key: value.cpu() for key, value in step.items()} for step in steps]
+    return rollout_of(env.scenario, start.to("cpu"), kept, late.cpu(), failed.cpu())
 
 
 def _kept(

@@ -33,6 +33,7 @@ class Request(NamedTuple):
         maps: Floor plans beside the suite's own.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for the suite's own number.
+        device: Where scenes and policies are.
     """
 
     episodes: int | None = None
@@ -41,6 +42,7 @@ class Request(NamedTuple):
     maps: tuple[str, ...] = ()
     root: str | None = None
     rollouts: int | None = None
+    device: str = "cpu"
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -84,6 +86,7 @@ class Unit(NamedTuple):
         case: Where.
         seeds: Of the scenes.
         deterministic: Without noise.
+        device: Where scenes and policy are.
     """
 
     policy: str
@@ -91,6 +94,7 @@ class Unit(NamedTuple):
     case: Case
     seeds: tuple[int, ...]
     deterministic: bool
+    device: str = "cpu"
 
     @property
     def group(self) -> tuple[str, str]:
@@ -173,7 +177,7 @@ class Suite(ABC):
         case, walked = unit.case, []
         scenario = prepared(case.scenario, case.inputs)
         for number, seed in enumerate(unit.seeds):
-            policy, env = prepare(unit.walks, scenario, case.physics, case.episodes, seed)
+            policy, env = prepare(unit.walks, scenario, case.physics, case.episodes, seed, device=unit.device)
 
             def share(name: str, done: int, total: int, number: int = number) -> None:
                 if tell:

@@ -183,12 +183,19 @@ def scenes_for_peers(scenes: int, people: int) -> dict[str, Any]:
         "scenes": scenes,
         "people": people,
         "orca": {key: value for key, value in asdict(settings).items() if key != "max_obstacles"},
-        "walls": [polygon.tolist() for polygon in bank.walls.outlines.polygons()[0]],
+        "walls": [polygon.tolist() for polygon in outlines_of(bank)],
         "position": agents["history"][:, :, -1].tolist(),
         "velocity": agents["velocity"].tolist(),
         "preferred": agents["desired_velocity"].tolist(),
         "top_speed": (1.3 * agents["pref_speed"].squeeze(-1)).tolist(),
     }
+
+
+def outlines_of(bank: Any) -> Any:
+    """Return the outlines of a bank's only floor plan, in either checkout."""
+    if hasattr(bank, "walls"):
+        return bank.walls.outlines.polygons()[0]
+    return import_module("pedzoo.maps.segments").WallSegments(bank).polygons(bank.grids[0])
 
 
 if __name__ == "__main__":

@@ -60,6 +60,7 @@ def run(argv: list[str]) -> int:
         type=str | None,
         help=f"{', '.join(PHYSICS.names())}, or file.py:Class (default: bullet for door and goals).",
     )
+    parser.add_argument("--device", type=str, default="cpu", help="Where scenes and models are, as cuda.")
     parser.add_argument(
         "--maps",
         nargs="+",
@@ -121,6 +122,7 @@ def run(argv: list[str]) -> int:
         tuple(options.maps),
         options.data.root,
         options.rollouts,
+        options.device,
     )
     evaluation = Evaluation(
         options.policies,

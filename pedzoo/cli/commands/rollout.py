@@ -48,6 +48,7 @@ def run(argv: list[str]) -> int:
         default="bullet",
         help=f"{', '.join(PHYSICS.names())}, or file.py:Class; compiled is the fastest.",
     )
+    parser.add_argument("--device", type=str, default="cpu", help="Where scenes and models are, as cuda.")
     parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
     parser.add_argument(
         "--clearance", type=NonNegativeFloat, default=CLEARANCE, help="Planned ways from walls, metres."
@@ -96,7 +97,7 @@ def run(argv: list[str]) -> int:
     if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
-    settings = {key: options[key] for key in ("warm_start", "clearance", "decision_dt")}
+    settings = {key: options[key] for key in ("warm_start", "clearance", "decision_dt", "device")}
     names, where = options.policies, (options.scenario, options.physics, options.episodes, options.seed)
 
     with Comparison(names, *where, options.deterministic, **settings) as comparison:

@@ -93,7 +93,9 @@ class LoopNoise(Suite):
         for draw in range(DRAWS):
             walked = []
             for number, seed in enumerate(unit.seeds):
-                policy, env = prepare(unit.walks, scenario, case.physics, case.episodes, seed)
+                policy, env = prepare(
+                    unit.walks, scenario, case.physics, case.episodes, seed, device=unit.device
+                )
                 for walker in walkers(policy):
                     walker.noise_seed = draw
                 step = env.decision_dt

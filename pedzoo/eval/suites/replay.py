@@ -152,7 +152,9 @@ class Replay(Suite):
         def walked() -> Iterator[Rollout]:
             """Yield some scenes after the other: those of large crowds do not fit memory together."""
             for number, seed in enumerate(seeds):
-                policy, env = prepare(unit.walks, scenario, case.physics, rounds * scenario.scenes, seed)
+                policy, env = prepare(
+                    unit.walks, scenario, case.physics, rounds * scenario.scenes, seed, device=unit.device
+                )
 
                 def share(name: str, done: int, total: int, number: int = number) -> None:
                     if tell:
