@@ -58,7 +58,7 @@ class _Trace(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> Tensor:
-        """Keep the slopes; ``given`` are positions, velocities, the trace, its slopes and who is moved."""
+        """Keep the slopes; ``given`` are positions, velocities, the trace, its slopes and moved agents."""
         _, _, trace, slopes, moving = given
         ctx.save_for_backward(slopes, moving)
         return trace.clone()
