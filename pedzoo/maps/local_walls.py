@@ -27,7 +27,8 @@ class LocalWalls:
     """The walls as entries of any shape E see them, each on its map and in its scene's frame.
 
     Coordinates come first and entries last, (2, K, *E): on the CPU several times faster than pairs. Frames
-    of shape (B, 1) serve the agents of B scenes, (B, A). No look-up reads anything back to the host.
+    of shape (B, 1) serve the agents of B scenes, (B, A). No look-up but `cast` reads anything
+    back to the host.
 
     Attributes:
         walls: Those of all maps.
