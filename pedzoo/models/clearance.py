@@ -29,7 +29,7 @@ FIRST = 0.125
 """Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
 
 BEYOND = 1.125
-"""Of a step that is to be clear: a body whose velocity is then switched to zero would blend so far."""
+"""Part of a step that is to be clear: a body that turns off afterwards still goes on for half of 0.1 s."""
 
 ROUNDING = 1e-5
 """Metres: a pair that lacks less room asks for no correction."""

@@ -224,7 +224,7 @@ class Controller:
         return (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1)
 
     def _batch(self, agents: Roster, guidance: Guidance, clock: CallerClock) -> TensorDict:
-        """Return the scene as the environment would observe it, one scene of N agents."""
+        """Return the scene batch (1,) of N agents, as the environment would observe it."""
         size = (1, len(agents.row))
         everybody = torch.ones(size, dtype=torch.bool)
         velocity = clock.velocity(agents.past)

@@ -65,7 +65,7 @@ class _Trace(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
-        """Go back from the last trace point to the first."""
+        """Return gradients of places (B, A, 2) and velocities (2, S, B, A), last trace point first."""
         slopes, moving = ctx.saved_tensors
         of_place, of_velocity = slopes.unflatten(3, (2, 2, 2)).unbind(3)
         moved = moving[..., None]
