@@ -151,7 +151,7 @@ def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
 
     Args:
         batch: The scenes.
-        who: What needs them, for the message.
+        who: Name of the part that needs them, for the message.
 
     Raises:
         UserError: The batch has none.

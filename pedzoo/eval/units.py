@@ -45,8 +45,8 @@ def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
 def digest(unit: Unit) -> str:
     """Return what tells a unit from any other whose rows may differ.
 
-    That is the unit itself, the files that it names (weights, a policy, a suite, scenario or physics of one's
-    own), pedzoo's code and the versions of what it uses.
+    That is the unit itself, pedzoo's code, the versions of its dependencies, and the files that the unit
+    names: weights, or a policy, suite, scenario or physics from a file.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
     walking = [_model_sum(policy) for policy in parts(unit.walks)]

@@ -17,9 +17,9 @@ from pedzoo.spec import parse
 def for_fold(policy: str, fold: str) -> str:
     """Return the policy to walk on a fold: where there are any, weights that did not see it.
 
-    Weights are named after the fold that they did not see: for ``sgan_goal.zara1:noise=step`` on hotel that
-    is ``sgan_goal.hotel:noise=step``, and for ``sgan_goal.indoor`` of all recordings it is
-    ``sgan_goal.indoor_hotel``. Anything else stays as it is. In a mixed crowd it is so for each policy.
+    Weights are named after the fold that they did not see. On hotel ``sgan_goal.zara1:noise=step`` becomes
+    ``sgan_goal.hotel:noise=step``, and ``sgan_goal.indoor``, of all recordings, ``sgan_goal.indoor_hotel``.
+    Anything else stays as it is. In a mixed crowd this holds for each policy.
     """
     return "+".join(_for_fold(part, fold) for part in parts(policy))
 

@@ -1,6 +1,6 @@
 """Look-ups of walls and ways compiled by numba: what `LocalWalls` and `Planner` say, one agent at a time.
 
-For tensors on the CPU that need no gradient. Every function has its equal in torch, and tests compare them.
+For tensors on the CPU; callers add gradients. Every function has its equal in torch, and tests compare them.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def guide(
     affine, place, side, least,
     carrot, desired, waypoint_out, goal_out, distance_out,
 ):  # fmt: skip
-    """Write everybody's carrot, desired velocity, waypoint, goal and way: see `Planner.guide`.
+    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guide`.
 
     Args are the arrays of the agents (B, A, ...), of `Tables`, of `Walls`, and the results.
     """

@@ -25,8 +25,9 @@ def _around(segments, s, x, y):
 def bucket_lists(segments, low, size, reach, most):
     """Return the numbers of segments that matter in each bucket of a map, and how many each bucket has.
 
-    Args are the segments (>= 5, S) of `SegmentTable`, the buckets' smallest x and y and their numbers along
-    x and y, the reach, and how many segments a point asks for. The nearest to a bucket's middle come first.
+    Args are the segments (>= 5, S) of `SegmentTable`; smallest x and y of the buckets, metres; how many
+    buckets lie along x and y. Then the reach, metres, and how many segments a point asks for. The segments
+    nearest to a bucket's middle come first.
     """
     counts = np.zeros(size[0] * size[1], np.int64)
     begin = np.zeros(len(counts) + 1, np.int64)

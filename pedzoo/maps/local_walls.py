@@ -27,12 +27,13 @@ class LocalWalls:
     """The walls as entries of any shape E see them, each on its map and in its scene's frame.
 
     Coordinates come first and entries last, (2, K, *E): on the CPU several times faster than pairs. Frames
-    of shape (B, 1) serve the agents of B scenes, (B, A). No look-up reads anything back to the host.
+    of shape (B, 1) serve the agents of B scenes, (B, A). No look-up but `cast` reads anything
+    back to the host.
 
     Attributes:
         walls: Those of all maps.
-        frame: Scene positions in metres to half cells of the padded map: where the x axis points, where the
-            y axis points, and the shift, two rows each; then the side of half a cell in metres (7, *E).
+        frame: Scene positions in metres to half cells of the padded map (7, *E). Two rows each say where the
+            x axis points, where the y axis points, and the shift. The last row is half a cell's side, metres.
         place: Columns and rows of the map's quarters of cells, and where they begin (3, *E) int32.
     """
 
@@ -171,8 +172,8 @@ class LocalWalls:
     def cast(self, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
         """Return how far rays go before they meet a wall (R, N), metres, ``reach`` where there is none.
 
-        They leap by the lower bounds of distances, and go from one quarter of a cell to the next where that
-        is farther (Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987).
+        They leap by the lower bounds of distances, or go to the next quarter of a cell where that is farther.
+        See Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987.
 
         Args:
             origin: Where each ray starts (2, R, N), scene positions; finite.

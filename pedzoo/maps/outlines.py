@@ -33,7 +33,7 @@ def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[NDArra
 
 
 def without_hollows(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.bool_]:
-    """Return the walls (H, W) of a floor plan, among them the free places in which nobody could stand.
+    """Return the walls (H, W) of a floor plan, filled up where no body fits between walls.
 
     Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
     """

@@ -224,7 +224,7 @@ class Planner:
         pref_speed: Tensor,
         look_ahead_seconds: float,
     ) -> Guidance:
-        """Return everybody's carrot and desired velocity; see `guide_scenes`.
+        """Return every agent's carrot and desired velocity; see `guide_scenes`.
 
         Args:
             points: Scene positions (P, 2), metres.
@@ -263,10 +263,10 @@ class Planner:
     ) -> Guidance:
         """Return the carrots and desired velocities of the agents of B scenes, (B, A, ...).
 
-        The carrot is the point of the way that is reached in ``look_ahead_seconds`` at ``pref_speed``; past
-        the goal the last segment is prolonged, so that people walk through it instead of braking. Beyond the
-        next waypoint it is moved back until the line to it keeps a body's radius from walls: a half of what
-        is beyond, a quarter, or to the waypoint itself. People without a goal, or without a way to it, stay.
+        The carrot is the point of the way that is reached in ``look_ahead_seconds`` at ``pref_speed``. Past
+        the goal the last segment is prolonged, so that people walk through it instead of braking. A carrot
+        beyond the next waypoint is moved back until the line to it keeps a body's radius from walls. A half
+        of what is beyond is kept, a quarter, or nothing. Agents without a goal, or a way to it, stay.
 
         Nothing is read back to the host. On the CPU compiled loops answer. Carrots, velocities and distances
         are differentiable with respect to points and speeds; waypoints are constants.

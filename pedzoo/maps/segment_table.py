@@ -17,7 +17,7 @@ from pedzoo.maps.outlines import outlines, without_hollows
 Floats = NDArray[np.float64]
 
 NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
-"""Stands for no segment; it could be one, so that whoever computes with it gets numbers."""
+"""Stands for no segment; it could be one, so that sums with it stay finite."""
 
 BUCKET = 0.5
 """Metres: the side of a bucket."""
@@ -26,21 +26,21 @@ HALF = BUCKET * math.sqrt(0.5) * (1 + 1e-4)
 """Metres from the middle of a bucket to its corners, and some for rounding: it must not lose a candidate."""
 
 ROUNDED = -1 << 7
-"""The bits of a squared distance that count, so that rounding does not choose between two segments of which
-the common corner is nearest: of those the first comes first."""
+"""The bits of a squared distance that count. Where the common corner of two segments is nearest, rounding
+does not choose between them: the first one comes first."""
 
 _NUMBER = (1 << 31) - 1
 """The bits of a key that tell which segment it is of."""
 
 _FAR = 1e30
-"""Squared metres: nobody comes so far."""
+"""Squared metres, beyond any floor plan."""
 
 
 class Outlines:
     """The outlines of the walls of floor plans, simplified by half a cell at most, and tables of them."""
 
     def __init__(self, grids: Sequence[OccupancyGrid], unknown: Unknown) -> None:
-        """Take the floor plans; nothing is computed before somebody asks."""
+        """Take the floor plans; nothing is computed before the first question."""
         self.grids = grids
         self.unknown: Unknown = unknown
         self._polygons: dict[bool, list[list[Floats]]] = {}
@@ -50,7 +50,7 @@ class Outlines:
         """Return the outlines (V, 2) of each floor plan in its frame, metres, walls to the left.
 
         Args:
-            hollows: Whether those of hollows are among them in which nobody could stand.
+            hollows: Whether hollows that no body fits in have outlines, too.
         """
         if hollows not in self._polygons:
             walls = [grid.occupied(self.unknown) for grid in self.grids]
@@ -86,11 +86,12 @@ class SegmentTable:
     What is seen from a segment is in its own frame: x along it, y to its left, where the wall is.
 
     Attributes:
-        segments: Of each (18, S + 1): start and unit direction in the map's frame; length; unit direction of
-            the segment before, backwards, and of the one after, their x turned round so that both lead away
-            from it to the left; whether its corners are convex (1 or 0). Again in the map's frame: end, unit
-            directions of the segments before and after; the length of the one before. The last one stands
-            for none.
+        segments: Of each (18, S + 1), rows in this order. In the map's frame, metres: start (2), unit
+            direction (2) and length (1). In its own frame: unit directions of the segment before, backwards,
+            and of the one after (2 each). Their x is turned round: both lead away from it to the left.
+            Whether its corners are convex, 1 or 0 (2). In the map's frame: end (2), unit directions of
+            the segments before and after (2 each), length of the one before (1). The last one stands for
+            none.
         candidates: Numbers of segments, bucket after bucket, those nearest to its middle first (C,) int32.
         offset: Where each bucket's candidates begin (buckets + 2,) int32; the last bucket is empty.
         corner: Smallest x and y of each map's buckets (2, R + 1), metres.
@@ -212,8 +213,8 @@ class SegmentTable:
 def edges(polygon: Floats) -> Floats:
     """Return the segments (V, 13) of an outline (V, 2) as `SegmentTable.build` takes them.
 
-    Of each: start, end, unit direction, directions of the segments before and after, whether the corners at
-    start and end are convex, and the length of the segment before.
+    Of each: start, end and unit direction; directions of the segments before and after. Then whether the
+    corners at start and end are convex, and the length of the segment before.
     """
     end = np.roll(polygon, -1, axis=0)
     length = np.linalg.norm(end - polygon, axis=1)

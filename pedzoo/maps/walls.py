@@ -108,7 +108,7 @@ class Walls:
         Args:
             reach: Metres up to which segments are asked for.
             most: How many segments one position gets; None for all.
-            hollows: Whether hollows have outlines in which nobody could stand.
+            hollows: Whether hollows that no body fits in have outlines, too.
             dtype: Of the positions.
         """
         return self.outlines.table(reach, most, hollows, self.choice.device, dtype)

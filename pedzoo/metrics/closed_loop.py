@@ -59,9 +59,9 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
       most; ``goals_parity``: fewest by most, mean over episodes in which anybody reached a goal.
     * ``time_s``: when the last person arrives, mean over episodes in which all do in time; ``decisions``:
       that in steps of the policy.
-    * ``path_ratio``, ``time_ratio``: ratios of sums over people who arrive: all their ways by all planned
-      ways, and all their times by the times of free walking, each person's planned way at their preferred
-      speed. So a short way counts little. ``spl``, ``stl``: see `weighted`, means over people. A policy that
+    * ``path_ratio``, ``time_ratio``: ratios of sums over people who arrive. All their ways by all planned
+      ways; all their times by those of free walking, each planned way at the preferred speed. So a short way
+      counts little. ``spl``, ``stl``: see `weighted`, means over people. A policy that
       decides rarely walks on after a goal before it hears of the next one: that counts as walked.
     * ``personal_space_igibson``: mean over people, see `compliance_igibson`.
     * At a door: see `pedzoo.metrics.door`; ``symmetry_m`` until the first of the two arrives. Means over

@@ -111,11 +111,12 @@ def compliance_igibson(nearest: Tensor, scored: Tensor) -> Tensor:
 def time_to_collision(
     position: Tensor, velocity: Tensor, there: Tensor, radius: Tensor | None = None
 ) -> Tensor:
-    """Return after how long each person would touch somebody if all kept their velocities (E, A, S), seconds.
+    """Return after how long each person would touch another if all kept their velocities (E, A, S), seconds.
 
-    For two people ``p`` apart with velocity ``v`` relative to each other and ``R`` the sum of their radii,
-    the smaller root of ``|p + v t| = R``. 0 where they touch already, 10 where they would touch later than in
-    10 s or never; the least over all others who are there, infinite for who is alone or not there.
+    Two people are ``p`` apart, with relative velocity ``v`` and the sum ``R`` of their radii. Their time is
+    the smaller root of ``|p + v t| = R``: 0 where they touch already, 10 for later than 10 s and for never.
+    A person's time is the least over all others that are there. It is infinite for people who are alone or
+    not there.
 
     Args:
         position: (E, A, S, 2), metres.
@@ -162,8 +163,8 @@ def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
         vectors: (E, A, T, D) each.
 
     Yields:
-        Each component of each of the vectors (F, A). Last, 0 for others who are there and infinity for those
-        who are not, (F, 1, A): to be added to what pairs (F, A, A) have.
+        Each component of each of the vectors (F, A). Last, what to add to values of
+        pairs (F, A, A): 0 for others that are there, infinity for absent ones (F, 1, A).
     """
     agents = there.shape[1]
     by_frame = [

@@ -1,4 +1,4 @@
-"""Room kept between people, and to walls: who lacks it in the next step, where they are led, who touches.
+"""Room kept between people and to walls: where the next step lacks it, which way out, what touches.
 
 Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
 is read back to the host. `pedzoo.models.clearance_loops` says the same in compiled loops.
@@ -18,20 +18,21 @@ MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
 SHOULDERS = 0.71
-"""Metres between two who are in a narrow place or come to one, more where their bodies need more: what
-somebody takes up sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993. Bodies are slimmer than
-people with their arms and steps. They would squeeze past each other in a door where one person waits, and
-queues of them pass faster than real ones (2.9 persons per metre and second, where Seyfried et al., "New
-insights into pedestrian flow through bottlenecks", 2009, found 1.9)."""
+"""Metres between two people who are in a narrow place or come to one; more where their bodies need more.
+
+A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993. Bodies are slimmer
+than people with their arms and steps. Bodies alone would squeeze past each other in a door where one person
+waits, and their queues would be faster than real ones: 2.9 persons per metre and second. Real queues have
+1.9, see Seyfried et al., "New insights into pedestrian flow through bottlenecks", 2009."""
 
 FIRST = 0.125
 """Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
 
 BEYOND = 1.125
-"""Of a step that is to be clear: a body whose velocity is then switched to zero would blend so far."""
+"""Part of a step that is to be clear: a body that turns off afterwards still goes on for half of 0.1 s."""
 
 ROUNDING = 1e-5
-"""Metres: two who lack less have done their part, and ask for nothing."""
+"""Metres: a pair that lacks less room asks for no correction."""
 
 _PLACES = 8
 """Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
@@ -44,11 +45,11 @@ class Steps(NamedTuple):
 
     Attributes:
         position: Where they are (B, A, 2), metres.
-        step: Where the next step leads (B, A, 2), metres; of whom the policy does not move: what they do.
-        longest: Length of a step that nobody exceeds (B, A), metres.
-        present: Who is there (B, A) bool.
-        moved: Whose steps may be changed (B, A) bool.
-        waits: Who has hardly moved of late (B, A) bool.
+        step: Where the next step leads (B, A, 2), metres; agents that the policy does not move go on.
+        longest: Greatest length of a step (B, A), metres.
+        present: Which agents are there (B, A) bool.
+        moved: Which agents' steps may be changed (B, A) bool.
+        waits: Which agents have hardly moved of late (B, A) bool.
         radius: Of their bodies (B, A), metres.
         robot: Which of them are robots (B, A) bool.
         velocity: With which they begin the step (B, A, 2), m/s: the simulation blends it with the new one.
@@ -94,14 +95,15 @@ class Steps(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Everybody and everybody else.
+    """Every agent and every other agent.
 
     Attributes:
         away: From each to each other's place (2, B, A, A): mine less theirs, metres.
         apart: Its length (B, A, A), metres.
-        room: Distance that is to be kept (S, B, A, A), metres, below 0 where nobody is: on the straight way
-            to the end of the step; where velocities blend also in the first 0.1 s, the next 0.2 s, beyond.
-        mine: Share of the corrections that is mine (B, A, A).
+        room: Distance that is to be kept on S straight parts (S, B, A, A), metres; below 0 for absent agents.
+            The first part is the straight way to the end of the step. Where velocities blend there are three
+            more: the first 0.1 s, the next 0.2 s, and what lies beyond the step.
+        mine: Share of the correction that the first agent of a pair makes (B, A, A).
         least: Distance below which they touch (B, A, A), metres: the sum of their radii.
         first: Of the steps.
     """
@@ -115,7 +117,7 @@ class Pairs(NamedTuple):
 
     @classmethod
     def of(cls, steps: Steps, narrow: Tensor | None) -> Pairs:
-        """Return them; ``narrow`` is who is in a narrow place (B, A) bool."""
+        """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool."""
         position = steps.position.movedim(-1, 0)
         away = position.unsqueeze(3) - position.unsqueeze(2)
         apart = (away.square().sum(0) + 1e-9).sqrt()
@@ -149,7 +151,7 @@ class Pairs(NamedTuple):
         gap, lack = gap.gather(0, worst)[0], lack[0]
         active = lack > ROUNDING
         # to the side, at the closest approach, or back, along the line between the two: what is less;
-        # who meets exactly head-on has no side
+        # an exact head-on meeting has no side
         aside = torch.where(gap > 1e-3, lack / weight.clamp_min(1e-3), torch.inf)
         line = self.away / self.apart
         full = (line * move[2]).sum(0)
@@ -159,11 +161,11 @@ class Pairs(NamedTuple):
             back = back.maximum((less - (line * move[0]).sum(0)) / self.first).maximum(less / BEYOND - full)
         way = torch.where(aside < back, (aside.clamp_max(1e3) / gap) * at, back.clamp_min(0) * line)
         way = torch.where(active, self.mine * way, 0.0)
-        # somebody whom many ask to give way need not do it for the sake of each alone
+        # an agent with many corrections need not make each of them alone
         return way.sum(3) / active.sum(2).clamp_min(1).sqrt()
 
     def touching(self, mine: Tensor, theirs: Tensor) -> Tensor:
-        """Return which two run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
+        """Return which pairs run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
         bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
         return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
 
@@ -185,14 +187,14 @@ class Pairs(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Walls on everybody's way.
+    """Walls on the agents' ways.
 
     Attributes:
         walls: As the people of each scene see them.
         position: Where they are (2, 1, B, A), metres.
         room: Distance that is to be kept (B, A), metres.
         least: That below which a wall is touched (B, A), metres: the radius.
-        moved: Whose steps may be changed (B, A) bool.
+        moved: Which agents' steps may be changed (B, A) bool.
         blend: What a place is made of (S, 3): parts of the three places of a walk.
         weight: How much a place moves with the step (S, 1, 1).
     """
@@ -230,7 +232,7 @@ class Near(NamedTuple):
         return torch.where(self.moved, most.clamp_min(0) * direction, 0.0)
 
     def touching(self, walk: Tensor) -> Tensor:
-        """Return who would touch a wall, and more than now (B, A) bool."""
+        """Return which agents would touch a wall, and more than now (B, A) bool."""
         gap, _ = self._along(walk)
         # corners are cut a little between two places
         bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4

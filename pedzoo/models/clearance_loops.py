@@ -155,10 +155,11 @@ def keep_clear(
     rounds, margin, shoulders, narrow_gap, first, beyond, rounding, frames, places,
     choice, option, bound, limit, out,
 ):  # fmt: skip
-    """Write steps (B, A, 2) in which nobody touches anything: see `pedzoo.models.safety.kept_clear`.
+    """Write steps (B, A, 2), metres, without contacts: see `pedzoo.models.safety.kept_clear`.
 
-    Args are those of `Steps`, with velocities as metres in a quarter of a step; whether velocities blend;
-    constants; the walls as scenes see them, frames (B, 7) and places (B, 3), none without walls; tables.
+    Args are those of `Steps`, with velocities as metres in a quarter of a step; whether velocities blend; and
+    constants. Then walls as scenes see them, frames (B, 7) and places (B, 3), no rows without walls, and
+    their tables.
     """
     scenes, agents = moved.shape
     step, change = np.zeros((agents, 2)), np.zeros((agents, 2))

@@ -1,8 +1,8 @@
-"""A net under a learned policy: the least change of everybody's next step that keeps bodies from touching.
+"""A net under a learned policy: the least change of all next steps that keeps bodies from touching.
 
-In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018: the
-network decides where to go, and what it asks for is projected on what can be walked without a contact. It
-looks one step ahead and no farther: it plans nothing, waits for nobody and finds no way around. Only robots,
+In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018. The
+network decides where to go, and its answer is projected on what can be walked without a contact. The layer
+looks one step ahead and no farther: it plans nothing, does not wait and finds no way around. Only robots,
 which leave all of the avoidance to people, are seen from afar: `pedzoo.models.yielding`.
 """
 
@@ -29,15 +29,15 @@ NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
 
 WAITED = 0.4
-"""Metres within the observed steps, 2.8 s, below which somebody waits. Two who wait for each other in a
-narrow place turn a shoulder, too: nobody else would end that."""
+"""Metres within the observed steps, 2.8 s, below which a person waits. Two people who wait for each other in
+a narrow place turn a shoulder, too: nothing else would end that."""
 
 _SHARES = 1.0, 0.5, 0.0
 """Of a step that would touch something all the same."""
 
 
 def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
-    """Return steps (B, A, 2) near those that are asked for, in which nobody touches anybody or a wall.
+    """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
 
     Two people share a correction. Agents that the policy does not move take no part in it, and robots leave
     it to people: the other one makes all of it. Agents that touch already come no closer. Neither turning a
@@ -53,7 +53,7 @@ def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
 
 
 def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
-    """Return everybody's next steps (B, A, 2), metres, kept clear; see `kept_clear`.
+    """Return the next steps of all agents (B, A, 2), metres, kept clear; see `kept_clear`.
 
     Args:
         batch: Scenes.
@@ -101,11 +101,11 @@ def _in_torch(steps: Steps, walls: LocalWalls | None) -> Tensor:
 def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> Tensor:
     """Return which part of their steps (B, A) people walk: less of it if they would touch something.
 
-    Whoever is run into goes on: in a jam those in front have to get away first.
+    A person that others run into goes on: in a jam those in front have to get away first.
     """
     walks = [steps.walk(share * step) for share in _SHARES]
     kinds = len(walks)
-    # who touches whom depends on both shares, and is known for all of them before anybody stops
+    # contacts of a pair depend on both shares: they are known for all of them before an agent stops
     upper = {
         (i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds) for j in range(i, kinds) if i < 2
     }
@@ -117,7 +117,7 @@ def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> 
     if near is not None:
         wall = torch.stack([*(near.touching(walk) for walk in walks[:2]), wall[2]])
     chosen = torch.zeros_like(steps.moved, dtype=torch.long)
-    # half a step first, then none; every turn stops somebody, and when all stand nobody touches anybody
+    # half a step first, then none; every turn stops some agent, and agents that all stand do not touch
     for turn in range(step.shape[1] + 2):
         mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
         none = torch.full_like(chosen, kinds - 1)

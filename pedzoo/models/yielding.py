@@ -1,8 +1,8 @@
-"""People who look ahead: the step nearest to the one that is asked for that a robot's course leaves room for.
+"""A look ahead: of the steps that a robot's course leaves room for, the one nearest to what is asked for.
 
-The velocity is sampled, and judged by how far it is from what is asked for and by when it leads to a contact:
-van den Berg, Lin and Manocha, "Reciprocal velocity obstacles for real-time multi-agent navigation" (ICRA
-2008), section V, for obstacles that leave all of the avoidance to people.
+Velocities are sampled. Each is judged by how far it is from what is asked for, and by when it leads to a
+contact. See van den Berg, Lin and Manocha, "Reciprocal velocity obstacles for real-time multi-agent
+navigation" (ICRA 2008), section V. Here obstacles leave all of the avoidance to people.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LEAST_VIEW = 0.8
 def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
     """Return steps (B, A, 2): those that are asked for, and others where they lead into a robot's course.
 
-    Robots, and bodies of another radius than people's, count if the policy at hand does not move them: they
+    Robots, and bodies of another radius than people's, count if the policy at hand does not move them. They
     are expected to go on as they do. Among people of the usual body nothing changes. The gradient is that of
     what is asked for.
 
@@ -104,7 +104,7 @@ def _samples(asked: Tensor, away: Tensor, fastest: Tensor) -> Tensor:
 
 
 def _contact(away: Tensor, move: Tensor, room: Tensor) -> Tensor:
-    """Return after how many seconds (...) two who move straight are nearer than ``room`` (...); inf: never.
+    """Return after how many seconds (...) a pair that moves straight is nearer than ``room``; inf: never.
 
     Args:
         away: Their relative places (..., 2), metres.

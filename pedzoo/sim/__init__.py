@@ -1,1 +1,1 @@
-"""The environment: dynamics, worlds, scenarios and policies."""
+"""The environment and the controller: kernel, physics, scenarios, policies and teams."""

@@ -16,7 +16,7 @@ from torch import Tensor
 from pedzoo.errors import UserError
 
 PREF_SPEED = 1.3
-"""Metres per second that people like for whom no preferred speed is given."""
+"""Preferred speed of people without a given one, m/s."""
 
 OTHER_RADIUS = 0.3
 """Metres: the radius of other agents for which none is given, about that of a service robot."""

@@ -50,16 +50,16 @@ class Controller:
     scene batch that the environment makes: the last 8 positions 0.4 s apart, the planner's carrot and
     desired velocity, radii and kinds. In between, velocities blend as in the environment: half-way in the
     first 0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people:
-    walls stop nobody here, and positions need not be where the velocities lead.
+    walls stop no one here, and positions need not be where the velocities lead.
 
     People come and go. A person who is not named in a call is forgotten, and is new afterwards. For new
     people the policy decides at once, and later together with all others. They begin with a history as if
-    they had walked here straight at their present velocity: models were trained on people in motion, and
-    they read a history on the spot as a person who stands. That present velocity is the one given to
-    `step`, else their preferred speed along the planner's way.
+    they had walked here straight at their present velocity. Models were trained on people in motion: to
+    them a history on the spot is a person who stands. That present velocity is the one given to `step`,
+    else their preferred speed along the planner's way.
 
-    A person whose goal is None, or who has come within 0.3 m of the goal, stands: the velocity is 0, and
-    the others walk around. A goal is reached once. A person stands until `step` gets another goal.
+    A person with the goal None, or within 0.3 m of the goal, stands: the velocity is 0, and the others
+    walk around. A goal is reached once. A person stands until `step` gets another goal.
 
     Other agents (robots, people of another simulator) are moved by the caller alone. All people see them,
     with their histories and radii, as agents of kind `pedzoo.batch.ROBOT` that the policy does not control.
@@ -136,10 +136,10 @@ class Controller:
             people: Where they are now, by id: any hashable values.
             goals: Where they are going, None to stand. Needed when a person is new, and then when the goal
                 changes; it counts from the next decision on. Goals of absent people do not matter.
-            velocities: How people and others are moving who are new; see the class. Others that are not
+            velocities: How new people and new others are moving, m/s; see the class. Others that are not
                 in it begin at rest.
             others: Where agents are that the caller moves, by id: (x, y), or (k, 2) for a body of several
-                discs, of which each has its own history.
+                discs. Each disc has its own history.
             radius: Radii of bodies by id, metres; once given they stay until they change. People have 0.15
                 else, others 0.3. All discs of an agent have the same.
             time: Now, seconds by the caller's clock, at every call or at none. Calls may then come early or
@@ -147,9 +147,9 @@ class Controller:
                 to its interval. None: calls are ``dt`` apart.
 
         Raises:
-            UserError: A value is not two finite numbers; an id is in people and in others; a radius is not
-                above 0; the time does not go forward; a person has no goal, or one that is in a wall,
-                outside the floor plan or out of reach; or the policy's answer is not finite.
+            UserError: A value is not two finite numbers, or an id is in people and in others. A radius is
+                not above 0, or the time does not go forward. A person has no goal, or one in a wall, outside
+                the floor plan or out of reach. The policy's answer is not finite.
         """
         discs, velocities = as_discs(others or {}), velocities or {}
         if both := [one for one in people if one in (others or {})]:
@@ -224,7 +224,7 @@ class Controller:
         return (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1)
 
     def _batch(self, agents: Roster, guidance: Guidance, clock: CallerClock) -> TensorDict:
-        """Return the scene as the environment would observe it, one scene of N agents."""
+        """Return the scene batch (1,) of N agents, as the environment would observe it."""
         size = (1, len(agents.row))
         everybody = torch.ones(size, dtype=torch.bool)
         velocity = clock.velocity(agents.past)

@@ -1,8 +1,12 @@
 """The grammar of mixed crowds: ``orca:share=0.5+sgan_goal_map.indoor``. Needs no torch.
 
 Policies are joined by ``+``. The setting ``share`` belongs to the team, not to the policy. A ``+`` does not
-join policies in brackets, in a number (``1e+3``), in the name of a file or folder that exists, and in a path
-or an address unless what follows is the name of a policy, of a model, of a file that exists, or an address.
+join policies in these places:
+
+* in brackets, and in a number (``1e+3``);
+* in the name of a file or folder that exists;
+* in a path or an address. There it joins if the name of a policy, of a model or of a file that exists
+  follows, or an address.
 """
 
 from __future__ import annotations

@@ -42,9 +42,10 @@ def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
 def blended(velocity: Tensor, command: Tensor, ticks: int) -> Tensor:
     """Return velocities (2, S, ...) of the S trace steps of a decision, blended instead of switched.
 
-    The first step lies half-way between old and new velocity, the last one has the new velocity. Those
-    between make up for the first, so that the decision ends where the command alone would lead. An agent that
-    brakes to a stop does not walk backwards for it: at most half of the commanded velocity is made up.
+    The first step lies half-way between old and new velocity. The last one has the new velocity, from three
+    steps on. The others make up for the first one: the decision ends where the command alone would lead. At
+    most half of the commanded velocity is made up, so an agent that brakes does not walk backwards. Where
+    half-way asks for more, the first step lies nearer to the command: a commanded stop comes at once.
 
     Args:
         velocity: Of the last 0.1 s (2, ...), m/s.
@@ -69,15 +70,15 @@ def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
 
 
 def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return velocities (2, S, B, A), headings and turning rates (B, A) with everybody's limits and wheels.
+    """Return velocities (2, S, B, A), headings and turning rates (B, A) within limits and by wheels.
 
     A holonomic agent changes its velocity by its acceleration at most. A unicycle is commanded its speed and
-    turning rate, (v, omega), a differential drive the speeds of its wheels, (left, right) in m/s; both are
-    limited in acceleration and drive along their heading.
+    turning rate, (v, omega) in m/s and rad/s. A differential drive is commanded the speeds of its wheels,
+    (left, right) in m/s. Both are limited in acceleration and drive along their heading.
 
     Args:
         state: Bodies, headings, velocities.
-        command: (2, B, A).
+        command: As the agent's drive has it (2, B, A).
         velocity: What holonomic agents want in each trace step (2, S, B, A), m/s.
     """
     wheels = state.drive != HOLONOMIC

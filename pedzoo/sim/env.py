@@ -63,17 +63,17 @@ def usable(device: torch.device | str) -> torch.device:
 
 
 class PedestrianEnv(EnvBase):
-    """A policy decides everybody's velocity, people walk, and physics says whom and what they touch.
+    """A policy decides all velocities, agents move, and physics says what they touch.
 
-    Keys as in `pedzoo.batch`, with ``action`` (m/s) and ``reward`` under ``agents``, and under
-    ``agents/info`` what closed-loop metrics are made of: ``trace``, ``agent_contact``, ``wall_contact`` and
-    ``reached`` of every 0.1 s since the last decision (see `Events`), ``late`` and ``way`` (see `State`).
+    Keys as in `pedzoo.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info`` has what
+    closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are those
+    of every 0.1 s since the last decision (see `Events`); for ``late`` and ``way`` see `State`.
 
     The reward is the way that got shorter, in metres, less `pedzoo.sim.kernel.CONTACT_COST` where
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
 
     Attributes:
-        policy_name: What warnings call whoever decides.
+        policy_name: What warnings call the policy.
     """
 
     policy_name = "the policy"
@@ -156,7 +156,7 @@ class PedestrianEnv(EnvBase):
         return self._scenes.state
 
     def cut(self) -> TensorDict:
-        """Return what everybody sees now, as given: gradients go back no farther than to here.
+        """Return what all agents see now, as given: gradients go back no farther than to here.
 
         Raises:
             UserError: `reset` was never called.
@@ -196,8 +196,8 @@ class PedestrianEnv(EnvBase):
     def _next(self, rows: Tensor) -> _Scenes:
         """Return the next episodes of some rows.
 
-        A warm start costs as much for one scene as for a hundred. So when a row asks for an episode that is
-        not there, those of all rows that have none are made together, and for few rows several of each.
+        A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
+        made together as soon as one row needs its own. For few rows several of each are made.
         """
         if self._ahead is None and len(rows) == self.batch_size[0]:
             return self._begin(rows, 1)

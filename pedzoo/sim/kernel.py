@@ -1,7 +1,8 @@
 """The only place where time passes: `step` takes scenes through one decision.
 
-The environment, the warm start, imitation, replays and the stepping controller call it, with or without
-gradients, on any device. It has no loop over scenes or agents and reads nothing back to the host.
+The environment, the warm start, imitation and recorded crowds call it, with or without gradients, on any
+device. It has no loop over scenes or agents and reads nothing back to the host. The stepping controller does
+not move people: it takes the blending and the scene batch from here.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Events(NamedTuple):
         agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
         wall_contact: A wall was (B, A, S) bool.
         reached: Goals reached until then (B, A, S) long.
-        reward: (B, A).
+        reward: Metres of way that got shorter, less `CONTACT_COST` for a contact (B, A).
         terminated: All agents have reached all goals (B,) bool.
         truncated: No other agent can in time, or the policy failed (B,) bool.
     """
@@ -53,7 +54,7 @@ class Events(NamedTuple):
 
 
 class Playback(Protocol):
-    """Agents who come, go and are played back; see `pedzoo.sim.script.Script`."""
+    """Agents that come, go and are played back; see `pedzoo.sim.script.Script`."""
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
         """Return the paths (B, A, S, M, 2) of agents that no policy moves."""
@@ -121,7 +122,7 @@ def rules_of(scenario: Scenario, ticks: int, substeps: int, device: torch.device
 
 
 def _guided(scenario: Scenario, state: State) -> Guidance:
-    """Return what the scenario's planner says to everybody."""
+    """Return what the scenario's planner says to all agents."""
     return scenario.planner.guide_scenes(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
@@ -220,8 +221,8 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
     Args:
         state: At its beginning.
         hits: Which agents have reached their goal until each trace point (B, A, S) bool.
-        trace: (B, A, S, 2).
-        failed: Scenes (B,) bool.
+        trace: Positions every 0.1 s (B, A, S, 2), metres.
+        failed: Scenes whose policy gave no number (B,) bool.
         rules: Of the scenes.
     """
     hit = hits[..., -1]
@@ -254,7 +255,7 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
 
 
 def _overdue(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
-    """Return whose time for the goal is up (B, A) bool; a goal reached in time on the trace counts."""
+    """Return which agents are late for their goal (B, A) bool; a goal reached in time on the trace counts."""
     when = TRACE_SECONDS * torch.arange(1, hits.shape[2] + 1, device=clock.device)
     when = state.clock[:, None, None] + when
     in_time = (hits & (when <= state.deadline.unsqueeze(-1) + _ROUNDING)).any(-1)

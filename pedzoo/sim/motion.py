@@ -8,10 +8,10 @@ from torch import Tensor
 
 
 class Contacts(NamedTuple):
-    """Who touches whom at each trace point.
+    """What is touched at each trace point.
 
     Attributes:
-        agent: Whether another person is touched at trace point s (B, A, S) bool.
+        agent: Whether another agent is touched at trace point s (B, A, S) bool.
         wall: Whether a wall is touched (B, A, S) bool.
     """
 

@@ -55,7 +55,7 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
 
     Args:
         batch: Recorded windows (B,).
-        destination: Where everybody goes (B, A, 2), metres: the goal, number 0.
+        destination: Where agents go (B, A, 2), metres: the goal, number 0.
         controlled: Which agents a policy moves from here on (B, A) bool.
         key: Keys of the scenes' draws (B,) long.
     """

@@ -1,7 +1,7 @@
 """What a team has decided and not yet walked, kept between the decisions of a crowd.
 
-Scenes are known by their key and floor plan, people by their number: resets, other environments in between,
-parts of a batch and people who change their slots do not mix anything up.
+Scenes are known by their key and floor plan, people by their number. So resets, other environments in
+between, parts of a batch and changed slots mix nothing up.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Plans(NamedTuple):
     Attributes:
         key: Of the scenes (S,) long.
         decided: When the whole team decided last (S,), seconds; -inf for never.
-        person: Number of the person in each slot whom the team moves (S, A) long, -1 for none.
+        person: Number of the team's person in each slot (S, A) long, -1 for none.
         begun: When each person's velocities were decided (S, A), seconds.
         velocity: For each of the N decisions of the crowd from then on (S, A, N, 2), m/s.
     """
@@ -59,7 +59,7 @@ class Plans(NamedTuple):
         )
 
     def seated(self, person: Tensor) -> Plans:
-        """Return the plans with everybody in the slot that they have among persons (S, A') long."""
+        """Return the plans with people in the slots that they have among persons (S, A') long."""
         moved = (self.person >= 0) & (self.person != person) if self.person.shape == person.shape else None
         if moved is not None and not bool(moved.any()):
             return self

@@ -39,9 +39,9 @@ def load_policy(name: str) -> Policy | Walker:
     """Return a policy of the registry, any model as one, or a mixed crowd.
 
     Args:
-        name: ``orca:radius=0.3``; whatever `pedzoo.load` takes with settings of `Walker`
-            (``sgan_goal.zara1:noise=step``); or several of these, joined by ``+``, each with the share of
-            agents that it moves (``orca:share=0.5+sgan_goal_map.indoor``), see `pedzoo.sim.crowd`.
+        name: ``orca:radius=0.3``, or whatever `pedzoo.load` takes, with settings of `Walker`:
+            ``sgan_goal.zara1:noise=step``. For a mixed crowd several of these, joined by ``+``, each with
+            its share of the agents: ``orca:share=0.5+sgan_goal_map.indoor``, see `pedzoo.sim.crowd`.
 
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message; shares that cannot be.

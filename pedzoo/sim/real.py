@@ -26,13 +26,13 @@ _AT_ONCE = 64
 
 
 def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
-    """Yield the first ``scenes`` of a prepared scenario with a script as everybody really walked in them.
+    """Yield the first ``scenes`` of a prepared scenario with a script, as people really walked in them.
 
-    On the same slots and trace as any rollout of them. ``controlled`` are the people whom a policy would
+    On the same slots and trace as any rollout of them. ``controlled`` are the people that a policy would
     have, for as long as it would have them if it walked as they did: until they come within 0.3 m of their
-    goal. From there on they have ``reached`` it, and are met by others until they really leave: people who
-    stand about at the exit do so where no policy has anybody. People who never come so near, because the goal
-    is not quite where they left, reach it by leaving.
+    goal. From there on they have ``reached`` it. Others meet them until they really leave, so people may
+    stand about at the exit where no policy controls an agent. Some never come so near, because the goal is
+    not quite where they left: they reach it by leaving.
     """
     assert scenario.script is not None
     script = AsRecorded.of(scenario.script)
@@ -46,7 +46,7 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
 
 
 class AsRecorded(Script):
-    """The script in which no policy takes anybody over: people come and go as they really did."""
+    """The script in which no policy takes an agent over: people come and go as they really did."""
 
     @classmethod
     def of(cls, script: Script) -> AsRecorded:
@@ -57,7 +57,7 @@ class AsRecorded(Script):
         """Return the people in the slots until they really leave; see `Script.due`."""
         due = super().due(scene, frame)
         at = frame.unsqueeze(1)
-        # nobody whom a policy would have is there any more in the frame `left`
+        # in the frame `left` all people that a policy would have are gone
         there = (due >= 0) & (at < self.people.last[due]) & (at < self.scenes.left[scene].unsqueeze(1))
         return torch.where(there, due, -1)
 
@@ -66,7 +66,7 @@ class AsRecorded(Script):
 
 
 def _still(state: State) -> Guidance:
-    """Return goals where people are: nobody is told to walk."""
+    """Return goals where people are, so that all are told to stand."""
     position = state.position
     still, way = torch.zeros_like(position), torch.zeros_like(state.way)
     return Guidance(position, still, position, state.goal_point, way)
@@ -121,7 +121,7 @@ def _walked(
 
 
 def _arrived(begin: Tensor, trace: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
-    """Return who has come within 0.3 m of the goal until each trace point (B, A, S) bool."""
+    """Return which agents have come within 0.3 m of the goal until each trace point (B, A, S) bool."""
     points = torch.cat((begin.unsqueeze(2), trace), dim=2)
     move, away = points.diff(dim=2), points[:, :, :-1] - goal.unsqueeze(2)
     nearest = away + nearest_part(away, move).unsqueeze(-1) * move

@@ -1,4 +1,4 @@
-"""Who is in a scene that agents enter and leave, and what has to be remembered about them."""
+"""The agents of a scene that they enter and leave, and what has to be remembered about them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Roster(NamedTuple):
 
     @classmethod
     def empty(cls, length: int, ticks: int) -> Roster:
-        """Return the roster of nobody, with room for ``length`` positions and ``ticks`` trace steps."""
+        """Return an empty roster, with room for ``length`` positions and ``ticks`` trace steps."""
         return cls(
             row={},
             number=torch.zeros(0, dtype=torch.long),
@@ -66,7 +66,7 @@ class Roster(NamedTuple):
 
     @property
     def ids(self) -> list[Hashable]:
-        """Everybody's id, row by row."""
+        """The ids of all agents, row by row."""
         return list(self.row)
 
     @property
@@ -168,7 +168,7 @@ class Roster(NamedTuple):
         """Return the roster in which people stand whose goal is within `GOAL_RADIUS` of their last move.
 
         Args:
-            begin: Where agents were (N, 2), metres; NaN where nobody knows.
+            begin: Where agents were (N, 2), metres; NaN where that is unknown.
             end: Where they are (N, 2), metres.
         """
         away, move = begin - self.goal_point, end - begin

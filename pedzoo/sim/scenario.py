@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from pedzoo.sim.script import Opening, Script
 
 SLOWEST = 0.3
-"""m/s: nobody likes to walk slower."""
+"""Least preferred speed, m/s."""
 
 LEAST_WAY = 1.0
-"""Metres of way to the first goal where an episode begins: whoever is nearer gets the next goal instead."""
+"""Least way to the first goal where an episode begins, metres: a nearer agent gets its next goal instead."""
 
 WARM_SECONDS = 7 * STEP_SECONDS
 """Duration of the warm start: with the start itself it fills the 8 observed steps."""

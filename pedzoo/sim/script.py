@@ -157,7 +157,7 @@ class Script:
         return (steps * TRACE_PER_STEP) * TRACE_SECONDS
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
-        """Return the recorded ways (B, A, S, M, 2) of everybody; in scenes that ``failed`` (B,) they stay."""
+        """Return the recorded ways (B, A, S, M, 2) of people; in scenes that ``failed`` (B,) they stay."""
         recorded = self.path(state.scene, state.person, _tick(state.clock), points, substeps)
         return torch.where(failed.view(-1, 1, 1, 1, 1), state.position[:, :, None, None], recorded)
 

@@ -123,20 +123,20 @@ class Teams(Policy):
     Which team an agent belongs to is drawn by the scene's key and the agent's number. So it is the same in
     every batch and in every process, and stays with the person for the episode.
 
-    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; to its policy
-    all others are agents that somebody else moves. Policies avoid those alone, so two teams that meet both
-    do all of the avoidance.
+    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy
+    does not move any other agent. Policies do all of the avoidance of agents that they do not move. So where
+    two teams meet, both do all of it.
 
-    The crowd decides as often as its fastest team. A slower team is asked when its interval has passed, and
-    at once for people who are new or just taken over; these decide with their team from then on. In between,
-    velocities blend over steps of 0.1 s.
+    The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
+    people who are new or just taken over it is asked at once; later these decide with their team. In
+    between, velocities blend over steps of 0.1 s.
 
     Attributes:
         teams: The teams, people's first.
     """
 
     def __init__(self, people: str | Policy | Walker, robots: str | Policy | Walker | None = None) -> None:
-        """Say who moves whom.
+        """Take the policies of people and of robots.
 
         Args:
             people: A policy, its name, or a mixed crowd (``orca:share=0.5+sgan_goal_map.indoor``, see
@@ -167,7 +167,7 @@ class Teams(Policy):
         self.teams = nn.ModuleList(teams)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's velocity."""
+        """Write the velocities of all agents."""
         self._check(tensordict)
         teams = cast("list[Team]", list(self.teams))
         if len(teams) == 1:

@@ -34,7 +34,7 @@ def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegme
     where they start; their time does not run yet.
 
     Args:
-        state: Everybody where they start.
+        state: All agents where they start.
         physics: Moves them.
         rules: Of the scenes.
         walls: Walls for ORCA.

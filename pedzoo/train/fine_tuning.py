@@ -85,8 +85,8 @@ def options_to_continue(run: RunFolder) -> list[str]:
 def architecture_options(weights: str, config: str) -> list[str]:
     """Return what a training that begins with weights does otherwise than its ``config`` says, as options.
 
-    A config with ``weights``, such as those in ``closed_loop``, is for any generator: it takes architecture
-    and data of whatever weights it is given, but for `OF_CONFIG`. To other configs weights have to fit.
+    A config with ``weights``, such as those in ``closed_loop``, is for any generator. It takes architecture
+    and data of the weights that it is given, but for `OF_CONFIG`. To other configs weights have to fit.
 
     Args:
         weights: What `pedzoo.load` accepts.

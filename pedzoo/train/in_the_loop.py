@@ -59,9 +59,9 @@ class LoopModule(ForecastModule):
             forecast_weight: Weight of the generator's own loss on recordings, per person.
             lenient: Share of the training in which people and walls come to count what they will: a quarter
                 of it at the beginning. Whom they frighten from the first step on learns to creep.
-            losses: Terms of one's own and their weights, as ``{"path/to/file.py:crowding": 2.0}``: functions
-                of a `Segment` and the floor plans (a `MapBank`) that return what decisions cost (T, B, A).
-                Their means over the people whom the policy moves are logged as ``train/crowding``.
+            losses: Terms of one's own and their weights, as ``{"path/to/file.py:crowding": 2.0}``. They are
+                functions of a `Segment` and the floor plans (a `MapBank`), and return costs of decisions
+                (T, B, A). Means over the people that the policy moves are logged as ``train/crowding``.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:

@@ -154,7 +154,7 @@ def _others(xy: Tensor, velocity: Tensor, present: Tensor, radius: Tensor, own: 
 
 
 def _touch(away: Tensor, velocity: Tensor, reach: Tensor) -> Tensor:
-    """Return when pairs (L,) touch who will, ``away`` from each other with a relative ``velocity`` (L, 2).
+    """Return when pairs (L,) that will touch do so, ``away`` from each other with a relative ``velocity``.
 
     Args:
         away: From one to the other (L, 2), metres.

@@ -121,9 +121,9 @@ def mean_cost(cost: Tensor, moved: Tensor) -> Tensor:
 
     Args:
         cost: Of each decision.
-        moved: Whom the policy moves (T, B, A) bool.
+        moved: Which people the policy moves (T, B, A) bool.
     """
-    # by people and not by their steps: whoever dawdles must not thin out what went wrong
+    # by people and not by their steps: people who dawdle must not thin out what went wrong
     count = (moved.any(0).sum() * len(moved)).clamp_min(1)
     return torch.where(moved, cost, 0.0).sum() / count
 

@@ -28,7 +28,7 @@ Walk = Callable[[TensorDict], Tensor]
 """Returns everybody's next displacement (B, A, 2), metres, for what they see."""
 
 _NEAR = 1e-6
-"""Metres: whoever is so near to a place is there."""
+"""Metres within which a person is at a place."""
 
 
 class Unrolled(NamedTuple):
@@ -48,13 +48,13 @@ class Unrolled(NamedTuple):
 def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None) -> Unrolled:
     """Return what comes of ``walk`` when all people of recorded windows walk together.
 
-    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from where somebody
-    is to their destination, and beyond it. ``pref_speed`` is what was observed, at least 0.3 m/s, and nobody
-    walks faster than 1.3 times that. Whoever comes within 0.3 m of their destination leaves, and so does
-    everybody in the moment in which they really left. People who are at their destination from the beginning
-    are played back, not controlled. Nobody is set back to where they really were. There are no walls.
+    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from where a person
+    is to their destination, and beyond it. ``pref_speed`` is what was observed, at least 0.3 m/s. The top
+    speed is 1.3 times that. People leave within 0.3 m of their destination, at the latest in the moment in
+    which they really left. People who are at their destination from the beginning are played back, not
+    controlled. No one is set back to where they really were. There are no walls.
 
-    Gradients flow through all that people see, others included; who leaves when has none.
+    Gradients flow through all that people see, others included; times of leaving have none.
 
     Args:
         walk: The policy.
@@ -101,11 +101,11 @@ def _straight(state: State) -> Guidance:
 
 
 class _Windows(NamedTuple):
-    """Plays back who is not controlled, and takes away people in the moment in which they really left.
+    """Plays back people that no policy controls, and takes people away in the moment in which they left.
 
     Attributes:
-        future: Where everybody really was (B, A, T, 2), metres.
-        there: Who was there from begin to end of each step (B, A, T) bool.
+        future: Where people really were (B, A, T, 2), metres.
+        there: Which people were there from begin to end of each step (B, A, T) bool.
     """
 
     future: Tensor
@@ -119,7 +119,7 @@ class _Windows(NamedTuple):
         return path.unflatten(2, (points, substeps))
 
     def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
-        """Take away who is not seen in the next step."""
+        """Take away people who are not seen in the next step."""
         steps = self.there.shape[2:]
         still = self.there.gather(2, self._step(after.clock, steps))[..., 0]
         mask = after.mask & still

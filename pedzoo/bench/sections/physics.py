@@ -34,8 +34,8 @@ SPEED = 1.3
 class Physics(Section):
     """People start at random free places at least 0.3 m from walls and walk at 1.3 m/s in random directions.
 
-    They walk along the walls that stop them: more of them touch walls than people do. Rays are 128 around
-    everybody; the picture from the top and the oblique one have 640 x 480 pixels.
+    They walk along the walls that stop them: more of them touch walls than people do. Each agent has 128 rays
+    around it; the picture from the top and the oblique one have 640 x 480 pixels.
     """
 
     def rows(self) -> Iterator[Row]:
@@ -97,7 +97,7 @@ def walks(physics: base.Physics, people: People) -> Tensor:
 
 
 def lidar(people: People) -> tuple[Tensor, Tensor]:
-    """Return origins and directions (B, A * 128, 2) of a full turn around everybody."""
+    """Return origins and directions (B, A * 128, 2) of a full turn around every agent."""
     angle = torch.arange(RAYS) * (2 * math.pi / RAYS)
     scenes, slots = people.mask.shape
     direction = torch.stack((angle.cos(), angle.sin()), dim=-1).repeat(slots, 1).expand(scenes, -1, -1)

@@ -63,7 +63,7 @@ def agent_lines(
     side = (place * leg).add_(left(combined * place)).mul_(distance2.clamp_min(tiny).reciprocal_())
     to_leg = (dot(current, side) * side).sub_(current)
 
-    # Everybody does half of what is needed, and all of it where the other one does nothing.
+    # An agent does half of what is needed, and all of it where the other one does nothing.
     to_leg.lerp_(to_circle, on_circle).mul_(theirs[5]).add_(own[2:4, None])
     lines = torch.cat((to_leg, side.lerp_(right(outward), on_circle)))
     return lines if near is None else lines.mul_(near.to(lines.dtype))

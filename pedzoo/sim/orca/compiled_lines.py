@@ -41,7 +41,7 @@ def _line(along, apart, length, neighbor, convex, own_x, own_y, radius, scale):
     apart = max(apart, _TOUCHING)
     left, right = -along, along - length
 
-    # Whoever touches the wall moves away from its nearest point.
+    # An agent that touches the wall moves away from its nearest point.
     beyond = max(max(left, right), _0)
     gap2 = beyond * beyond + apart * apart
     touch, away = gap2 <= radius * radius, _1 / math.sqrt(gap2)

@@ -37,12 +37,12 @@ def orca_velocity(
         velocity: Current velocities (B, A, 2), m/s.
         pref_velocity: Velocities that people would have if they were alone (B, A, 2), m/s.
         max_speed: Top speeds (B, A), m/s.
-        mask: Who is there (B, A) bool.
+        mask: Which agents are there (B, A) bool.
         settings: ORCA's parameters.
         walls: The wall segments near each of the B * A people, within `OrcaSettings.wall_reach` of their top
             speeds; None: walls are not seen.
-        passive: Who does not avoid anybody (B, A) bool: their velocity is returned as it is. The others do
-            all of avoiding them, and half of avoiding each other; None: nobody.
+        passive: Which agents avoid no other (B, A) bool: their velocity is returned as it is. The others do
+            all of avoiding them, and half of avoiding each other. None for none.
         radius: Radii of the disks (B, A), metres; None for that of the settings.
     """
     # A scene of few people takes hundreds of short operations: not to track them at all saves a sixth.

@@ -40,8 +40,8 @@ class _Asked(NamedTuple):
         index: Which of the B scenes.
         bullet: Where its floor plan is built.
         affine: From the scene to pybullet's frame.
-        places: Where everybody is in pybullet's frame (A, 2), metres.
-        present: Who is there, in ascending order.
+        places: Where agents are in pybullet's frame (A, 2), metres.
+        present: Numbers of the agents that are there, in ascending order.
     """
 
     index: int
@@ -256,7 +256,7 @@ class Bullet(Physics):
         asked.bullet.clear()
         for person in asked.present:
             asked.bullet.place(person, *asked.places[person], radius=radius[person])
-        # pybullet hits some bodies from inside and others not: whoever contains the start is taken away
+        # pybullet hits some bodies from inside and others not: bodies around the start are taken away
         starts, of = np.unique(start, axis=0, return_inverse=True)
         apart = starts[:, None] - asked.places[None, asked.present]
         holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])

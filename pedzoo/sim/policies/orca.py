@@ -18,7 +18,7 @@ from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
 
 
 class Orca(Policy):
-    """Everybody takes half of the avoidance, and all of it for agents that this policy does not move.
+    """Agents take half of the avoidance, and all of it for agents that this policy does not move.
 
     The preferred velocity is the planner's desired one. Robots, and other bodies that the policy does not
     move, count with their own radius.
@@ -78,7 +78,7 @@ class Orca(Policy):
         self._sees_walls = walls
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's velocity."""
+        """Write the velocities of all agents."""
         agents: Any = tensordict["agents"]
         position, mask = agents["history"][:, :, -1], agents["mask"]
         scenes, slots = mask.shape

@@ -19,7 +19,7 @@ SPACING = 0.8
 """Metres between any two starts."""
 
 NEAREST = 2 * LEAST_WAY
-"""Metres of way to the next goal, at least: also `LEAST_WAY` from whoever is that near to the last one."""
+"""Least way to the next goal, metres: so it is `LEAST_WAY` even from as far before the last one."""
 
 
 MORE = 4

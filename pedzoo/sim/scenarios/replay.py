@@ -224,8 +224,8 @@ class Replay(Scenario):
     def real(self) -> Rollout:
         """Return the recorded crowd as a rollout of one round: on the same slots and trace.
 
-        ``controlled`` are the people whom a policy would have, from where it takes them over until they come
-        within 0.3 m of their goal, where it would lose them. Contacts are those of the physics `compiled`.
+        ``controlled`` are the people that a policy would have: from where it takes them over until they come
+        within 0.3 m of their goal. Contacts are those of the physics `compiled`.
         """
         return joined(list(self.real_parts()))
 

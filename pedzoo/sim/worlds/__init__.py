@@ -1,1 +1,1 @@
-"""Worlds answer who touches what, how far it is, and what rays and cameras see; they move nobody."""
+"""What physics backends share: their base class, compiled loops, contacts, cameras and pybullet scenes."""

@@ -23,18 +23,18 @@ from pedzoo.sim.worlds.compiled import advance_compiled, compiles
 from pedzoo.types import BODY_RADIUS
 
 REACH = 5.0
-"""Metres beyond which nobody asks what is there."""
+"""Metres up to which distances and rays are asked for, where nothing else is said."""
 
 
 class People(NamedTuple):
-    """Who is where in B scenes.
+    """Where people are in B scenes.
 
     Attributes:
         position: Scene positions (B, A, 2), metres.
-        mask: Who is present (B, A) bool.
+        mask: Which people are present (B, A) bool.
         map_id: Floor plan of each scene (B, 1) long, -1 for none.
         pose: How each scene lies on its floor plan (B, 4).
-        radius: Of everybody's body (B, A), metres; None for that of the backend.
+        radius: Of the bodies (B, A), metres; None for that of the backend.
     """
 
     position: Tensor
@@ -141,14 +141,14 @@ class Physics(ABC):
     ) -> Motion:
         """Return where agents are every 0.1 s, what they touch on the way and which reach their goals.
 
-        Differentiable in torch: positions with respect to positions and velocities.
+        Positions are differentiable with respect to positions, velocities and played paths.
 
         Args:
             state: The scenes.
             velocity: Of agents in each 0.1 s (2, S, B, A), m/s, limits respected already.
             moving: Which agents they move (B, A) bool; others are played back, or stay where they are.
             substeps: M, sub-steps of every 0.1 s.
-            played: Paths of those who are played back (B, A, S, M, 2); None for none.
+            played: Paths of agents that are played back (B, A, S, M, 2); None for none.
             command: What policies want (B, A, 2), for agents that the backend owns; None for nothing.
         """
         wanted = moving & (state.goal_id >= 0)
@@ -214,14 +214,14 @@ class Physics(ABC):
 
     @abstractmethod
     def contacts(self, path: Tensor, people: People) -> Contacts:
-        """Return who touches somebody or a wall on the way.
+        """Return which agents touch another one or a wall on the way.
 
         Agents touch when their centres are closer than the sum of their radii, a wall is touched by a centre
         closer than its own. A trace point counts when any of its sub-steps does.
 
         Args:
             path: Positions after ``people.position`` (B, A, S, M, 2): M sub-steps up to each trace point.
-            people: Where everybody starts, and who is present.
+            people: Where people start, and which are present.
         """
 
     @abstractmethod
@@ -231,7 +231,7 @@ class Physics(ABC):
         A ray that starts inside a body does not see that body; one that starts inside a wall goes nowhere.
 
         Args:
-            people: Whose bodies are in the way.
+            people: Their bodies are in the way.
             origin: Where each ray starts (B, R, 2), scene positions.
             direction: Unit vectors (B, R, 2).
             reach: Greatest length, metres.
@@ -244,7 +244,7 @@ class Physics(ABC):
         """Return a picture (H, W, 3) uint8 RGB of one scene.
 
         Args:
-            people: Who is where.
+            people: Where people are.
             scene: Which of the B scenes.
             size: Width and height in pixels.
             camera: Where it is taken from; by default from the top, all free space of the floor plan, or
@@ -261,7 +261,7 @@ class Physics(ABC):
         self.close()
 
     def _radius(self, people: People) -> Tensor:
-        """Return the radius of everybody's body (B, A), metres."""
+        """Return the radii of the bodies (B, A), metres."""
         if people.radius is not None:
             return people.radius
         return people.position.new_full(people.mask.shape, self.body_radius)

@@ -58,14 +58,14 @@ class _Trace(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> Tensor:
-        """Keep the slopes; ``given`` are positions, velocities, the trace, its slopes and who is moved."""
+        """Keep the slopes; ``given`` are positions, velocities, the trace, its slopes and moved agents."""
         _, _, trace, slopes, moving = given
         ctx.save_for_backward(slopes, moving)
         return trace.clone()
 
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
-        """Go back from the last trace point to the first."""
+        """Return gradients of places (B, A, 2) and velocities (2, S, B, A), last trace point first."""
         slopes, moving = ctx.saved_tensors
         of_place, of_velocity = slopes.unflatten(3, (2, 2, 2)).unbind(3)
         moved = moving[..., None]

@@ -24,12 +24,17 @@ def advance(
 ):  # fmt: skip
     """Write traces (B, A, S, 2), contacts and goals reached (B, A, S), paths (B, A, S, M, 2) if asked for.
 
-    Also if asked for, ``slopes`` (B, A, S, 8): how the position at the end of each trace step depends on the
-    one at its beginning and on its velocity, two matrices row by row.
+    If asked for, ``slopes`` (B, A, S, 8) are written, two matrices row by row. They are the derivatives of
+    the position at the end of each trace step, by that at its beginning and by its velocity.
 
-    Args are the arrays of the agents: positions (B, A, 2), velocities (2, S, B, A), radii, who is there, who
-    is moved (B, A), played paths (B, A, S, M, 2) or none (size 0), goals (B, A, 2) and who has one; numbers;
-    the walls as scenes see them, frames (B, 7) and places (B, 3) (size 0 without walls), and their tables.
+    Args, in this order:
+
+    * of the agents: positions (B, A, 2), metres; velocities (2, S, B, A), m/s; radii (B, A), metres;
+    * which of them are there, and which are moved (B, A);
+    * played paths (B, A, S, M, 2), size 0 for none; goals (B, A, 2); which agents may reach theirs (B, A);
+    * numbers;
+    * the walls as scenes see them, frames (B, 7) and places (B, 3) (size 0 without walls), and their tables;
+    * the results.
     """
     scenes, agents, ticks = trace.shape[:3]
     has_walls, has_script = frames.shape[0] > 0, played.size > 0

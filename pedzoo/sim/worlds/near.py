@@ -31,5 +31,5 @@ def _touching(path: Tensor, least: Tensor) -> Tensor:
 
 
 def farthest(path: Tensor, origin: Tensor) -> Tensor:
-    """Return a bound (...) on how far anybody gets from ``origin`` (2, ...) on ``path`` (2, N, ...)."""
+    """Return a bound (...) on how far agents get from ``origin`` (2, ...) on ``path`` (2, N, ...)."""
     return torch.hypot(*(path - origin.unsqueeze(1)).abs_().amax(1))
