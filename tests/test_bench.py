@@ -424,7 +424,7 @@ def test_what_nobody_asked_for_is_skipped(monkeypatch: pytest.MonkeyPatch) -> No
     ("words", "said"),
     [
         (["lop"], "unknown benchmark 'lop': did you mean 'loop'?"),
-        (["loop", "--device", "cuda"], "runs on the CPU only"),
+        (["loop", "--device", "cuda"], "are of the CPU only"),
         (["loop", "--seconds", "-1"], "expected above 0"),
         (["loop", "--size", "many"], "--size many: expected scenes x people such as 1024x5"),
         (["loop", "--size", "0x5"], "expected at least one scene"),

@@ -35,7 +35,10 @@ def run(argv: list[str]) -> int:
         help="floor plans, files or office.7; each case takes the first with room",
     )
     parser.add_argument(
-        "--device", default="cpu", choices=("cpu", "cuda"), help="cpu; the environment has no other"
+        "--device",
+        default="cpu",
+        choices=("cpu", "cuda"),
+        help="cpu; tools/bench/devices.py measures the others",
     )
     parser.add_argument(
         "--peer", nargs="+", default=[], metavar="FILE.py", help="other programs: tools/peers/*.py"
@@ -65,7 +68,10 @@ def run(argv: list[str]) -> int:
     from pedzoo.errors import UserError
 
     if options.device != "cpu":
-        raise UserError(f"--device {options.device}: the environment runs on the CPU only: expected cpu")
+        raise UserError(
+            f"--device {options.device}: benchmarks are of the CPU only: expected cpu; "
+            "python tools/bench/devices.py --devices cpu cuda measures the environment on others"
+        )
     check_outputs(json=options.json)
     old = read_report(options.compare) if options.compare else None
     seconds, turns = (0.1, 3) if options.quick else (1.0, 5)
