@@ -66,6 +66,10 @@ class Steps(NamedTuple):
     robot: Tensor
     velocity: Tensor | None = None
 
+    def rows(self, index: Tensor) -> Steps:
+        """Return those of some scenes."""
+        return Steps(*(None if part is None else part[index] for part in self))  # type: ignore[arg-type]
+
     @property
     def first(self) -> float:
         """How the place after 0.1 s moves with the step."""

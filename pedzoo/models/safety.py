@@ -47,9 +47,18 @@ def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
         steps: What is asked for.
         walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
     """
-    if _compiles(steps):
-        return _compiled(steps, walls)
-    return _in_torch(steps, walls)
+    if not _compiles(steps):
+        return _in_torch(steps, walls)
+    with torch.no_grad():
+        kept = _compiled(steps, walls)
+    if not _asks_gradients(steps):
+        return kept
+    # the compiled loops say in which scenes anything is to be done, torch does it: it has the gradients
+    free = _capped(steps, steps.step)
+    rows = ((kept - free.detach()).abs() > ROUNDING).flatten(1).any(1).nonzero()[:, 0]
+    if not len(rows):
+        return free
+    return free.index_copy(0, rows, _in_torch(steps.rows(rows), None if walls is None else walls.rows(rows)))
 
 
 def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
@@ -132,10 +141,13 @@ def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> 
 
 
 def _compiles(steps: Steps) -> bool:
-    """Return whether the compiled loops may take these: float32 on the CPU, and no gradient is asked for."""
+    """Return whether the compiled loops may take these: float32 on the CPU."""
     numbers = [part for part in steps if part is not None and part.is_floating_point()]
-    plain = all(part.device.type == "cpu" and part.dtype == torch.float32 for part in numbers)
-    return plain and not (torch.is_grad_enabled() and any(part.requires_grad for part in numbers))
+    return all(part.device.type == "cpu" and part.dtype == torch.float32 for part in numbers)
+
+
+def _asks_gradients(steps: Steps) -> bool:
+    return torch.is_grad_enabled() and any(part.requires_grad for part in steps if part is not None)
 
 
 def _compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
