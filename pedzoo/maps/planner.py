@@ -117,15 +117,12 @@ class Planner:
             ids.append(self._ids[key])
         return torch.tensor(ids, dtype=torch.long)
 
-    def prepare(self) -> None:
-        """Build the fields of all goals that have none yet; look-ups do so, too.
+    def prepare(self) -> Tables:
+        """Build the fields of all goals that have none yet, and return them; look-ups do so, too.
 
         Whoever knows many goals adds them all before: building them together is faster, and each time the
         tables are copied.
         """
-        self._prepared()
-
-    def _prepared(self) -> Tables:
         tables, known = self._tables, self._with_fields
         if tables is not None and known == len(self._goals):
             return tables
@@ -193,7 +190,7 @@ class Planner:
 
     def _on(self, device: torch.device) -> Tables:
         """Return the tables of all goals, on a device."""
-        tables = self._prepared()
+        tables = self.prepare()
         if tables.waypoint.device == device:
             return tables
         if self._copies.get(device, (None,))[0] is not tables:

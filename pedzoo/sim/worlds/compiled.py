@@ -38,19 +38,24 @@ def advance_compiled(
 
     The trace is differentiable with respect to positions, velocities and played paths.
     """
-    position = state.past[:, :, -1]
+    position, shape = state.past[:, :, -1], (*moving.shape, velocity.shape[1])
+    slopes = None
     if torch.is_grad_enabled() and any(
         part is not None and part.requires_grad for part in (position, velocity, played)
     ):
-        slopes = torch.zeros(*moving.shape, velocity.shape[1], 8)
-        with torch.no_grad():
-            motion = _advance(bank, state, velocity, moving, substeps, played, wanted, paths, slopes)
-        trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
-        if played is not None:
-            scripted = (state.mask & ~moving)[..., None, None]
-            trace = torch.where(scripted, played[:, :, :, -1], trace)
-        return motion._replace(trace=trace)
-    return _advance(bank, state, velocity, moving, substeps, played, wanted, paths, None)
+        slopes = torch.zeros(*shape, 8)
+    motion = _run(
+        bank, position, velocity, state.radius, state.mask, moving,
+        torch.empty(0, 0, 0, 0, 2) if played is None else played.float(), state.goal_point, wanted,
+        substeps, shape, (state.wall_frame, state.wall_place), paths, slopes,
+    )  # fmt: skip
+    if slopes is None:
+        return motion
+    trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
+    if played is not None:
+        scripted = (state.mask & ~moving)[..., None, None]
+        trace = torch.where(scripted, played[:, :, :, -1], trace)
+    return motion._replace(trace=trace)
 
 
 class _Trace(torch.autograd.Function):
@@ -78,37 +83,6 @@ class _Trace(torch.autograd.Function):
         return carried, torch.stack(velocity[::-1]).permute(3, 0, 1, 2), None, None, None
 
 
-def _advance(
-    bank: MapBank,
-    state: State,
-    velocity: Tensor,
-    moving: Tensor,
-    substeps: int,
-    played: Tensor | None,
-    wanted: Tensor,
-    paths: Tensor | None,
-    slopes: Tensor | None,
-) -> Motion:
-    scenes, agents = moving.shape
-    ticks = velocity.shape[1]
-    return _run(
-        bank,
-        state.past[:, :, -1],
-        velocity,
-        state.radius,
-        state.mask,
-        moving,
-        torch.empty(0, 0, 0, 0, 2) if played is None else played.float(),
-        state.goal_point,
-        wanted,
-        substeps,
-        (scenes, agents, ticks),
-        (state.wall_frame, state.wall_place),
-        paths,
-        slopes,
-    )
-
-
 def contacts_compiled(
     bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
 ) -> Contacts:
@@ -131,7 +105,7 @@ def _run(
 ) -> Motion:  # fmt: skip
     from pedzoo.sim.worlds.compiled_loops import advance
 
-    tables = bank.wall_arrays
+    tables = bank.walls.arrays
     trace = torch.empty(*shape, 2)
     agent, wall, reached = torch.empty(3, *shape, dtype=torch.bool)
     arrays: list[Any] = [
