@@ -19,6 +19,7 @@ from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
+from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 _AT_ONCE = 64
@@ -73,7 +74,7 @@ def _still(state: State) -> Guidance:
 
 
 def _walked(
-    scenario: Scenario, script: Script, physics: kernel.Physics, rules: kernel.Rules, start: State
+    scenario: Scenario, script: Script, physics: Physics, rules: kernel.Rules, start: State
 ) -> Rollout:
     """Return what really happened in scenes that begin so."""
     people, scene = script.people, start.scene
