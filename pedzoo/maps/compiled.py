@@ -87,7 +87,7 @@ def guide(
     affine, place, side, least,
     carrot, desired, waypoint_out, goal_out, distance_out,
 ):  # fmt: skip
-    """Write everybody's carrot, desired velocity, waypoint, goal and way: see `Planner.guide`.
+    """Write everybody's carrot, desired velocity, waypoint, goal and way: see `Planner.guide_scenes`.
 
     Args are the arrays of the agents (B, A, ...), of `Tables`, of `Walls`, and the results.
     """

@@ -212,42 +212,6 @@ class Planner:
             last=found.last | stay,
         )
 
-    def guide(
-        self,
-        points: Tensor,
-        goal_id: Tensor,
-        map_id: Tensor,
-        pose: Tensor,
-        pref_speed: Tensor,
-        look_ahead_seconds: float,
-    ) -> Guidance:
-        """Return everybody's carrot and desired velocity; see `guide_scenes`.
-
-        Args:
-            points: Scene positions (P, 2), metres.
-            goal_id: As in `look`.
-            map_id: As in `look`.
-            pose: As in `look`.
-            pref_speed: Metres per second (P,).
-            look_ahead_seconds: How far ahead the carrot is.
-
-        Raises:
-            UserError: A goal is of another map than the person.
-        """
-        row = self.rows(map_id)
-        self._on(points.device).check(goal_id, row)
-        fastest = float(pref_speed.max()) if len(pref_speed) else 1.0
-        found = self.guide_scenes(
-            points.unsqueeze(1),
-            goal_id.unsqueeze(1),
-            row,
-            pose,
-            pref_speed.unsqueeze(1),
-            look_ahead_seconds,
-            fastest,
-        )
-        return Guidance(*(value.squeeze(1) for value in found))
-
     def guide_scenes(
         self,
         points: Tensor,
