@@ -199,8 +199,7 @@ class Controller:
         before, device = cast("Tensor", batch["agents", "velocity"])[0], agents.past.device
         if isinstance(self.policy, nn.Module):
             device = next(self.policy.parameters(), agents.past).device
-        if device != agents.past.device:
-            batch = batch.to(device)
+        batch = batch if device == agents.past.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
             action = cast("Tensor", self.policy(batch)["agents", "action"])[0].to(agents.past)
