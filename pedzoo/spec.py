@@ -129,12 +129,12 @@ def _short(hint: Any) -> str:
     return name.replace("typing.", "").replace("collections.abc.", "")
 
 
-def split(text: str) -> list[str]:
-    """Split at commas outside brackets."""
+def split(text: str, at: str = ",") -> list[str]:
+    """Split at every letter ``at`` outside brackets."""
     parts, depth = [""], 0
     for letter in text:
         depth += (letter == "[") - (letter == "]")
-        if letter == "," and depth == 0:
+        if letter == at and depth == 0:
             parts.append("")
         else:
             parts[-1] += letter

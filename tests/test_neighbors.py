@@ -11,7 +11,7 @@ from torch import Tensor
 from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim import neighbors
-from pedzoo.sim.neighbors import nearest, pairs_within
+from pedzoo.sim.neighbors import nearest
 from pedzoo.sim.orca.settings import OrcaSettings
 from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.physics.compiled import Compiled
@@ -80,24 +80,6 @@ def test_the_nearest_are_the_oracles(all_pairs: int, kind: str, reach: float, mo
 
 
 @WAYS
-@KINDS
-@pytest.mark.parametrize("reach", [1.0, 3.0, 1e-3])
-def test_the_pairs_are_the_oracles(all_pairs: int, kind: str, reach: float) -> None:
-    position, mask = scene(kind)
-    agents = mask.shape[1]
-    everybody = oracle(position, mask, reach, None)
-    expected = [
-        [a // agents, a % agents, b % agents]
-        for a, near in enumerate(everybody)
-        for b in sorted(near)
-        if a < b
-    ]
-    assert torch.stack(pairs_within(position, mask, reach), 1).tolist() == expected
-    if kind == "equal" and reach == 1.0:
-        assert torch.stack(pairs_within(position, mask, 1.0 + 1e-6), 1).shape[0] > len(expected)
-
-
-@WAYS
 @pytest.mark.parametrize("axis", [0, 1])
 def test_cells_are_as_wide_as_the_reach(all_pairs: int, axis: int) -> None:
     """The last two are nearer than the reach of 3 m, and two cells apart where cells are 1 % narrower."""
@@ -107,23 +89,6 @@ def test_cells_are_as_wide_as_the_reach(all_pairs: int, axis: int) -> None:
     index, near = nearest(position, mask, 3.0, None)
     assert near is not None
     assert [index[near[:, i], i].tolist() for i in range(3)] == [[1], [0, 2], [1]]
-    assert torch.stack(pairs_within(position, mask, 3.0), 1).tolist() == [[0, 0, 1], [0, 1, 2]]
-
-
-@WAYS
-def test_pairs_whose_own_reaches_meet(all_pairs: int) -> None:
-    position = torch.tensor([[[0.0, 0], [3, 0], [5, 0], [0, 1.5]]])
-    mask = torch.tensor([[True, True, True, True]])
-    own = torch.tensor([[1.0, 2.0, 0.5, 0.25]])
-    # 3 is not less than 1 + 2; 2 < 2 + 0.5; 1.5 > 1 + 0.25
-    assert torch.stack(pairs_within(position, mask, own), 1).tolist() == [[0, 1, 2]]
-    assert torch.stack(pairs_within(position, mask, own + 0.2), 1).tolist() == [
-        [0, 0, 1],
-        [0, 0, 3],
-        [0, 1, 2],
-    ]
-    assert len(pairs_within(position, mask & False, own).scene) == 0
-    assert len(pairs_within(position, mask, own - 3).scene) == 0
 
 
 @WAYS
@@ -133,7 +98,6 @@ def test_nobody_has_no_neighbours(all_pairs: int, shape: tuple[int, int]) -> Non
     index, near = nearest(position, mask, 5.0, None)
     assert index.shape == (0, shape[0] * shape[1])
     assert near is None
-    assert len(pairs_within(position, mask, 5.0).scene) == 0
     assert nearest(torch.rand(2, 3, 2), torch.ones(2, 3, dtype=torch.bool), 5.0, 0).index.shape == (0, 6)
 
 
@@ -186,7 +150,6 @@ def test_a_crowd_is_searched_in_little_memory() -> None:
     near = nearest(position, mask, 3.0, 10).near
     assert near is not None
     assert near.sum() == pytest.approx(20_000 * 20_000 * math.pi * 9 / 160_000, rel=0.05)
-    assert len(pairs_within(position, mask, 3.0).scene) * 2 == pytest.approx(int(near.sum()), rel=0.01)
 
 
 def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:

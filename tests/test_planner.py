@@ -62,7 +62,16 @@ def look(planner: Planner, points: Tensor, goal: Tensor) -> Look:
 
 def guide(planner: Planner, points: Tensor, goal: Tensor, speed: float = 1.0, ahead: float = 3.2) -> Guidance:
     speeds = torch.full((len(points),), speed)
-    return planner.guide(points, goal, *arguments(planner.bank, len(points)), speeds, ahead)
+    return told(planner, points, goal, *arguments(planner.bank, len(points)), speeds, ahead)
+
+
+def told(
+    planner: Planner, points: Tensor, goal: Tensor, map_id: Tensor, pose: Tensor, speed: Tensor, ahead: float
+) -> Guidance:
+    """Guide people (P,) of whom each is in a scene of their own."""
+    scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.rows(map_id), pose, speed.unsqueeze(1)
+    found = planner.guide_scenes(*scenes, ahead, float(speed.max()))
+    return Guidance(*(value.squeeze(1) for value in found))
 
 
 def length(start: np.ndarray, way: np.ndarray) -> float:
@@ -252,8 +261,8 @@ def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
     ids, speed = torch.full((count,), bank.grids[0].map_id), torch.full((count,), 1.2)
     # rounding must not decide which cell it is, or whether a line passes a wall at just a body's radius
     points = points + torch.rand(count, 2, generator=draws) * 0.02
-    plain = planner.guide(points, goals, ids, identity_pose(count), speed, 3.2)
-    moved = planner.guide(move_to_scene(points, pose), goals, ids, pose, speed, 3.2)
+    plain = told(planner, points, goals, ids, identity_pose(count), speed, 3.2)
+    moved = told(planner, move_to_scene(points, pose), goals, ids, pose, speed, 3.2)
     for name in ("goal", "waypoint", "goal_point"):
         back = move_to_map(getattr(moved, name), pose)
         torch.testing.assert_close(back, getattr(plain, name), atol=1e-4, rtol=1e-4)
@@ -361,9 +370,9 @@ def test_people_without_map_or_goal() -> None:
     found = planner.look(points, goals, ids, identity_pose(4))
     assert found.waypoint.tolist() == [[3, 4], [1, 1], [90, 0], [7, 1]]
     assert found.distance.tolist() == pytest.approx([5, 0, 0, 1])
-    told = planner.guide(points, goals, ids, identity_pose(4), torch.ones(4), 2.0)
-    assert told.desired_velocity.flatten().tolist() == pytest.approx([0.6, 0.8, 0, 0, 0, 0, 1, 0])
-    assert told.goal[:3].flatten().tolist() == pytest.approx([1.2, 1.6, 1, 1, 90, 0])
+    guidance = told(planner, points, goals, ids, identity_pose(4), torch.ones(4), 2.0)
+    assert guidance.desired_velocity.flatten().tolist() == pytest.approx([0.6, 0.8, 0, 0, 0, 0, 1, 0])
+    assert guidance.goal[:3].flatten().tolist() == pytest.approx([1.2, 1.6, 1, 1, 90, 0])
     nobody = planner.look(points[:0], goals[:0], ids[:0], identity_pose(0))
     assert nobody.distance.shape == (0,)
     assert Planner(MapBank()).add_goals(-1, [(0, 0)]).tolist() == [0]

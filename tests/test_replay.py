@@ -182,8 +182,8 @@ def test_starts_goals_ways_and_times(folder: Path) -> None:
     people, alice, edge = scenario.persons, person(scenario, ALICE), person(scenario, EDGE)
     assert scenario.recordings == ["first"]
     # 8 steps are frames 0 to 7; the last of 17 is frame 16
-    assert float(people.begin_s[alice]) == pytest.approx(2.8)
-    assert float(people.end_s[alice]) == pytest.approx(6.4)
+    assert 0.4 * float(people.taken[alice]) == pytest.approx(2.8)
+    assert 0.4 * float(people.last[alice]) == pytest.approx(6.4)
     assert people.start[alice].tolist() == pytest.approx([1 + 7 * 0.3, 1])
     assert people.exit[alice].tolist() == people.goal[alice].tolist() == pytest.approx([5.8, 1])
     assert float(people.way[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
@@ -363,9 +363,9 @@ def test_real_is_the_recording(folder: Path) -> None:
             scene = int((real.controlled & (real.person == number)).any(-1).any(-1).nonzero()[0, 0])
             begun = 0.4 * int(script.scenes.origin[scene])
             first, last = times(real, real.controlled, number)
-            assert begun + 0.1 * (first - 1) == pytest.approx(float(people.begin_s[number]))
+            assert begun + 0.1 * (first - 1) == pytest.approx(0.4 * float(people.taken[number]))
             _, gone = times(real, real.present, number)
-            assert begun + 0.1 * gone == pytest.approx(float(people.end_s[number]))
+            assert begun + 0.1 * gone == pytest.approx(0.4 * float(people.last[number]))
             mine = real.controlled[scene] & (real.person[scene] == number)
             away = (real.trace[scene][mine] - people.goal[number]).norm(dim=-1)
             assert away[:-1].min() > 0.3 - 1e-5 and (away[-1] < 0.3 + 1e-5 or last == gone)

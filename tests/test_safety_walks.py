@@ -91,7 +91,7 @@ def test_on_blended_paths_nobody_touches_a_wall() -> None:
     """People who run at a wall and are told to turn along it: the old velocity still leads into it."""
     bank = MapBank([ROOM])
     asked = crowd(1, scenes=512)
-    walls = around(bank, 512).each(1)
+    walls = around(bank, 512)
     gap, _ = walls.closest(asked.position)
     free = gap[:, 0] > BODY_RADIUS
     for steps, touches in ((asked.step, True), (kept_clear(asked, around(bank, 512)), False)):
@@ -113,7 +113,12 @@ def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: b
         asked = asked._replace(velocity=None)
     walls = around(MapBank([ROOM]), 200) if walled else None
     if walls is not None:
-        free = walls.each(people).closest(asked.position.flatten(0, 1))[0] > 0
+        free = (
+            walls.rows(torch.arange(len(asked.position)).repeat_interleave(people)).closest(
+                asked.position.flatten(0, 1)
+            )[0]
+            > 0
+        )
         free = free.view(asked.present.shape)
         asked = asked._replace(present=asked.present & free, moved=asked.moved & free)
     compiled = kept_clear(asked, walls)

@@ -100,18 +100,6 @@ class MapBank:
             return first.walls.to(self.device)
         return Walls.of(self.grids, self.unknown, self.max_distance)
 
-    @cached_property
-    def wall_arrays(self) -> tuple[Any, ...]:
-        """What `pedzoo.maps.compiled` reads: choices, options, lower bounds, and where distances end."""
-        walls = self.walls
-        return walls.choice.numpy(), walls.option.numpy(), walls.least.numpy(), walls.limit
-
-    @cached_property
-    def map_arrays(self) -> tuple[Any, ...]:
-        """What the compiled planner reads: how the maps lie, and the lower bounds of distances."""
-        walls = self.walls
-        return walls.affine.numpy(), walls.place.numpy(), walls.side.numpy(), walls.least.numpy()
-
     @property
     def device(self) -> torch.device:
         """Where its tensors are."""
@@ -142,8 +130,7 @@ class MapBank:
             moved.__dict__.update(self.__dict__)
             moved._sorted_ids, moved._rows = self._sorted_ids.to(device), self._rows.to(device)
             moved._atlas = self._atlas.to(device)
-            for made in ("walls", "wall_arrays", "map_arrays"):  # made anew on the device at first use
-                moved.__dict__.pop(made, None)
+            moved.__dict__.pop("walls", None)  # made anew on the device at first use
             moved._copies = {self.device: self}
             self._copies[device] = moved
         return self._copies[device]

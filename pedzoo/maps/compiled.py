@@ -96,7 +96,7 @@ def guide(
     affine, place, side, least,
     carrot, desired, waypoint_out, goal_out, distance_out,
 ):  # fmt: skip
-    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guide`.
+    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guide_scenes`.
 
     Args are the arrays of the agents (B, A, ...), of `Tables`, of `Walls`, and the results.
     """

@@ -32,7 +32,7 @@ def guide_compiled(
         seconds,
         BODY_CLEARANCE,
         *tables.arrays,
-        *bank.map_arrays,
+        *bank.walls.map_arrays,
         *(value.numpy() for value in made),
     )
     if torch.is_grad_enabled() and (points.requires_grad or pref_speed.requires_grad):

@@ -80,11 +80,6 @@ class LocalWalls:
         """Return the walls as some of the N entries see them."""
         return LocalWalls(self.walls, self.frame.index_select(1, index), self.place.index_select(1, index))
 
-    def each(self, times: int) -> LocalWalls:
-        """Return the walls with so many entries, one after the other, for each of the N."""
-        count = self.frame.shape[1]
-        return self.rows(torch.arange(count, device=self.frame.device).repeat_interleave(times))
-
     def per_scene(self) -> LocalWalls:
         """Return the walls of B scenes for all of their agents (B, A), in single precision."""
         return LocalWalls(self.walls, self.frame.float().unsqueeze(2), self.place.unsqueeze(2))

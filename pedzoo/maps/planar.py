@@ -51,8 +51,3 @@ class Frame(NamedTuple):
 def pairs(x: Tensor, y: Tensor) -> Tensor:
     """Return vectors (..., 2) of their coordinates (...): ten times faster than `torch.stack` on a CPU."""
     return torch.view_as_real(torch.complex(x, y))
-
-
-def columns(values: Tensor, index: Tensor) -> Tensor:
-    """Return ``values`` (..., P) of some people (N,): several times faster than in three dimensions."""
-    return values.flatten(0, -2).index_select(1, index).unflatten(0, values.shape[:-1])

@@ -117,15 +117,12 @@ class Planner:
             ids.append(self._ids[key])
         return torch.tensor(ids, dtype=torch.long)
 
-    def prepare(self) -> None:
-        """Build the fields of all goals that have none yet; look-ups do so, too.
+    def prepare(self) -> Tables:
+        """Build the fields of all goals that have none yet, and return them; look-ups do so, too.
 
         Whoever knows many goals adds them all before: building them together is faster, and each time the
         tables are copied.
         """
-        self._prepared()
-
-    def _prepared(self) -> Tables:
         tables, known = self._tables, self._with_fields
         if tables is not None and known == len(self._goals):
             return tables
@@ -193,7 +190,7 @@ class Planner:
 
     def _on(self, device: torch.device) -> Tables:
         """Return the tables of all goals, on a device."""
-        tables = self._prepared()
+        tables = self.prepare()
         if tables.waypoint.device == device:
             return tables
         if self._copies.get(device, (None,))[0] is not tables:
@@ -214,42 +211,6 @@ class Planner:
             goal=torch.where(none, home, found.goal),
             last=found.last | stay,
         )
-
-    def guide(
-        self,
-        points: Tensor,
-        goal_id: Tensor,
-        map_id: Tensor,
-        pose: Tensor,
-        pref_speed: Tensor,
-        look_ahead_seconds: float,
-    ) -> Guidance:
-        """Return every agent's carrot and desired velocity; see `guide_scenes`.
-
-        Args:
-            points: Scene positions (P, 2), metres.
-            goal_id: As in `look`.
-            map_id: As in `look`.
-            pose: As in `look`.
-            pref_speed: Metres per second (P,).
-            look_ahead_seconds: How far ahead the carrot is.
-
-        Raises:
-            UserError: A goal is of another map than the person.
-        """
-        row = self.rows(map_id)
-        self._on(points.device).check(goal_id, row)
-        fastest = float(pref_speed.max()) if len(pref_speed) else 1.0
-        found = self.guide_scenes(
-            points.unsqueeze(1),
-            goal_id.unsqueeze(1),
-            row,
-            pose,
-            pref_speed.unsqueeze(1),
-            look_ahead_seconds,
-            fastest,
-        )
-        return Guidance(*(value.squeeze(1) for value in found))
 
     def guide_scenes(
         self,

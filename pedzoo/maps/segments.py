@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.segment_table import SegmentTable
 
 FASTEST = 4.0
 """m/s: walls are looked up as far as they matter to agents of this speed, so that no tensor has to say it."""
@@ -79,7 +78,7 @@ class WallSegments:
         """
         reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
         bank = self.bank.to(points.device)
-        table = self.table(bank, points.dtype)
+        table = bank.walls.segments(self.reach, self.most, dtype=points.dtype)
         cos, sin, mirror, shift = pose[:, 0].cos(), pose[:, 0].sin(), pose[:, 1], pose[:, 2:]
         x, y = (points - shift).unbind(1)
         place = torch.stack((cos * x + sin * y, (cos * y - sin * x) * mirror))
@@ -98,7 +97,3 @@ class WallSegments:
             convex=convex,
             valid=valid,
         )
-
-    def table(self, bank: MapBank, dtype: torch.dtype) -> SegmentTable:
-        """Return the segments of the bank for positions of a dtype on its device."""
-        return bank.walls.segments(self.reach, self.most, dtype=dtype)

@@ -155,17 +155,7 @@ class Tables:
     @cached_property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """All parts as arrays, for compiled loops."""
-        parts = (
-            self.to_cell,
-            self.begin,
-            self.nearest,
-            self.x,
-            self.y,
-            self.goal,
-            self.waypoint,
-            self.length,
-        )
-        return tuple(part.numpy() for part in parts)
+        return tuple(getattr(self, part.name).numpy() for part in fields(self))
 
     def look(self, points: Tensor, goal: Tensor, row: Tensor) -> Found:
         """Return where the ways of people at map-frame ``points`` lead.

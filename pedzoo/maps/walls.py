@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -95,6 +97,16 @@ class Walls:
             return self
         tensors = ("option", "choice", "least", "affine", "place", "side")
         return replace(self, **{name: getattr(self, name).to(device) for name in tensors})
+
+    @cached_property
+    def arrays(self) -> tuple[Any, ...]:
+        """What compiled loops ask for distances: choices, options, lower bounds, and where distances end."""
+        return self.choice.numpy(), self.option.numpy(), self.least.numpy(), self.limit
+
+    @cached_property
+    def map_arrays(self) -> tuple[Any, ...]:
+        """What the compiled planner reads: how the maps lie, and the lower bounds of distances."""
+        return self.affine.numpy(), self.place.numpy(), self.side.numpy(), self.least.numpy()
 
     def segments(
         self,

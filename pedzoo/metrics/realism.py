@@ -92,8 +92,8 @@ def counted(samples: Samples, edges: Tensor, people: int) -> Counts:
 def resampled(first: Counts, second: Counts, edges: Tensor, mine: Tensor, theirs: Tensor) -> Tensor:
     """Return the Wasserstein-1 distance (R,) of two crowds in every resample, NaN where one is empty.
 
-    Between two edges the distance of the cumulative distributions is taken to change evenly, which is
-    within `grid_error` of the exact one.
+    Between two edges the distance of the cumulative distributions is taken to change evenly, which
+    errs by the larger crowd's share between them at most.
 
     Args:
         first: Samples of one crowd.
@@ -105,18 +105,6 @@ def resampled(first: Counts, second: Counts, edges: Tensor, mine: Tensor, theirs
     until = _shares(first.until, first.until, mine) - _shares(second.until, second.until, theirs)
     before = _shares(first.before, first.until, mine) - _shares(second.before, second.until, theirs)
     return (until[:, :-1].abs() + before[:, 1:].abs()) @ edges.diff() / 2
-
-
-def grid_error(first: Counts, second: Counts, edges: Tensor) -> float:
-    """Return how far at most `resampled` is from the exact distance for weights of 1.
-
-    Within a cell of width w that holds shares p and q of the two crowds, the distance of the cumulative
-    distributions is within max(p, q) of that at either end; values on edges are exact.
-    """
-    inside = [
-        (side.before[:, 1:] - side.until[:, :-1]).sum(0) / side.until[:, -1].sum() for side in (first, second)
-    ]
-    return float(torch.maximum(*inside) @ edges.diff())
 
 
 def drawn_people(people: int, resamples: int = 2000, seed: int = 0) -> Tensor:

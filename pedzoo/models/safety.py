@@ -32,6 +32,9 @@ WAITED = 0.4
 """Metres within the observed steps, 2.8 s, below which a person waits. Two people who wait for each other in
 a narrow place turn a shoulder, too: nothing else would end that."""
 
+_NONE: Any = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), np.zeros(1, np.int32)
+_NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
+
 _SHARES = 1.0, 0.5, 0.0
 """Of a step that would touch something all the same."""
 
@@ -168,18 +171,8 @@ def _compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
 def _wall_arrays(walls: LocalWalls | None) -> tuple[Any, ...]:
     """Return frames (B, 7) and places (B, 3) of scenes, no rows for no walls, and the tables behind them."""
     if walls is None:
-        none = np.zeros((1, 1), np.float32)
-        return (
-            np.zeros((0, 7), np.float32),
-            np.zeros((0, 3), np.int32),
-            none[0].astype(np.int32),
-            none,
-            none[0],
-            0.0,
-        )
-    table = walls.walls
-    scenes = walls.frame.t().float().numpy(), walls.place.t().numpy()
-    return *scenes, table.choice.numpy(), table.option.numpy(), table.least.numpy(), table.limit
+        return _NO_WALLS
+    return walls.frame.t().float().numpy(), walls.place.t().numpy(), *walls.walls.arrays
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:

@@ -91,7 +91,7 @@ class Walker(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity (B, A, 2), m/s."""
-        self._check(tensordict)
+        check_interval(tensordict, STEP_SECONDS, "a learned model")
         if self.execute_steps == 1:
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
@@ -101,16 +101,6 @@ class Walker(TensorDictModuleBase):
             step = safe(tensordict, step)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
-
-    def _check(self, tensordict: TensorDictBase) -> None:
-        """Refuse an environment that decides at another step than the model was trained on."""
-        trace = tensordict.get(("agents", "info", "trace"), None)
-        points = round(STEP_SECONDS / TRACE_SECONDS)
-        if trace is not None and trace.shape[2] != points:
-            raise UserError(
-                f"a learned model decides every {STEP_SECONDS} s, not every "
-                f"{trace.shape[2] * TRACE_SECONDS:g} s: make_env(..., decision_dt={STEP_SECONDS})"
-            )
 
     def _planned(self, tensordict: TensorDictBase) -> Tensor:
         """Return the running plan's step (B, A, 2), of a new plan where one is over or an episode begins."""
@@ -155,3 +145,17 @@ class Walker(TensorDictModuleBase):
 def lasting(noise_dim: int) -> int:
     """Return how many of the numbers of ``mixed`` noise last for an episode."""
     return (noise_dim + 1) // 2
+
+
+def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:
+    """Refuse scenes of an environment that decides at another step than whoever is asked, ``what``.
+
+    Raises:
+        UserError: It does.
+    """
+    trace = scenes.get(("agents", "info", "trace"), None)
+    if trace is not None and trace.shape[2] != round(decision_dt / TRACE_SECONDS):
+        raise UserError(
+            f"{what} decides every {decision_dt:g} s, not every {trace.shape[2] * TRACE_SECONDS:g} s: "
+            f"make_env(..., decision_dt={decision_dt:g})"
+        )

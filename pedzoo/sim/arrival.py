@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.draws import Draws
+from pedzoo.geometry import nearest_part
+from pedzoo.sim.motion import Walk
 from pedzoo.sim.scenario import Scenario
 from pedzoo.types import GOAL_RADIUS
 
@@ -16,18 +18,24 @@ WAYS = 4.0
 """And so many times as long as the way to it takes at the speed that they like."""
 
 
-def arrived(path: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
+def arrived(path: Tensor, goal: Tensor, walk: Walk) -> Tensor:
     """Return who has come within 0.3 m of their goal until each trace point (B, A, S) bool.
 
     Args:
-        path: Sub-steps (B, A, S, M, 2), metres.
+        path: Sub-steps (2, S * M, B, A), metres.
         goal: Goals (B, A, 2).
-        wanted: Who has one (B, A) bool.
+        walk: Says which agents may.
     """
-    # people last, (2, S, M, B, A): as `dynamics.integrate` has them in memory
-    x, y = path.permute(4, 2, 3, 0, 1) - goal.permute(2, 0, 1)[:, None, None]
-    near = torch.addcmul(x * x, y, y).amin(1) < GOAL_RADIUS**2
-    return ((near & wanted).cumsum(0) > 0).permute(1, 2, 0)
+    x, y = path.detach() - goal.detach().movedim(-1, 0).unsqueeze(1)
+    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & walk.wanted
+    return (near.unflatten(0, (-1, walk.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
+
+
+def passes(begin: Tensor, end: Tensor, goal: Tensor) -> Tensor:
+    """Return whose straight move (..., 2) comes within 0.3 m of their goal (..., 2), (...,) bool; metres."""
+    away, move = begin - goal, end - begin
+    nearest = away + nearest_part(away, move).unsqueeze(-1) * move
+    return nearest.square().sum(-1) < GOAL_RADIUS**2
 
 
 def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:

@@ -125,3 +125,17 @@ class CallerClock(NamedTuple):
         begin, end = self.times[after - 1], self.times[after]
         share = ((when - begin) / (end - begin)).to(past.dtype).unsqueeze(1)
         return past[:, after - 1] + share * (past[:, after] - past[:, after - 1])
+
+
+def times(whole: float, dt: float, what: str) -> int:
+    """Return how many steps of ``dt`` are ``whole`` seconds.
+
+    Raises:
+        UserError: Not a whole number.
+    """
+    found = round(whole / dt) if 0 < dt < math.inf else 0
+    if found < 1 or abs(found * dt - whole) > 1e-6:
+        raise UserError(
+            f"dt {dt}: {what} every {whole:g} s, expected a whole part of that, such as {whole / 4:g}"
+        )
+    return found

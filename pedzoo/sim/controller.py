@@ -23,7 +23,7 @@ from pedzoo.maps.guidance import Guidance
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planner import Planner
 from pedzoo.sim.called_with import PREF_SPEED, as_discs, as_points
-from pedzoo.sim.caller_clock import CallerClock
+from pedzoo.sim.caller_clock import CallerClock, times
 from pedzoo.sim.dynamics import blended
 from pedzoo.sim.roster import Roster
 from pedzoo.sim.state import TURNS_FROM
@@ -95,8 +95,8 @@ class Controller:
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
         """
-        calls = _times(policy.decision_dt, dt, "the policy decides")
-        _times(STEP_SECONDS, dt, "histories have a position")
+        calls = times(policy.decision_dt, dt, "the policy decides")
+        times(STEP_SECONDS, dt, "histories have a position")
         if getattr(policy, "execute_steps", 1) != 1:
             raise UserError(
                 f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
@@ -105,7 +105,7 @@ class Controller:
         grid = load_plan(map) if isinstance(map, str | Path) else map
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._maps, self._ways = bank, Ways(Planner(bank, clearance))
+        self._ways = Ways(Planner(bank, clearance))
         # with one call per decision there is nothing to blend
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
@@ -168,7 +168,7 @@ class Controller:
             agents = agents.arrived(position, position)
 
         past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
-        trace = torch.where(_each(agents.walks), agents.trace, 0.0)
+        trace = torch.where(agents.walks[:, None, None], agents.trace, 0.0)
         agents = agents._replace(past=past, trace=trace)
         decides = (new | clock.decides) & agents.walks
         if comes or decides.any():
@@ -184,7 +184,7 @@ class Controller:
                 batch = self._batch(agents, guidance, clock)
                 agents = self._decided(agents, batch, decides, new)
         self._ways, self._agents, self._clock = ways, agents, clock
-        answer = self._walked(agents, clock).double().numpy()
+        answer = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1).double().numpy()
         return {one: answer[agents.row[one]] for one in people}
 
     def _decided(self, agents: Roster, batch: TensorDict, decides: Tensor, new: Tensor) -> Roster:
@@ -199,8 +199,7 @@ class Controller:
         before, device = cast("Tensor", batch["agents", "velocity"])[0], agents.past.device
         if isinstance(self.policy, nn.Module):
             device = next(self.policy.parameters(), agents.past).device
-        if device != agents.past.device:
-            batch = batch.to(device)
+        batch = batch if device == agents.past.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
             action = cast("Tensor", self.policy(batch)["agents", "action"])[0].to(agents.past)
@@ -215,13 +214,7 @@ class Controller:
         trace = blended(before.T, command.T, self._ticks).permute(2, 1, 0)
         if self._ticks > 1:
             trace = limit_speed(trace, top_speed.unsqueeze(1))
-        return agents._replace(trace=torch.where(_each(decides), trace, agents.trace))
-
-    def _walked(self, agents: Roster, clock: CallerClock) -> Tensor:
-        """Return the velocities (N, 2) that are held until the next call."""
-        if self._ticks == 1:
-            return agents.trace[:, 0]
-        return (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1)
+        return agents._replace(trace=torch.where(decides[:, None, None], trace, agents.trace))
 
     def _batch(self, agents: Roster, guidance: Guidance, clock: CallerClock) -> TensorDict:
         """Return the scene batch (1,) of N agents, as the environment would observe it."""
@@ -232,7 +225,7 @@ class Controller:
         other = agents.other.unsqueeze(1)
         ahead = agents.past[:, -1] + AHEAD_SECONDS * velocity
         return scene_batch(
-            maps=self._maps,
+            maps=self._ways.planner.bank,
             map_id=torch.tensor([[self._ways.map_id]]),
             pose=identity_pose(1),
             history=clock.history(agents.past).unsqueeze(0),
@@ -255,22 +248,3 @@ class Controller:
 def _of(present: Mapping[Any, Any], given: Mapping[Any, Any] | None) -> dict[Any, Any]:
     """Return what is given for people who are there."""
     return {one: value for one, value in (given or {}).items() if one in present}
-
-
-def _each(which: Tensor) -> Tensor:
-    """Return flags (N,) for every step of every agent (N, 1, 1)."""
-    return which.view(-1, 1, 1)
-
-
-def _times(whole: float, dt: float, what: str) -> int:
-    """Return how many steps of ``dt`` are ``whole`` seconds.
-
-    Raises:
-        UserError: Not a whole number.
-    """
-    times = round(whole / dt) if 0 < dt < float("inf") else 0
-    if times < 1 or abs(times * dt - whole) > 1e-6:
-        raise UserError(
-            f"dt {dt}: {what} every {whole:g} s, expected a whole part of that, such as {whole / 4:g}"
-        )
-    return times

@@ -21,7 +21,7 @@ from pedzoo.models.address import is_address
 from pedzoo.models.card import is_name
 from pedzoo.models.store import names
 from pedzoo.registry import MODELS, POLICIES
-from pedzoo.spec import name_of, parse
+from pedzoo.spec import name_of, parse, split
 
 _SHARE = "share"
 _ROUNDING = 1e-6
@@ -41,7 +41,7 @@ class Member(NamedTuple):
 
 def parts(text: str) -> list[str]:
     """Return the policies that are joined in a text, each with its settings and its ``share``."""
-    pieces = _pieces(text)
+    pieces = split(text, "+")
     found = pieces[:1]
     for place in range(1, len(pieces)):
         if _goes_on(found[-1], pieces[place:]):
@@ -99,18 +99,6 @@ def _number(part: str, text: str) -> float:
     if not 0 < share < math.inf:
         raise UserError(f"{part!r}: share {text}: expected a number above 0, at most 1")
     return share
-
-
-def _pieces(text: str) -> list[str]:
-    """Split at every ``+`` outside brackets."""
-    pieces, depth = [""], 0
-    for letter in text:
-        depth += (letter == "[") - (letter == "]")
-        if letter == "+" and depth == 0:
-            pieces.append("")
-        else:
-            pieces[-1] += letter
-    return pieces
 
 
 def _goes_on(before: str, pieces: list[str]) -> bool:

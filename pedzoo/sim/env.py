@@ -109,13 +109,11 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: A setting is out of range.
         """
-        if not TRACE_SECONDS / 2 < decision_dt < WARM_SECONDS + TRACE_SECONDS / 2:
+        trace_points = round(decision_dt / TRACE_SECONDS) if 0 < decision_dt <= WARM_SECONDS + 1e-6 else 0
+        if trace_points < 1 or abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
             raise UserError(
                 f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s up to {WARM_SECONDS} s"
             )
-        trace_points = round(decision_dt / TRACE_SECONDS)
-        if abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
-            raise UserError(f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s")
         if scenario.script is not None and TRACE_PER_STEP % trace_points:
             raise UserError(
                 f"decision_dt {decision_dt}: people of recordings come and are handed over every "

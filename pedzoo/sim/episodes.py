@@ -19,7 +19,7 @@ from pedzoo.sim.scenario import LEAST_WAY, Layout, Scenario
 from pedzoo.sim.script import Opening
 from pedzoo.sim.state import HOLONOMIC, PAST_LEN, TURNS_FROM, State
 from pedzoo.sim.worlds.base import Physics
-from pedzoo.types import TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.types import TRACE_SECONDS
 
 TRIES = 8
 """Goals that are drawn at most for a person who begins near one."""
@@ -116,11 +116,13 @@ class Episodes:
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
         row = self._scenario.planner.rows(layout.map_id)
         frame, place = self._scenario.planner.bank.walls_of_scenes(row, pose)
-        nothing, none = torch.zeros_like(layout.pref_speed), torch.zeros_like(layout.goal)
-        endless = torch.full_like(nothing, torch.inf)
         position = past[:, :, -1]
         velocity = (position - past[:, :, -2]) / TRACE_SECONDS
-        return State(
+        usual = torch.full_like(layout.pref_speed, self._physics.body_radius)
+        return State.of(
+            past,
+            layout.mask,
+            layout.pref_speed,
             key=key,
             map_id=layout.map_id,
             row=row,
@@ -128,34 +130,22 @@ class Episodes:
             wall_place=place,
             pose=pose,
             scene=opening.scene,
-            clock=nothing[:, 0].clone(),
-            failed=torch.zeros_like(key, dtype=torch.bool),
-            mask=layout.mask,
             controlled=opening.controlled,
             person=opening.person,
             known=opening.known,
-            past=past,
             velocity=velocity,
             heading=_or(layout.heading, heading_of(velocity)),
-            turn_rate=nothing,
-            radius=_or(layout.radius, torch.full_like(nothing, self._physics.body_radius)),
-            kind=_or(layout.kind, none),
-            drive=_or(layout.drive, none),
-            top_speed=_or(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed),
-            acceleration=_or(layout.acceleration, endless),
-            turn_acceleration=_or(layout.turn_acceleration, endless),
-            track=_or(layout.track, torch.ones_like(nothing)),
-            pref_speed=layout.pref_speed,
+            radius=_or(layout.radius, usual),
+            kind=layout.kind,
+            drive=layout.drive,
+            top_speed=layout.top_speed,
+            acceleration=layout.acceleration,
+            turn_acceleration=layout.turn_acceleration,
+            track=layout.track,
             goal_id=layout.goal,
             later_goals=later_goals(self._scenario, key, layout.goal),
             goal_point=position,
-            drawn=none,
-            reached=none,
-            deadline=endless,
-            late=torch.zeros_like(layout.mask),
-            way=nothing,
-            planned=nothing,
-            stands=nothing if layout.stand is None else layout.stand,
+            stands=layout.stand,
         )
 
     def _check(self, layout: Layout) -> None:

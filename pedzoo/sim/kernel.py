@@ -19,9 +19,9 @@ from pedzoo.geometry import heading_of
 from pedzoo.maps.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import blended, driven, limited
-from pedzoo.sim.motion import Motion
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import HOLONOMIC, TURNS_FROM, State
+from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
 
 CONTACT_COST = 1.0
@@ -66,22 +66,6 @@ class Playback(Protocol):
 
     def over(self, state: State) -> Tensor:
         """Return which scenes have ended (B,) bool."""
-        ...
-
-
-class Physics(Protocol):
-    """Moves bodies; see `pedzoo.sim.worlds.base.Physics`."""
-
-    def advance(
-        self,
-        state: State,
-        velocity: Tensor,
-        moving: Tensor,
-        substeps: int,
-        played: Tensor | None = None,
-        command: Tensor | None = None,
-    ) -> Motion:
-        """Return where agents are every 0.1 s, what they touch and which reach their goals."""
         ...
 
 

@@ -19,6 +19,24 @@ class Contacts(NamedTuple):
     wall: Tensor
 
 
+class Walk(NamedTuple):
+    """What agents on the common path do in a decision of S trace points.
+
+    Attributes:
+        velocity: In each 0.1 s (2, S, B, A), m/s, limits respected already.
+        moving: Which agents it moves (B, A) bool; others are played back, or stay where they are.
+        substeps: M, sub-steps of every 0.1 s.
+        played: Paths of those who are played back (B, A, S, M, 2); None for none.
+        wanted: Which agents may reach their goals (B, A) bool.
+    """
+
+    velocity: Tensor
+    moving: Tensor
+    substeps: int
+    played: Tensor | None
+    wanted: Tensor
+
+
 class Motion(NamedTuple):
     """What comes of a decision of S trace points.
 

@@ -39,24 +39,6 @@ class Neighbors(NamedTuple):
     near: Tensor | None
 
 
-class Pairs(NamedTuple):
-    """N pairs of people of the same scene, first < second, packed, in order of scene, first and second.
-
-    Attributes:
-        scene: (N,) long.
-        first: (N,) long.
-        second: (N,) long.
-    """
-
-    scene: Tensor
-    first: Tensor
-    second: Tensor
-
-    def places(self, agents: int) -> tuple[Tensor, Tensor]:
-        """Return the places of the first and of the second in the flattened batch, both (N,)."""
-        return self.scene * agents + self.first, self.scene * agents + self.second
-
-
 @torch.no_grad()
 def nearest(
     position: Tensor, mask: Tensor, reach: float, most: int | None, rows: Tensor | None = None
@@ -117,26 +99,6 @@ def _sorted(rows: list[Tensor]) -> list[Tensor]:
             step //= 2
         span *= 2
     return rows
-
-
-@torch.no_grad()
-def pairs_within(position: Tensor, mask: Tensor, reach: Tensor | float) -> Pairs:
-    """Return all pairs of people who are near each other.
-
-    Args:
-        position: Positions (B, A, 2), metres; anything for absent people.
-        mask: Who is there (B, A) bool.
-        reach: Pairs whose centres are closer than this; or everybody's own (B, A), finite where somebody is
-            there: closer than the sum of both.
-    """
-    present = mask & _finite(position)
-    own = reach if isinstance(reach, Tensor) else position.new_full(mask.shape, reach / 2)
-    if mask.shape[1] <= ALL_PAIRS:
-        first, second = torch.triu_indices(mask.shape[1], mask.shape[1], 1, device=mask.device)
-        close = _closer(position, torch.where(present, own, -torch.inf), 1, first, second)
-        scene, pair = close.nonzero(as_tuple=True)
-        return Pairs(scene, first[pair], second[pair])
-    return _pairs_in_cells(position, present, own)
 
 
 _PLACE = (1 << 31) - 1
@@ -210,9 +172,9 @@ class _Cells(NamedTuple):
         cell, order = cell[place].sort(stable=True)
         return cls(place[order], cell)
 
-    def runs(self, cell: Tensor, rows: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-        """Return from where to where (M, R) people lie in three cells of some rows below cells (M,)."""
-        below = cell[:, None] + (torch.tensor(rows, device=cell.device) << _BITS)
+    def runs(self, cell: Tensor) -> tuple[Tensor, Tensor]:
+        """Return from where to where (M, 3) people lie in the three rows of three cells around cells (M,)."""
+        below = cell[:, None] + (torch.arange(-1, 2, device=cell.device) << _BITS)
         begin = torch.searchsorted(self.cell, below - 1)
         return begin, torch.searchsorted(self.cell, below + 1, right=True)
 
@@ -232,7 +194,7 @@ def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | 
     width = position.new_full((len(present), 1, 1), max(reach, torch.finfo(position.dtype).tiny))
     cells = _Cells.of(position, present, width.double())
     cell = cells.cell.new_full((present.numel(),), -1 << _BITS).index_put_((cells.place,), cells.cell)
-    person, other = _expanded(*cells.runs(cell.index_select(0, asked), (-1, 0, 1)))
+    person, other = _expanded(*cells.runs(cell.index_select(0, asked)))
     own, other = asked.index_select(0, person), cells.place.index_select(0, other)
     x, y = position.flatten(0, 1).T.contiguous()
     dx, dy = (part.index_select(0, other) - part.index_select(0, own) for part in (x, y))
@@ -245,27 +207,3 @@ def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | 
     keys = person.new_full((len(asked), max(1, int(count.max()))), _NOBODY + _PLACE)
     keys.view(-1)[person * keys.shape[1] + rank] = key
     return keys
-
-
-def _pairs_in_cells(position: Tensor, present: Tensor, own: Tensor) -> Pairs:
-    """Return what `pairs_within` does, of people whose own reach is (B, A)."""
-    agents = present.shape[1]
-    own = torch.where(present, own, -torch.inf)
-    width = (2 * own.amax(1)).clamp_min(torch.finfo(own.dtype).tiny)[:, None, None]
-    cells = _Cells.of(position, present, width.double())
-    begin, end = cells.runs(cells.cell, (0, 1))
-    # whoever comes later in the own row, and all of the next
-    begin[:, 0] = torch.arange(1, len(begin) + 1, device=begin.device)
-    one, other = (cells.place.index_select(0, part) for part in _expanded(begin, end))
-    first, second = torch.minimum(one, other), torch.maximum(one, other)
-    near = _closer(position.flatten(0, 1), own.flatten(), 0, first, second).nonzero()[:, 0]
-    key = (first[near] * agents + second[near] % agents).sort()[0]
-    place = key // agents
-    return Pairs(place // agents, place % agents, key % agents)
-
-
-def _closer(position: Tensor, own: Tensor, dim: int, first: Tensor, second: Tensor) -> Tensor:
-    """Return which pairs of people along a dimension are closer than both reaches together."""
-    gap = position.index_select(dim, first) - position.index_select(dim, second)
-    close = own.index_select(dim, first) + own.index_select(dim, second)
-    return (gap.square().sum(-1) < close.square()) & (close > 0)

@@ -11,7 +11,6 @@ from pedzoo.batch import agents_of, maps_of, scene_batch
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.guidance import Guidance
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
-from pedzoo.types import TOP_SPEED_RATIO
 
 
 def observed(state: State, guidance: Guidance, maps: MapBank) -> TensorDict:
@@ -61,46 +60,29 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
     """
     agents = agents_of(batch)
     history, mask = agents["history"], agents["mask"]
-    pref_speed: Tensor = agents["pref_speed"][..., 0]
-    nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(agents["kind"])
-    endless, nowhere = torch.full_like(nothing, torch.inf), torch.zeros_like(none[:, 0])
-    frame, place = maps_of(batch).walls_of_scenes(nowhere - 1, batch["scene_pose"])
+    none = torch.zeros_like(agents["kind"])
+    frame, place = maps_of(batch).walls_of_scenes(none[:, 0] - 1, batch["scene_pose"])
     slots = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
-    way = (destination - history[:, :, -1]).norm(dim=-1)
-    return State(
+    return State.of(
+        dense(history),
+        mask,
+        agents["pref_speed"][..., 0],
         key=key,
         map_id=batch["map_id"][:, 0],
-        row=nowhere - 1,
+        row=none[:, 0] - 1,
         wall_frame=frame,
         wall_place=place,
         pose=batch["scene_pose"],
-        scene=nowhere,
-        clock=nothing[:, 0],
-        failed=torch.zeros_like(mask[:, 0]),
-        mask=mask,
+        scene=none[:, 0],
         controlled=controlled,
         person=slots.where(mask, -1),
         known=(agents["valid"].sum(2) - 1) * TRACE_PER_STEP + 1,
-        past=dense(history),
         velocity=agents["velocity"],
         heading=agents["heading"][..., 0],
-        turn_rate=nothing,
         radius=agents["radius"][..., 0],
         kind=agents["kind"],
-        drive=none,
-        top_speed=pref_speed * TOP_SPEED_RATIO,
-        acceleration=endless,
-        turn_acceleration=endless,
-        track=torch.ones_like(nothing),
-        pref_speed=pref_speed,
         goal_id=none,
         later_goals=torch.full_like(none, -1).unsqueeze(2),
         goal_point=destination,
-        drawn=none,
-        reached=none,
-        deadline=endless,
-        late=torch.zeros_like(mask),
-        way=way,
-        planned=nothing,
-        stands=nothing,
+        way=(destination - history[:, :, -1]).norm(dim=-1),
     )

@@ -38,8 +38,6 @@ class People(NamedTuple):
         first: Frame of their first row (P,) long.
         last: Frame of their last one (P,) long.
         what: ``CONTROLLED`` or why they are played back (P,) long, see `REASONS`.
-        begin_s: When the policy takes over, after 8 rows (P,), seconds.
-        end_s: When they really leave (P,), seconds.
         start: Where they are when the policy takes over (P, 2), metres.
         exit: Where they are last seen (P, 2), metres.
         goal: The goal: the exit, or the nearest place that one can walk to (P, 2), metres.
@@ -53,8 +51,6 @@ class People(NamedTuple):
     first: Tensor
     last: Tensor
     what: Tensor
-    begin_s: Tensor
-    end_s: Tensor
     start: Tensor
     exit: Tensor
     goal: Tensor
@@ -130,8 +126,6 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
         first=torch.from_numpy(first),
         last=torch.from_numpy(last),
         what=torch.from_numpy(what),
-        begin_s=torch.from_numpy((first + OBS_LEN - 1) * STEP_SECONDS),
-        end_s=torch.from_numpy(last * STEP_SECONDS),
         start=places(taken),
         exit=places(end),
         goal=places(end),

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from pedzoo.draws import Draws
-from pedzoo.geometry import nearest_part
 from pedzoo.maps.guidance import Guidance
 from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim import kernel
+from pedzoo.sim.arrival import passes
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.physics.compiled import Compiled
@@ -19,6 +19,7 @@ from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
+from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 _AT_ONCE = 64
@@ -73,7 +74,7 @@ def _still(state: State) -> Guidance:
 
 
 def _walked(
-    scenario: Scenario, script: Script, physics: kernel.Physics, rules: kernel.Rules, start: State
+    scenario: Scenario, script: Script, physics: Physics, rules: kernel.Rules, start: State
 ) -> Rollout:
     """Return what really happened in scenes that begin so."""
     people, scene = script.people, start.scene
@@ -123,7 +124,5 @@ def _walked(
 def _arrived(begin: Tensor, trace: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
     """Return which agents have come within 0.3 m of the goal until each trace point (B, A, S) bool."""
     points = torch.cat((begin.unsqueeze(2), trace), dim=2)
-    move, away = points.diff(dim=2), points[:, :, :-1] - goal.unsqueeze(2)
-    nearest = away + nearest_part(away, move).unsqueeze(-1) * move
-    near = (nearest.square().sum(-1) < GOAL_RADIUS**2) & wanted.unsqueeze(2)
-    return near.cummax(2).values
+    near = passes(points[:, :, :-1], points[:, :, 1:], goal.unsqueeze(2))
+    return (near & wanted.unsqueeze(2)).cummax(2).values

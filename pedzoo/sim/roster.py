@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import heading_of, nearest_part
+from pedzoo.geometry import heading_of
+from pedzoo.sim.arrival import passes
 from pedzoo.sim.called_with import OTHER_RADIUS, Disc, metres_of, number_of, speed_of
-from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
+from pedzoo.types import BODY_RADIUS
 
 
 class Roster(NamedTuple):
@@ -165,13 +166,10 @@ class Roster(NamedTuple):
         return self._replace(past=past, heading=torch.where(new, heading_of(velocity), self.heading))
 
     def arrived(self, begin: Tensor, end: Tensor) -> Roster:
-        """Return the roster in which people stand whose goal is within `GOAL_RADIUS` of their last move.
+        """Return the roster in which people stand whose goal is within 0.3 m of their last move.
 
         Args:
             begin: Where agents were (N, 2), metres; NaN where that is unknown.
             end: Where they are (N, 2), metres.
         """
-        away, move = begin - self.goal_point, end - begin
-        nearest = away + nearest_part(away, move).unsqueeze(1) * move
-        near = nearest.square().sum(1) < GOAL_RADIUS**2
-        return self._replace(stands=self.stands | near)
+        return self._replace(stands=self.stands | passes(begin, end, self.goal_point))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in one step of the networks' clock."""
@@ -99,6 +99,26 @@ class State(NamedTuple):
     way: Tensor
     planned: Tensor
     stands: Tensor
+
+    @classmethod
+    def of(cls, past: Tensor, mask: Tensor, pref_speed: Tensor, **given: Tensor | None) -> State:
+        """Return people who have done nothing yet; what is not given is that of a person, without limits.
+
+        Args:
+            past: As in the class, as all others.
+            mask: Which agents are there.
+            pref_speed: The speed that agents like.
+            given: All that differs between scenes, and whatever else is not as usual.
+        """
+        nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
+        endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)
+        usual = dict.fromkeys(("turn_rate", "way", "planned", "stands"), nothing)
+        usual |= dict.fromkeys(("kind", "drive", "drawn", "reached"), none)
+        usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
+        usual |= {"late": never, "failed": never.new_zeros(len(mask)), "clock": nothing.new_zeros(len(mask))}
+        usual |= {"track": torch.ones_like(nothing), "top_speed": TOP_SPEED_RATIO * pref_speed}
+        usual |= {name: value for name, value in given.items() if value is not None}
+        return cls(past=past, mask=mask, pref_speed=pref_speed, **usual)
 
     @property
     def position(self) -> Tensor:

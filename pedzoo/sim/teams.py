@@ -13,7 +13,7 @@ from pedzoo import draws
 from pedzoo.batch import PERSON, ROBOT, agents_of, ids_of
 from pedzoo.errors import UserError
 from pedzoo.geometry import limit_speed
-from pedzoo.models.walker import Walker
+from pedzoo.models.walker import Walker, check_interval
 from pedzoo.sim import crowd
 from pedzoo.sim.dynamics import blended
 from pedzoo.sim.plans import Memory, Plans
@@ -168,7 +168,7 @@ class Teams(Policy):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the velocities of all agents."""
-        self._check(tensordict)
+        check_interval(tensordict, self.decision_dt, "this crowd")
         teams = cast("list[Team]", list(self.teams))
         if len(teams) == 1:
             return teams[0].policy(tensordict)
@@ -186,15 +186,6 @@ class Teams(Policy):
         draw = draws.uniform(draws.join(cast("Tensor", scenes["scene_key"]), "team", ids_of(scenes)))
         kind = cast("Tensor", agents_of(scenes)["kind"])
         return [team.of(draw, kind) for team in cast("list[Team]", list(self.teams))]
-
-    def _check(self, tensordict: TensorDictBase) -> None:
-        """Refuse an environment that decides at another step than the crowd."""
-        trace = tensordict.get(("agents", "info", "trace"), None)
-        if trace is not None and trace.shape[2] != round(self.decision_dt / TRACE_SECONDS):
-            raise UserError(
-                f"this crowd decides every {self.decision_dt:g} s, not every "
-                f"{trace.shape[2] * TRACE_SECONDS:g} s: make_env(..., decision_dt={self.decision_dt:g})"
-            )
 
 
 def _teams(what: str | Policy | Walker, kind: int | None) -> list[Team]:

@@ -86,10 +86,14 @@ class Ways(NamedTuple):
 
         Agents that stand, and others, have their position as carrot and desire no velocity.
         """
-        map_id = torch.full_like(people.goal_id, self.map_id)
-        pose = identity_pose(len(map_id))
         goal_id = torch.where(people.walks, people.goal_id, -1)
-        return self.planner.guide(position, goal_id, map_id, pose, people.pref_speed, AHEAD_SECONDS)
+        row = torch.tensor([0 if self.planner.bank.grids else -1])
+        fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
+        points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
+        told = self.planner.guide_scenes(
+            points, goal_id, row, identity_pose(1), speed, AHEAD_SECONDS, fastest
+        )
+        return Guidance(*(part.squeeze(0) for part in told))
 
     def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
         row = 0 if self.planner.bank.grids else -1

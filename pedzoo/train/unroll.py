@@ -13,10 +13,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo import geometry
 from pedzoo.batch import agents_of, goals_of, maps_of
 from pedzoo.maps.guidance import Guidance
 from pedzoo.sim import kernel
+from pedzoo.sim.arrival import passes
 from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.scenario import SLOWEST
@@ -148,7 +148,7 @@ def recorded(batch: TensorDict, steps: int) -> Unrolled:
     agents, there = agents_of(batch), known_to_be_there(batch)[..., :steps]
     destination, xy = goals_of(batch, "walking on")[0], agents["future"][:, :, :steps]
     before = torch.cat((agents["history"][:, :, -1:], xy[:, :, :-1]), 2)
-    arrives = _arrives(before, xy, destination.unsqueeze(2))
+    arrives = passes(before, xy, destination.unsqueeze(2))
     had = torch.cat((torch.zeros_like(arrives[..., :1]), arrives[..., :-1]), 2).cummax(2).values
     walked = there & ~had & _controlled(before[:, :, 0], destination).unsqueeze(2)
     return Unrolled(xy, walked, there)
@@ -170,10 +170,3 @@ def _towards(position: Tensor, destination: Tensor) -> Tensor:
     """Return unit vectors (B, A, 2), zero where somebody is there."""
     way = destination - position
     return way / way.square().sum(-1, keepdim=True).clamp_min(_NEAR**2).sqrt()
-
-
-def _arrives(begin: Tensor, end: Tensor, destination: Tensor) -> Tensor:
-    """Return whose straight way (..., 2) comes within 0.3 m of their destination (...,) bool."""
-    move, away = end - begin, begin - destination
-    nearest = away + geometry.nearest_part(away, move).unsqueeze(-1) * move
-    return nearest.square().sum(-1) < GOAL_RADIUS**2

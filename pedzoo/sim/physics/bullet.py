@@ -14,12 +14,10 @@ from torch import Tensor
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts
-from pedzoo.sim.neighbors import pairs_within
 from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
 from pedzoo.sim.worlds.bullet_scene import BulletScene
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.frames import Affine, scene_to_grid
-from pedzoo.sim.worlds.near import farthest
 from pedzoo.sim.worlds.pybullet_client import load_pybullet
 from pedzoo.types import BODY_RADIUS
 
@@ -169,15 +167,20 @@ class Bullet(Physics):
     def contacts(self, path: Tensor, people: People) -> Contacts:
         """See `Physics.contacts`."""
         extra = self._radius(people) - self.body_radius
-        far = farthest(path.flatten(2, 3).permute(3, 2, 0, 1), people.position.movedim(-1, 0))
+        # a bound on how far anybody gets
+        far = torch.hypot(*(path - people.position[:, :, None, None]).abs().amax((2, 3)).movedim(-1, 0))
         present = people.mask & far.isfinite()
         agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
-        pairs = pairs_within(people.position, present, far + self._radius(people) + _SLACK)
-        both = 2 * self.body_radius + extra[pairs.scene, pairs.first] + extra[pairs.scene, pairs.second]
-        apart = (path[pairs.scene, pairs.first] - path[pairs.scene, pairs.second]).abs().amax(-1)
+        own = torch.where(present, far + self._radius(people) + _SLACK, -torch.inf)
+        reach = own.unsqueeze(2) + own.unsqueeze(1)
+        between = (people.position.unsqueeze(2) - people.position.unsqueeze(1)).square().sum(-1)
+        near = (between < reach.square()) & (reach > 0)
+        of, first, second = near.triu(1).nonzero(as_tuple=True)
+        both = 2 * self.body_radius + extra[of, first] + extra[of, second]
+        apart = (path[of, first] - path[of, second]).abs().amax(-1)
         pair, trace, step = (apart < both.view(-1, 1, 1) + _SLACK).nonzero(as_tuple=True)
         meetings: list[list[tuple[int, ...]]] = [[] for _ in range(len(path))]
-        columns = (pairs.scene[pair], pairs.first[pair], pairs.second[pair], trace, step)
+        columns = (of[pair], first[pair], second[pair], trace, step)
         for scene, *meeting in torch.stack(columns, 1).tolist():
             meetings[scene].append(tuple(meeting))
         ways, rooms, wider = _array(path), far.cpu().numpy(), _array(extra)

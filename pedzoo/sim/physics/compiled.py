@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.motion import Contacts, Motion, Walk
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.base import People
@@ -15,18 +15,10 @@ from pedzoo.sim.worlds.compiled import advance_compiled, compiles, contacts_comp
 class Compiled(Torch):
     """Answers as `Torch`, gradients too, several times faster on a CPU."""
 
-    def _advance(
-        self,
-        state: State,
-        velocity: Tensor,
-        moving: Tensor,
-        substeps: int,
-        played: Tensor | None,
-        wanted: Tensor,
-    ) -> Motion:
-        if compiles(state.past, velocity):
-            return advance_compiled(self.bank, state, velocity, moving, substeps, played, wanted)
-        return super()._advance(state, velocity, moving, substeps, played, wanted)
+    def _advance(self, state: State, walk: Walk) -> Motion:
+        if compiles(state.past, walk.velocity):
+            return advance_compiled(self.bank, state, walk)
+        return super()._advance(state, walk)
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: People) -> Contacts:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.motion import Contacts, Motion, Walk
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
 from pedzoo.sim.worlds.camera import Camera
@@ -46,24 +46,16 @@ class Torch(Physics):
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
-    def _advance(
-        self,
-        state: State,
-        velocity: Tensor,
-        moving: Tensor,
-        substeps: int,
-        played: Tensor | None,
-        wanted: Tensor,
-    ) -> Motion:
+    def _advance(self, state: State, walk: Walk) -> Motion:
         """See `Physics.advance`; contacts come from the distances that the path has looked up already."""
-        path, gap = self._walked(state, velocity, moving, substeps, played)
+        (path, gap), substeps = self._walked(state, walk), walk.substeps
         with torch.no_grad():
             radius = state.radius
             points = path.detach()
             agent = agent_contacts(points, state.mask, radius)
             wall = torch.zeros_like(agent) if gap is None else (gap < radius) & state.mask
             near = (points - state.goal_point.movedim(-1, 0).unsqueeze(1)).square().sum(0) < GOAL_RADIUS**2
-            flags = torch.stack((agent, wall, near & wanted)).unflatten(1, (-1, substeps)).any(2)
+            flags = torch.stack((agent, wall, near & walk.wanted)).unflatten(1, (-1, substeps)).any(2)
             reached = flags[2].cumsum(0) > 0
         trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
         return Motion(trace, *(part.permute(1, 2, 0) for part in (flags[0], flags[1], reached)))

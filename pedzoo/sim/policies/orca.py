@@ -59,21 +59,14 @@ class Orca(Policy):
         Raises:
             UserError: A setting is out of range.
         """
+        names = OrcaSettings.__dataclass_fields__
+        given = {name: value for name, value in locals().items() if name in names and value is not None}
         super().__init__(dt)
         if top_speed_ratio is None:
             top_speed_ratio = 1.0 if preset == "igibson" else TOP_SPEED_RATIO
         if jitter < 0 or top_speed_ratio <= 0:
             raise UserError(f"orca: jitter {jitter}, top_speed_ratio {top_speed_ratio}: expected >= 0, > 0")
-        given = {
-            "radius": radius,
-            "neighbor_dist": neighbor_dist,
-            "max_neighbors": max_neighbors,
-            "time_horizon": time_horizon,
-            "time_horizon_obst": time_horizon_obst,
-            "max_obstacles": max_obstacles,
-        }
-        changes = {key: value for key, value in given.items() if value is not None}
-        self.settings = OrcaSettings.preset(preset, time_step=dt, **changes)
+        self.settings = OrcaSettings.preset(preset, time_step=dt, **given)
         self.jitter, self.top_speed_ratio = jitter, top_speed_ratio
         self._sees_walls = walls
 

@@ -74,25 +74,10 @@ class SocialForce(Policy):
         Raises:
             UserError: A setting is out of range.
         """
+        names = SocialForceSettings.__dataclass_fields__
+        given = {name: value for name, value in locals().items() if name in names and value is not None}
         super().__init__(dt)
-        given = {
-            "tau": tau,
-            "strength": strength,
-            "sigma": sigma,
-            "step_time": step_time,
-            "wall_strength": wall_strength,
-            "wall_range": wall_range,
-            "anisotropy": anisotropy,
-            "view_angle": view_angle,
-            "out_of_view": out_of_view,
-            "behind": behind,
-            "top_speed_ratio": top_speed_ratio,
-            "neighbor_dist": neighbor_dist,
-            "max_neighbors": max_neighbors,
-            "fluctuation": fluctuation,
-        }
-        changes = {key: value for key, value in given.items() if value is not None}
-        self.settings = SocialForceSettings.preset(preset, **changes)
+        self.settings = SocialForceSettings.preset(preset, **given)
         if dt > self.settings.tau:
             raise UserError(
                 f"social_force: dt {dt}: expected at most tau, {self.settings.tau} s: who holds a velocity "

@@ -16,7 +16,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.motion import Contacts, Motion, Owned
+from pedzoo.sim.motion import Contacts, Motion, Owned, Walk
 from pedzoo.sim.state import State
 from pedzoo.sim.worlds.camera import Camera
 from pedzoo.sim.worlds.compiled import advance_compiled, compiles
@@ -154,7 +154,7 @@ class Physics(ABC):
         wanted = moving & (state.goal_id >= 0)
         own = self.owned(state)
         if own is None:
-            return self._advance(state, velocity, moving, substeps, played, wanted)
+            return self._advance(state, Walk(velocity, moving, substeps, played, wanted))
         own = own & moving
         if command is None:
             command = torch.zeros_like(state.velocity)
@@ -163,42 +163,32 @@ class Physics(ABC):
         if played is None:
             played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
         played = torch.where(own[:, :, None, None, None], moved.path, played)
-        motion = self._advance(state, velocity, moving & ~own, substeps, played, wanted)
+        motion = self._advance(state, Walk(velocity, moving & ~own, substeps, played, wanted))
         return motion._replace(
             heading=torch.where(own, moved.heading, torch.nan),
             turn_rate=torch.where(own, moved.turn_rate, 0.0),
         )
 
-    def _advance(
-        self,
-        state: State,
-        velocity: Tensor,
-        moving: Tensor,
-        substeps: int,
-        played: Tensor | None,
-        wanted: Tensor,
-    ) -> Motion:
-        """See `advance`, of agents that move on the common path; ``wanted`` (B, A) may reach their goals."""
+    def _advance(self, state: State, walk: Walk) -> Motion:
+        """See `advance`, of agents that move on the common path."""
         people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
-        if compiles(state.past, velocity):
-            paths = torch.empty(*moving.shape, velocity.shape[1], substeps, 2)
-            walked = advance_compiled(self.bank, state, velocity, moving, substeps, played, wanted, paths)
+        if compiles(state.past, walk.velocity):
+            paths = torch.empty(*walk.moving.shape, walk.velocity.shape[1], walk.substeps, 2)
+            walked = advance_compiled(self.bank, state, walk, paths)
             return Motion(walked.trace, *self.contacts(paths, people), walked.reached)
-        path, _ = self._walked(state, velocity, moving, substeps, played)
-        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, substeps))
+        path, _ = self._walked(state, walk)
+        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, walk.substeps))
         contacts = self.contacts(steps.detach(), people)
-        return Motion(steps[:, :, :, -1], *contacts, arrived(steps.detach(), state.goal_point, wanted))
+        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, walk))
 
-    def _walked(
-        self, state: State, velocity: Tensor, moving: Tensor, substeps: int, played: Tensor | None
-    ) -> tuple[Tensor, Tensor | None]:
+    def _walked(self, state: State, walk: Walk) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
         walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
-        position = state.position.movedim(-1, 0)
-        path, gap = integrate(position, velocity * moving, state.radius, substeps, walls)
-        if played is not None:
-            given = played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
-            scripted = state.mask & ~moving
+        position, velocity = state.position.movedim(-1, 0), walk.velocity * walk.moving
+        path, gap = integrate(position, velocity, state.radius, walk.substeps, walls)
+        if walk.played is not None:
+            given = walk.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
+            scripted = state.mask & ~walk.moving
             path = torch.where(scripted, given, path)
             if walls is not None and gap is not None:
                 gap = torch.where(scripted, walls.look(given, edges=False)[0], gap)

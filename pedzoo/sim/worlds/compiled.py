@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
-from pedzoo.sim.motion import Contacts, Motion
+from pedzoo.sim.motion import Contacts, Motion, Walk
 from pedzoo.sim.state import State
 from pedzoo.types import GOAL_RADIUS, TRACE_SECONDS
 
@@ -24,33 +24,30 @@ def compiles(*tensors: Tensor) -> bool:
     return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
 
 
-def advance_compiled(
-    bank: MapBank,
-    state: State,
-    velocity: Tensor,
-    moving: Tensor,
-    substeps: int,
-    played: Tensor | None,
-    wanted: Tensor,
-    paths: Tensor | None = None,
-) -> Motion:
+def advance_compiled(bank: MapBank, state: State, walk: Walk, paths: Tensor | None = None) -> Motion:
     """Return what `Physics.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
 
     The trace is differentiable with respect to positions, velocities and played paths.
     """
+    velocity, moving, substeps, played, wanted = walk
     position = state.past[:, :, -1]
+    slopes = None
     if torch.is_grad_enabled() and any(
         part is not None and part.requires_grad for part in (position, velocity, played)
     ):
         slopes = torch.zeros(*moving.shape, velocity.shape[1], 8)
-        with torch.no_grad():
-            motion = _advance(bank, state, velocity, moving, substeps, played, wanted, paths, slopes)
-        trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
-        if played is not None:
-            scripted = (state.mask & ~moving)[..., None, None]
-            trace = torch.where(scripted, played[:, :, :, -1], trace)
-        return motion._replace(trace=trace)
-    return _advance(bank, state, velocity, moving, substeps, played, wanted, paths, None)
+    motion = _run(
+        bank, position, velocity, state.radius, state.mask, moving,
+        torch.empty(0, 0, 0, 0, 2) if played is None else played.float(), state.goal_point, wanted,
+        substeps, (state.wall_frame, state.wall_place), paths, slopes,
+    )  # fmt: skip
+    if slopes is None:
+        return motion
+    trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
+    if played is not None:
+        scripted = (state.mask & ~moving)[..., None, None]
+        trace = torch.where(scripted, played[:, :, :, -1], trace)
+    return motion._replace(trace=trace)
 
 
 class _Trace(torch.autograd.Function):
@@ -78,37 +75,6 @@ class _Trace(torch.autograd.Function):
         return carried, torch.stack(velocity[::-1]).permute(3, 0, 1, 2), None, None, None
 
 
-def _advance(
-    bank: MapBank,
-    state: State,
-    velocity: Tensor,
-    moving: Tensor,
-    substeps: int,
-    played: Tensor | None,
-    wanted: Tensor,
-    paths: Tensor | None,
-    slopes: Tensor | None,
-) -> Motion:
-    scenes, agents = moving.shape
-    ticks = velocity.shape[1]
-    return _run(
-        bank,
-        state.past[:, :, -1],
-        velocity,
-        state.radius,
-        state.mask,
-        moving,
-        torch.empty(0, 0, 0, 0, 2) if played is None else played.float(),
-        state.goal_point,
-        wanted,
-        substeps,
-        (scenes, agents, ticks),
-        (state.wall_frame, state.wall_place),
-        paths,
-        slopes,
-    )
-
-
 def contacts_compiled(
     bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
 ) -> Contacts:
@@ -118,20 +84,19 @@ def contacts_compiled(
     start = path[:, :, 0, 0]
     velocity = path.new_zeros(2, ticks, scenes, agents)
     found = _run(
-        bank, start, velocity, radius, present, nothing, path, start, nothing, substeps,
-        (scenes, agents, ticks), (frame, place),
+        bank, start, velocity, radius, present, nothing, path, start, nothing, substeps, (frame, place)
     )  # fmt: skip
     return Contacts(found.agent_contact, found.wall_contact)
 
 
 def _run(
     bank: MapBank, position: Tensor, velocity: Tensor, radius: Tensor, present: Tensor, moving: Tensor,
-    played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, shape: tuple[int, int, int],
-    walls: tuple[Tensor, Tensor], paths: Tensor | None = None, slopes: Tensor | None = None,
+    played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, walls: tuple[Tensor, Tensor],
+    paths: Tensor | None = None, slopes: Tensor | None = None,
 ) -> Motion:  # fmt: skip
     from pedzoo.sim.worlds.compiled_loops import advance
 
-    tables = bank.wall_arrays
+    shape = *moving.shape, velocity.shape[1]
     trace = torch.empty(*shape, 2)
     agent, wall, reached = torch.empty(3, *shape, dtype=torch.bool)
     arrays: list[Any] = [
@@ -141,7 +106,7 @@ def _run(
     frames, places = (part.numpy() for part in walls) if bank.grids else _NO_FRAMES
     advance(
         *arrays, GOAL_RADIUS**2, substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
-        frames, places, *tables,
+        frames, places, *bank.walls.arrays,
         trace.numpy(), agent.numpy(), wall.numpy(), reached.numpy(),
         _NO_PATHS if paths is None else paths.numpy(),
         _NO_SLOPES if slopes is None else slopes.numpy(),

@@ -28,8 +28,3 @@ def agent_contacts(path: Tensor, present: Tensor, radius: Tensor) -> Tensor:
 def _touching(path: Tensor, least: Tensor) -> Tensor:
     x, y = path.unsqueeze(-1) - path.unsqueeze(-2)
     return (torch.addcmul(x * x, y, y) < least).any(-1)
-
-
-def farthest(path: Tensor, origin: Tensor) -> Tensor:
-    """Return a bound (...) on how far agents get from ``origin`` (2, ...) on ``path`` (2, N, ...)."""
-    return torch.hypot(*(path - origin.unsqueeze(1)).abs_().amax(1))

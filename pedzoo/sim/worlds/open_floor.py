@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
-from pedzoo.sim.dynamics import integrate
-from pedzoo.sim.motion import Motion
+from pedzoo.maps.bank import MapBank
+from pedzoo.sim.arrival import arrived
+from pedzoo.sim.motion import Motion, Walk
+from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
-from pedzoo.types import GOAL_RADIUS
 
 
-class OpenFloor:
+class OpenFloor(Torch):
     """Moves agents straight, or as they were recorded; differentiable."""
 
-    def advance(
-        self,
-        state: State,
-        velocity: Tensor,
-        moving: Tensor,
-        substeps: int,
-        played: Tensor | None = None,
-        command: Tensor | None = None,
-    ) -> Motion:
-        """Return where agents are every 0.1 s; see `pedzoo.sim.worlds.base.Physics.advance`."""
-        path, _ = integrate(state.position.movedim(-1, 0), velocity * moving, state.radius, substeps, None)
-        if played is not None:
-            given = played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
-            path = torch.where(state.mask & ~moving, given, path)
-        apart = path.detach() - state.goal_point.detach().movedim(-1, 0).unsqueeze(1)
-        near = apart.square().sum(0) < GOAL_RADIUS**2
-        wanted = moving & (state.goal_id >= 0)
-        reached = (near & wanted).unflatten(0, (-1, substeps)).any(1).cumsum(0) > 0
-        trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
+    def __init__(self) -> None:
+        """Take no floor plan."""
+        super().__init__(MapBank())
+
+    def _advance(self, state: State, walk: Walk) -> Motion:
+        path, _ = self._walked(state, walk)
+        trace = path[:, walk.substeps - 1 :: walk.substeps].permute(2, 3, 1, 0)
         nothing = torch.zeros_like(trace[..., 0], dtype=torch.bool)
-        return Motion(trace, nothing, nothing, reached.permute(1, 2, 0))
+        return Motion(trace, nothing, nothing, arrived(path, state.goal_point, walk))
