@@ -1,7 +1,9 @@
 """Writes checkpoints/KERNEL.md: the numbers of every shipped card, as the card has them and as they are now.
 
     pedzoo evaluate NAME ... --from-card --json FILE     # as many files as you like
-    python tools/kernel_page.py FILE... --out checkpoints/KERNEL.md
+    python tools/bench/before_after.py --peer ... --json speed.json      # and the other two, if you like
+    python tools/robots_respected.py --json robots.json
+    python tools/kernel_page.py FILE... --speed speed.json --robots robots.json --out checkpoints/KERNEL.md
 
 The cards were measured before the kernel (pedzoo/sim/kernel.py); what has changed since and why stands in
 `WHY`, and every number outside of the card's 95 % interval is listed.
@@ -48,10 +50,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--speed", type=Path, help="Report of tools/bench/before_after.py.")
+    parser.add_argument("--robots", type=Path, help="Report of tools/robots_respected.py.")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     rows = [row for file in given.files for row in json.loads(file.read_text())["rows"] if "card" in row]
-    given.out.write_text("\n".join(page(rows)) + "\n")
+    lines = list(page(rows))
+    if given.speed:
+        lines += ["", *speed_table(json.loads(given.speed.read_text()))]
+    if given.robots:
+        lines += ["", *robots_table(json.loads(given.robots.read_text()))]
+    given.out.write_text("\n".join(lines) + "\n")
     print(f"{given.out}: {len({row['name'] for row in rows})} cards")
 
 
@@ -92,6 +101,55 @@ def main_table(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         if any(cells):
             start = f"| `{row['name']}` | {row['case']['evaluation']} | {row['n']:.0f} | "
             yield start + " | ".join(cells) + " |"
+
+
+def speed_table(report: dict[str, Any]) -> Iterator[str]:
+    """Yield the section of speeds, before and after and of peers."""
+    yield "## Speed"
+    yield ""
+    yield (
+        "Agent-steps per second of one thread, both commits in turns in one run of "
+        "`python tools/bench/before_after.py`. Read the ratios; bars are those of the issue."
+    )
+    yield ""
+    yield "| what | size | physics | before | after | after / before | bar |"
+    yield "|---|---|---|---|---|---|---|"
+    for row in report["rows"]:
+        metrics, case = row["metrics"], row["case"]
+        if "times_before" in metrics:
+            speeds = f"{metrics['before_agent_steps_per_s']:,.0f} | {metrics['after_agent_steps_per_s']:,.0f}"
+            bars = ", ".join(
+                f"{bar['bar'].split()[-1]} {'met' if bar['ok'] else 'MISSED'}" for bar in row["bars"]
+            )
+            ratio = f"{metrics['times_before']:.2f}"
+            yield f"| {row['name']} | {case['size']} | {case['physics']} | {speeds} | {ratio} | {bars} |"
+        elif "before_percent" in metrics:
+            shares = f"{metrics['before_percent']:.0f} % | {metrics['after_percent']:.0f} %"
+            yield f"| {row['name']} | {case['size']} | | {shares} | | below 25 % |"
+    yield ""
+    yield "| other programs | size | agent-steps/s | step, s |"
+    yield "|---|---|---|---|"
+    for row in report["rows"]:
+        if "agent_steps_per_s" in row["metrics"]:
+            speed, case = row["metrics"]["agent_steps_per_s"], row["case"]
+            yield f"| {row['name']} | {case['size']} | {speed:,.0f} | {case['step_s']} |"
+
+
+def robots_table(report: dict[str, Any]) -> Iterator[str]:
+    """Yield the section of robots that keep their course."""
+    yield "## Robots are respected"
+    yield ""
+    yield (
+        "A disc of 0.5 m that is parked or drives at 1 m/s and reacts to nothing, nine lateral offsets, by "
+        "`python tools/robots_respected.py`. A touch is a distance below 0.65 m between centres."
+    )
+    yield ""
+    yield "| policy | case | runs | touches | arrived | nearest, m |"
+    yield "|---|---|---|---|---|---|"
+    for row in report["rows"]:
+        metrics, case = row["metrics"], row["case"]
+        counts = f"{row['n']} | {metrics['touches']:.0f} | {metrics['arrived']:.0f}"
+        yield f"| `{row['name']}` | {case} | {counts} | {metrics['nearest_m']:.3f} |"
 
 
 def both(before: float | None, now: float | None) -> str:

@@ -14,13 +14,25 @@ import numpy as np
 
 from pedzoo.maps.contenders import CONTENDERS
 
-jit = numba.njit(cache=True, error_model="numpy")
+
+def compiled(signature: str | None = None) -> Callable[[Any], Any]:
+    """Return a decorator that compiles a function: at once for a signature, else when it is first called.
+
+    What is compiled is kept beside the source, or in numba's own folder where that cannot be written.
+    """
+
+    njit: Any = numba.njit
+
+    def decorate(function: Any) -> Any:
+        try:
+            return njit(signature, cache=True, error_model="numpy")(function)
+        except RuntimeError:  # numba finds no folder at all to keep it in
+            return njit(signature, error_model="numpy")(function)
+
+    return decorate
 
 
-def compiled(signature: str) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a function once, for arrays in any layout."""
-    return numba.njit(signature, cache=True, error_model="numpy")
-
+jit = compiled()
 
 _SPACING = 0.3
 _EPSILON = 1e-6
