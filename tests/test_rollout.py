@@ -198,6 +198,7 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
         "physics": "compiled",
         "episodes": 3,
         "noise": "none",
+        "device": "cpu",
         "warm_start": "static",
         "clearance": 0.25,
     }
