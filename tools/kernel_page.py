@@ -107,9 +107,11 @@ def speed_table(report: dict[str, Any]) -> Iterator[str]:
     """Yield the section of speeds, before and after and of peers."""
     yield "## Speed"
     yield ""
+    asked = report["protocol"]
     yield (
-        "Agent-steps per second of one thread, both commits in turns in one run of "
-        "`python tools/bench/before_after.py`. Read the ratios; bars are those of the issue."
+        f"Agent-steps per second of one thread, commits {asked['before']} and {asked['after']} in turns, in one "
+        f"run of `python tools/bench/before_after.py` ({asked['turns']} turns of {asked['seconds_per_turn']} s). "
+        "Read the ratios; bars are those of the issue. `kernel.step` is a plain loop without observations."
     )
     yield ""
     yield "| what | size | physics | before | after | after / before | bar |"
