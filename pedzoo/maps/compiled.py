@@ -20,7 +20,6 @@ def compiled(signature: str | None = None) -> Callable[[Any], Any]:
 
     What is compiled is kept beside the source, or in numba's own folder where that cannot be written.
     """
-
     njit: Any = numba.njit
 
     def decorate(function: Any) -> Any:
