@@ -37,8 +37,8 @@ WHY = """What changed between the two, in the order of how much it moves:
 4. **Blending**: velocities blend over 0.1 s between two decisions. Decisions end where they ended before,
    except where the top speed forbids to catch up. The paths between differ by up to 0.05 s times the change
    of velocity, so contacts between two decisions move.
-5. **Safety layer**: it keeps the blended path clear and not a straight one, and its rounds end when a scene is
-   settled. Two people at a door come up to 5 cm nearer to each other than before, and still do not touch.
+5. **Safety layer**: it keeps the blended path clear and not a straight one, and its rounds end with a settled
+   scene. Two people at a door come up to 5 cm nearer to each other than before, and still do not touch.
 6. **ORCA's part**: ORCA takes all of the avoidance of agents that it does not move. That changes the warm
    start of scenes in which somebody stands.
 7. **Stochastic models** whose first step crosses a threshold by a rounding walk another way from there on.
