@@ -55,6 +55,11 @@ PERSON, ROBOT = 0, 1
 """Values of ``agents/kind``."""
 
 
+def usual_body(radius: Tensor) -> Tensor:
+    """Return which bodies are as wide as a person's usual one (...) bool, for radii (...) in metres."""
+    return (radius - BODY_RADIUS).abs() < 1e-6
+
+
 def scene_batch(
     *,
     maps: MapBank,

@@ -12,9 +12,10 @@ import math
 import torch
 from torch import Tensor
 
+from pedzoo.batch import usual_body
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.models.clearance import MARGIN, Steps
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.types import STEP_SECONDS
 
 HORIZON = 4.0
 """Seconds within which a contact with a robot counts."""
@@ -46,8 +47,7 @@ def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
         steps: What is asked for.
         walls: Of the scenes (`MapBank.walls_around`), B entries; None for none.
     """
-    usual = (steps.radius - BODY_RADIUS).abs() < 1e-6
-    avoided = steps.present & ~steps.moved & (steps.robot | ~usual)
+    avoided = steps.present & ~steps.moved & (steps.robot | ~usual_body(steps.radius))
     if avoided.device.type == "cpu" and not bool(avoided.any()):
         return steps.step
     with torch.no_grad():

@@ -147,18 +147,16 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
     motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
-    if motion.heading is not None and motion.turn_rate is not None:
-        theirs = ~motion.heading.isnan()
-        heading = torch.where(theirs, motion.heading, heading)
-        turn_rate = torch.where(theirs, motion.turn_rate, turn_rate)
     hits = motion.reached
     hit = hits[..., -1]
     after, taken_over = _arrived(state, hits, motion.trace, failed, rules)
     turned = heading_of(after.velocity, heading, TURNS_FROM)
     if rules.wheels:
         turned = torch.where(state.drive == HOLONOMIC, turned, heading)
-    if motion.heading is not None:
-        turned = torch.where(motion.heading.isnan(), turned, heading)
+    if motion.heading is not None and motion.turn_rate is not None:
+        theirs = ~motion.heading.isnan()
+        turned = torch.where(theirs, motion.heading, turned)
+        turn_rate = torch.where(theirs, motion.turn_rate, turn_rate)
     after = after._replace(heading=turned, turn_rate=turn_rate)
 
     guidance = rules.guide(after)

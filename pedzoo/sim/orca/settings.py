@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pedzoo.batch import usual_body
 from pedzoo.errors import UserError, unknown
-from pedzoo.types import BODY_RADIUS
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,8 @@ class OrcaSettings:
             robot: Which agents are robots (...) bool.
             controlled: Which agents ORCA moves (...) bool.
         """
-        other = (body - BODY_RADIUS).abs() > 1e-6
         own = torch.where(controlled & ~robot, body.clamp_min(self.radius), body)
-        return torch.where(robot | other, own, self.radius)
+        return torch.where(robot | ~usual_body(body), own, self.radius)
 
     def wall_reach(self, max_speed: Tensor, radius: Tensor | None = None) -> Tensor:
         """Return the distance (...) within which walls matter, metres.

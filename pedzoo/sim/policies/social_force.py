@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo import draws
-from pedzoo.batch import ROBOT, agents_of, ids_of, maps_of
+from pedzoo.batch import ROBOT, agents_of, ids_of, maps_of, usual_body
 from pedzoo.errors import UserError
 from pedzoo.geometry import move_to_map, turn_to_scene
 from pedzoo.sim.policy import Policy
@@ -120,8 +120,7 @@ class SocialForce(Policy):
         of a body that gives no way begins where it would be touched.
         """
         radius = agents["radius"][..., 0]
-        usual = (radius - BODY_RADIUS).abs() < 1e-6
-        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~usual)
+        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~usual_body(radius))
         return torch.where(gives_no_way, radius + 2 * BODY_RADIUS, radius)
 
     def _walls(self, tensordict: TensorDictBase) -> Callable[[Tensor, Tensor | None], Tensor]:
