@@ -70,6 +70,43 @@ def test_compiled_loops_and_torch_agree(env: PedestrianEnv) -> None:
     assert worst < 1e-4
 
 
+@pytest.mark.parametrize("leave", [True, False])
+def test_a_compiled_decision_is_that_of_the_kernel(
+    env: PedestrianEnv, leave: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also with goals reached, agents that set out or leave, deadlines and commands that fail."""
+    from dataclasses import replace
+
+    env.reset()
+    state = env.state
+    rules = replace(env.rules, leave=leave, keep_goal=not leave)
+    waits = torch.zeros_like(state.controlled)
+    waits[:, 0] = True
+    state = state._replace(
+        controlled=state.controlled & ~waits,
+        stands=torch.where(waits, 1.9, state.stands),
+        deadline=torch.where(torch.arange(state.mask.shape[1]) % 2 == 1, 1.0, state.deadline),
+    )
+    generator = torch.Generator().manual_seed(0)
+    guidance = rules.guide(state)
+    reached = 0
+    for number in range(40):
+        action = guidance.desired_velocity + 0.3 * torch.randn(*state.mask.shape, 2, generator=generator)
+        if number == 3:
+            action[1, 1] = torch.nan
+        monkeypatch.setattr(Compiled, "compiled", True)
+        mine = kernel.step(state, action, env.physics, rules)
+        monkeypatch.setattr(Compiled, "compiled", False)
+        other = kernel.step(state, action, env.physics, rules)
+        for name, one, two in zip(mine[0]._fields, mine[0], other[0], strict=True):
+            torch.testing.assert_close(one, two, msg=f"{name} after {number} decisions")
+        for name, one, two in zip(mine[2]._fields, mine[2], other[2], strict=True):
+            torch.testing.assert_close(one, two, msg=f"{name} in decision {number}")
+        state, guidance, events = other
+        reached = max(reached, int(events.reached.max()))
+    assert reached > 0 and state.failed.tolist() == [False, True, False] and state.late.any()
+
+
 def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:
     """Over two decisions, from where some agents have walked into walls."""
     env.reset()

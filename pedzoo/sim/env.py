@@ -17,6 +17,7 @@ from pedzoo.maps.guidance import Guidance
 from pedzoo.sim import kernel, specs
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import observed
 from pedzoo.sim.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
@@ -69,7 +70,7 @@ class PedestrianEnv(EnvBase):
     closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are those
     of every 0.1 s since the last decision (see `Events`); for ``late`` and ``way`` see `State`.
 
-    The reward is the way that got shorter, in metres, less `pedzoo.sim.kernel.CONTACT_COST` where
+    The reward is the way that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
 
     Attributes:
@@ -240,9 +241,7 @@ class PedestrianEnv(EnvBase):
             stacklevel=2,
         )
 
-    def _observation(
-        self, state: State, guidance: Guidance, outcome: kernel.Events | None = None
-    ) -> TensorDict:
+    def _observation(self, state: State, guidance: Guidance, outcome: Events | None = None) -> TensorDict:
         scenes, agents = state.mask.shape
         points = self.rules.ticks
         if outcome is None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -19,38 +19,12 @@ from pedzoo.geometry import heading_of
 from pedzoo.maps.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import blended, driven, limited
+from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import HOLONOMIC, TURNS_FROM, State
 from pedzoo.sim.worlds.base import Physics
+from pedzoo.sim.worlds.compiled_step import step_compiled, step_compiles
 from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
-
-CONTACT_COST = 1.0
-"""Metres of progress that a decision with a contact costs in the reward."""
-
-_ROUNDING = 1e-3
-"""Seconds: clocks are sums of decisions."""
-
-
-class Events(NamedTuple):
-    """What happened in one decision of S trace points.
-
-    Attributes:
-        trace: Positions every 0.1 s (B, A, S, 2), metres.
-        agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
-        wall_contact: A wall was (B, A, S) bool.
-        reached: Goals reached until then (B, A, S) long.
-        reward: Metres of way that got shorter, less `CONTACT_COST` for a contact (B, A).
-        terminated: All agents have reached all goals (B,) bool.
-        truncated: No other agent can in time, or the policy failed (B,) bool.
-    """
-
-    trace: Tensor
-    agent_contact: Tensor
-    wall_contact: Tensor
-    reached: Tensor
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
 
 
 class Playback(Protocol):
@@ -131,6 +105,8 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
         physics: Moves the bodies.
         rules: Of the scenes.
     """
+    if physics.compiled and step_compiles(state, commands, rules):
+        return step_compiled(state, commands, physics.bank, rules)
     finite = commands.isfinite().all(-1) | ~state.controlled
     failed = state.failed | ~finite.all(1)
     running = ~failed.unsqueeze(1)
@@ -214,7 +190,7 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
     reached = state.reached + hit
     late = state.late | (_overdue(state, clock, hits, rules.goals) & state.controlled)
     waits = state.mask & ~state.controlled & (state.stands > 0)
-    sets_out = waits & (clock.unsqueeze(1) + _ROUNDING >= state.stands)
+    sets_out = waits & (clock.unsqueeze(1) + CLOCK_ROUNDING >= state.stands)
     mask, controlled = state.mask, state.controlled | sets_out
     if rules.leave:
         stays = reached < rules.goals
@@ -240,5 +216,5 @@ def _overdue(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
     """Return which agents are late for their goal (B, A) bool; a goal reached in time on the trace counts."""
     when = TRACE_SECONDS * torch.arange(1, hits.shape[2] + 1, device=clock.device)
     when = state.clock[:, None, None] + when
-    in_time = (hits & (when <= state.deadline.unsqueeze(-1) + _ROUNDING)).any(-1)
-    return (clock.unsqueeze(1) > state.deadline + _ROUNDING) & ~in_time & (state.reached < goals)
+    in_time = (hits & (when <= state.deadline.unsqueeze(-1) + CLOCK_ROUNDING)).any(-1)
+    return (clock.unsqueeze(1) > state.deadline + CLOCK_ROUNDING) & ~in_time & (state.reached < goals)

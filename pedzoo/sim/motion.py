@@ -6,6 +6,12 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+CONTACT_COST = 1.0
+"""Metres of progress that a decision with a contact costs in the reward."""
+
+CLOCK_ROUNDING = 1e-3
+"""Seconds: clocks are sums of decisions."""
+
 
 class Contacts(NamedTuple):
     """What is touched at each trace point.
@@ -70,3 +76,25 @@ class Owned(NamedTuple):
     path: Tensor
     heading: Tensor
     turn_rate: Tensor
+
+
+class Events(NamedTuple):
+    """What happened in one decision of S trace points.
+
+    Attributes:
+        trace: Positions every 0.1 s (B, A, S, 2), metres.
+        agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
+        wall_contact: A wall was (B, A, S) bool.
+        reached: Goals reached until then (B, A, S) long.
+        reward: Metres of way that got shorter, less `CONTACT_COST` for a contact (B, A).
+        terminated: All agents have reached all goals (B,) bool.
+        truncated: No other agent can in time, or the policy failed (B,) bool.
+    """
+
+    trace: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    reached: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor

@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.kernel import CONTACT_COST
+from pedzoo.sim.motion import CONTACT_COST
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Writes everybody's ``action`` (B, A, 2), m/s, into what they see."""

@@ -77,12 +77,14 @@ class Physics(ABC):
     Attributes:
         scenes_at_once: Scenes that evaluations run together: memory grows with them, time hardly.
         views: Where its camera can be.
+        compiled: Whether its `advance` is the compiled loop alone, so that a whole decision can be compiled.
         bank: The floor plans.
         body_radius: Radius of a body where nothing else is said, metres.
     """
 
     scenes_at_once: ClassVar[int] = 64
     views: ClassVar[tuple[str, ...]] = ("top",)
+    compiled: ClassVar[bool] = False
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
         """Take the floor plans.

@@ -16,7 +16,7 @@ from pedzoo.types import GOAL_RADIUS, TRACE_SECONDS
 
 _NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
 _NO_SLOPES = np.zeros((0, 0, 0, 8), np.float32)
-_NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
+NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
 
 
 def compiles(*tensors: Tensor) -> bool:
@@ -103,7 +103,7 @@ def _run(
         value.detach().numpy()
         for value in (position, velocity, radius, present, moving, played, goal, wanted)
     ]
-    frames, places = (part.numpy() for part in walls) if bank.grids else _NO_FRAMES
+    frames, places = (part.numpy() for part in walls) if bank.grids else NO_FRAMES
     advance(
         *arrays, GOAL_RADIUS**2, substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
         frames, places, *bank.walls.arrays,
