@@ -315,6 +315,26 @@ def test_compiled_loops_give_the_lines_that_torch_gives() -> None:
     assert differ <= 3  # conditions that rounding decides
 
 
+def test_compiled_programs_choose_what_torch_chooses() -> None:
+    """Random lines, a third of them left out, most of which cannot all be obeyed; walls hold in any case."""
+    random = torch.Generator().manual_seed(0)
+    angle = torch.rand(9, 800, generator=random) * 2 * math.pi
+    point = 0.6 * torch.randn(2, 9, 800, generator=random)
+    direction = torch.stack((angle.cos(), angle.sin())) * (torch.rand(9, 800, generator=random) > 0.3)
+    preferred, speed = torch.randn(2, 800, generator=random), 1 + torch.rand(800, generator=random)
+    point[:, :2] = 0.5 * torch.stack((direction[1, :2], -direction[0, :2]))  # walls permit standing still
+    lines = torch.cat((point, direction))
+    for walls in (0, 2):
+        exact = solve(lines.double(), walls, preferred.double(), speed.double())
+        found = solve(lines, walls, preferred, speed).double()
+        differ = (found - exact).abs().amax(0) > 1e-3
+        assert differ.sum() <= 4  # conditions that rounding decides
+        if walls:
+            assert violation(lines[:, :2], found.float()).max() < 1e-3
+    violated = violation(lines, found.float()).amax(0) > 1e-3
+    assert 200 < violated.sum() < 700
+
+
 def test_walls_turn_and_mirror_with_the_scene_and_go_with_their_person() -> None:
     grid = room()
     walls = WallSegments(MapBank([grid]))

@@ -39,6 +39,14 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
         preferred: Preferred velocities (2, N), m/s.
         max_speed: Top speeds (N,), m/s.
     """
+    if all(
+        part.device.type == "cpu" and part.dtype == torch.float32 for part in (lines, preferred, max_speed)
+    ):
+        from pedzoo.sim.orca.compiled_programs import compiled_solve
+
+        result = torch.empty_like(preferred)
+        compiled_solve(lines.numpy(), walls, preferred.numpy(), max_speed.numpy(), result.numpy())
+        return result
     speed = (preferred[0] * preferred[0]).add_(preferred[1] * preferred[1]).sqrt_()
     slower = preferred * (1 / speed.clamp_min(torch.finfo(speed.dtype).tiny)) * max_speed
     start = pick(above(speed, max_speed), slower, preferred)
