@@ -39,9 +39,8 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
         preferred: Preferred velocities (2, N), m/s.
         max_speed: Top speeds (N,), m/s.
     """
-    if all(
-        part.device.type == "cpu" and part.dtype == torch.float32 for part in (lines, preferred, max_speed)
-    ):
+    given = lines, preferred, max_speed
+    if all(part.device.type == "cpu" and part.dtype == torch.float32 for part in given):
         from pedzoo.sim.orca.compiled_programs import compiled_solve
 
         result = torch.empty_like(preferred)
