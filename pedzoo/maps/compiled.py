@@ -38,13 +38,24 @@ _EPSILON = 1e-6
 
 
 @jit
-def quarter(x, y, frame, place):
-    """Return where a scene position is in half cells, and the number of its quarter of a cell."""
-    cell_x = frame[4] + frame[0] * x + frame[2] * y
-    cell_y = frame[5] + frame[1] * x + frame[3] * y
+def _cell(x, y, frame):
+    """Return where a scene position is in half cells."""
+    return frame[4] + frame[0] * x + frame[2] * y, frame[5] + frame[1] * x + frame[3] * y
+
+
+@jit
+def _number(cell_x, cell_y, place):
+    """Return the number of the quarter of a cell that a place in half cells lies in."""
     column = min(max(int(min(max(cell_x, -1.0), 2e9)), 0), place[0] - 1)
     row = min(max(int(min(max(cell_y, -1.0), 2e9)), 0), place[1] - 1)
-    return cell_x, cell_y, place[2] + row * place[0] + column
+    return place[2] + row * place[0] + column
+
+
+@jit
+def quarter(x, y, frame, place):
+    """Return where a scene position is in half cells, and the number of its quarter of a cell."""
+    cell_x, cell_y = _cell(x, y, frame)
+    return cell_x, cell_y, _number(cell_x, cell_y, place)
 
 
 @jit
@@ -54,12 +65,12 @@ def wall_gap(x, y, frame, place, choice, option, limit):
     chosen = choice[index]
     best, off_x, off_y = 1e300, 0.0, 0.0
     for k in range(CONTENDERS):
-        dx = cell_x - min(max(cell_x, option[k, chosen]), option[2 * CONTENDERS + k, chosen])
-        dy = cell_y - min(max(cell_y, option[CONTENDERS + k, chosen]), option[3 * CONTENDERS + k, chosen])
+        dx = cell_x - min(max(cell_x, option[chosen, k]), option[chosen, 2 * CONTENDERS + k])
+        dy = cell_y - min(max(cell_y, option[chosen, CONTENDERS + k]), option[chosen, 3 * CONTENDERS + k])
         squared = dx * dx + dy * dy
         if squared < best:
             best, off_x, off_y = squared, dx, dy
-    sign, depth, side = option[4 * CONTENDERS, chosen], math.sqrt(best), frame[6]
+    sign, depth, side = option[chosen, 4 * CONTENDERS], math.sqrt(best), frame[6]
     distance = depth * side
     if distance >= limit:
         return limit * sign, 0.0, 0.0
@@ -73,21 +84,23 @@ def wall_gap(x, y, frame, place, choice, option, limit):
 @jit
 def _sees(home, corner, end, part, frame, place, least, clearance):
     """Return whether points 0.3 m apart of the line to a carrot keep a body's radius from walls."""
-    full = math.hypot(end[0] - home[0], end[1] - home[1])
+    full = math.sqrt((end[0] - home[0]) ** 2 + (end[1] - home[1]) ** 2)
     spacing = _SPACING / max(full, _SPACING)
     to_x = corner[0] + part * (end[0] - corner[0]) - home[0]
     to_y = corner[1] + part * (end[1] - corner[1]) - home[1]
     steps = math.ceil(1 / spacing - 1e-6)
-    length = max(math.hypot(to_x, to_y), _EPSILON)
+    length = max(math.sqrt(to_x * to_x + to_y * to_y), _EPSILON)
     stride = spacing * length
+    cell_x, cell_y = _cell(home[0], home[1], frame)
+    over, up = frame[0] * to_x + frame[2] * to_y, frame[1] * to_x + frame[3] * to_y
     # what hides a carrot is the corner that the way goes round: look there first
-    middle = min(max(int(math.hypot(corner[0] - home[0], corner[1] - home[1]) / stride), 1), steps)
+    before = math.sqrt((corner[0] - home[0]) ** 2 + (corner[1] - home[1]) ** 2)
+    middle = min(max(int(before / stride), 1), steps)
     for way in (1, -1):
         i = middle if way > 0 else middle - 1
         while 1 <= i <= steps:
             t = min(i * spacing, 1.0)
-            _, _, index = quarter(home[0] + t * to_x, home[1] + t * to_y, frame, place)
-            room = least[index] - clearance
+            room = least[_number(cell_x + t * over, cell_y + t * up, place)] - clearance
             if room < 0:
                 return False
             # in the midst of much room the next points need no look
@@ -114,7 +127,26 @@ def guide(
     scenes, agents = goals.shape
     first_goal = len(xs) - goal_table.shape[1] + 1
     frame, quarters = np.empty(7), np.empty(3, np.int64)
-    home, corner, end = np.empty(2), np.empty(2), np.empty(2)
+    corner, end = np.empty(2), np.empty(2)
+    homes, entries = np.empty((scenes, agents, 2)), np.empty((2, scenes, agents), np.int64)
+    # one look-up after the other waits for memory: each is made for everybody before the next
+    for b in range(scenes):
+        number = rows[b] + 1
+        cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]
+        for a in range(agents):
+            x, y = points[b, a, 0] - poses[b, 2], points[b, a, 1] - poses[b, 3]
+            x, y = cos * x + sin * y, (cos * y - sin * x) * mirror
+            homes[b, a, 0], homes[b, a, 1] = x, y
+            column = math.ceil(to_cell[0, number] * x + to_cell[1, number] * y + to_cell[2, number] - 0.5)
+            line = math.ceil(to_cell[3, number] * x + to_cell[4, number] * y + to_cell[5, number] - 0.5)
+            column = min(max(column, 0.0), to_cell[6, number])
+            line = min(max(line, 0.0), to_cell[7, number])
+            entries[0, b, a] = nearest[begin[1, number] + int(line) * begin[0, number] + int(column)]
+    for b in range(scenes):
+        for a in range(agents):
+            goal = goals[b, a]
+            entry = goal_table[0, goal + 1] + (entries[0, b, a] if goal >= 0 else 0)
+            entries[1, b, a] = waypoints[entry]
     for b in range(scenes):
         row = rows[b]
         number = row + 1
@@ -126,23 +158,10 @@ def guide(
         cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]
         shift_x, shift_y = poses[b, 2], poses[b, 3]
         for a in range(agents):
-            x, y = points[b, a, 0] - shift_x, points[b, a, 1] - shift_y
-            home[0], home[1] = cos * x + sin * y, (cos * y - sin * x) * mirror
+            home, cell, first = homes[b, a], entries[0, b, a], entries[1, b, a]
             goal = goals[b, a]
             start, count, of_map = goal_table[0, goal + 1], goal_table[1, goal + 1], goal_table[2, goal + 1]
-            column = math.ceil(
-                to_cell[0, number] * home[0] + to_cell[1, number] * home[1] + to_cell[2, number] - 0.5
-            )
-            line = math.ceil(
-                to_cell[3, number] * home[0] + to_cell[4, number] * home[1] + to_cell[5, number] - 0.5
-            )
-            column = min(max(column, 0.0), to_cell[6, number])
-            line = min(max(line, 0.0), to_cell[7, number])
-            cell = nearest[begin[1, number] + int(line) * begin[0, number] + int(column)]
-            entry = start + (cell if goal >= 0 else 0)
-            first = waypoints[entry]
-            entry = start + first
-            second, onward = waypoints[entry], lengths[entry]
+            second, onward = waypoints[start + first], lengths[start + first]
             final = goal + first_goal
             opens = begin[2, number]
             is_last = second == count
@@ -160,9 +179,9 @@ def guide(
             if goal < 0 or math.isinf(onward):
                 way_x, way_y, after_x, after_y, is_last = home[0], home[1], home[0], home[1], True
             to_x, to_y = way_x - home[0], way_y - home[1]
-            length = math.hypot(to_x, to_y)
+            length = math.sqrt(to_x * to_x + to_y * to_y)
             next_x, next_y = after_x - way_x, after_y - way_y
-            second_length = math.hypot(next_x, next_y)
+            second_length = math.sqrt(next_x * next_x + next_y * next_y)
             if second_length < _EPSILON:
                 beyond_x, beyond_y = to_x / max(length, _EPSILON), to_y / max(length, _EPSILON)
             else:

@@ -100,8 +100,11 @@ class Walls:
 
     @cached_property
     def arrays(self) -> tuple[Any, ...]:
-        """What compiled loops ask for distances: choices, options, lower bounds, and where distances end."""
-        return self.choice.numpy(), self.option.numpy(), self.least.numpy(), self.limit
+        """What compiled loops ask for distances: choices, options, lower bounds, and where distances end.
+
+        Options lie in rows here: one agent's stand together in memory.
+        """
+        return self.choice.numpy(), self.option.t().contiguous().numpy(), self.least.numpy(), self.limit
 
     @cached_property
     def map_arrays(self) -> tuple[Any, ...]:

@@ -42,6 +42,7 @@ def advance(
     here, away = np.empty((agents, 2)), np.zeros((agents, 2))
     blocked_away, blocked_at = np.zeros((agents, 2)), np.zeros((agents, 2))
     gap, allowed, blocked_gap, extent = np.empty(agents), np.empty(agents), np.empty(agents), np.empty(agents)
+    room = np.empty(agents)
     frame, place = np.empty(7), np.empty(3, np.int64)
     seconds = tick_seconds / strides
     for b in range(scenes):
@@ -52,8 +53,11 @@ def advance(
             blocked_gap[a] = _NO_WALL
             gap[a] = np.nan  # looked up where a wall can matter
             allowed[a] = radius[b, a] - skin
+            # no wall is nearer than this, wherever in its quarter of a cell the agent is
+            room[a] = _NO_WALL
             if has_walls and moved[b, a]:
                 _, _, index = quarter(here[a, 0], here[a, 1], frame, place)
+                room[a] = least[index] - 3 * frame[6]
                 if least[index] < allowed[a]:
                     gap[a], away[a, 0], away[a, 1] = wall_gap(
                         here[a, 0], here[a, 1], frame, place, choice, option, limit
@@ -80,12 +84,17 @@ def advance(
                 if slopes.size > 0:
                     m00, m01, m10, m11, n00, n01, n10, n11 = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
                 full_x, full_y = velocity[0, s, b, a] * seconds, velocity[1, s, b, a] * seconds
-                length = math.hypot(full_x, full_y)
+                length = math.sqrt(full_x * full_x + full_y * full_y)
+                near = radius[b, a] + length + 1e-3
                 for n in range(strides):
                     old_x, old_y = here[a, 0], here[a, 1]
-                    if has_walls:
+                    free = room[a] > near
+                    if not free:
                         _, _, index = quarter(old_x, old_y, frame, place)
-                    if not has_walls or least[index] > radius[b, a] + length + 1e-3:
+                        room[a] = least[index] - 3 * frame[6]
+                        free = least[index] > near
+                    room[a] -= length
+                    if free:
                         here[a, 0], here[a, 1] = old_x + full_x, old_y + full_y
                         if slopes.size > 0:
                             n00, n11 = n00 + seconds, n11 + seconds
@@ -139,7 +148,7 @@ def advance(
                         part = (m + 1) / half
                         path[a, n * half + m, 0] = old_x + part * (here[a, 0] - old_x)
                         path[a, n * half + m, 1] = old_y + part * (here[a, 1] - old_y)
-                        if has_walls and part < 1 and not wall_contact[b, a, s]:
+                        if not free and part < 1 and not wall_contact[b, a, s]:
                             x, y = path[a, n * half + m, 0], path[a, n * half + m, 1]
                             _, _, index = quarter(x, y, frame, place)
                             if least[index] < radius[b, a]:
