@@ -25,8 +25,8 @@ from pedzoo.sim.warm_start import WarmStart
 from pedzoo.sim.worlds.base import Physics
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 
-_MADE = 16
-"""Episodes that are begun together at least, once scenes end one by one."""
+_MADE, _AGENTS_MADE = 128, 640
+"""Episodes, and their agents, that are begun together once scenes end one by one: at most, but one a row."""
 
 
 class _Scenes(NamedTuple):
@@ -38,6 +38,12 @@ class _Scenes(NamedTuple):
     def rows(self, index: Tensor) -> _Scenes:
         """Return some of the scenes."""
         return _Scenes(self.state.rows(index), Guidance(*(value[index] for value in self.guidance)))
+
+    def replaced(self, index: Tensor, other: _Scenes) -> _Scenes:
+        """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
+        for mine, theirs in zip((*self.state, *self.guidance), (*other.state, *other.guidance), strict=True):
+            mine.index_copy_(0, index, theirs)
+        return self
 
     def with_rows(self, index: Tensor, other: _Scenes) -> _Scenes:
         """Return the scenes with those at ``index`` replaced."""
@@ -200,7 +206,8 @@ class PedestrianEnv(EnvBase):
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: _Scenes | None = None
-        self._depth = max(1, _MADE // self.batch_size[0])
+        made = min(_MADE, _AGENTS_MADE // self.scenario.people)
+        self._depth = max(1, made // self.batch_size[0])
         self._taken = torch.full(self.batch_size, self._depth)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
@@ -226,7 +233,7 @@ class PedestrianEnv(EnvBase):
             empty = (self._taken >= depth).nonzero().view(-1)
             made = self._begin(empty, depth)
             place = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(self.device)
-            self._ahead = made if self._ahead is None else self._ahead.with_rows(place, made)
+            self._ahead = made if self._ahead is None else self._ahead.replaced(place, made)
             self._taken = self._taken.index_fill(0, empty, 0)
         place = rows * depth + self._taken[rows]
         self._taken = self._taken.index_add(0, rows, torch.ones_like(rows))
