@@ -14,7 +14,7 @@ def run_tool(command: str, package: str, argv: list[str]) -> int:
     """
     if not (folder_of(package) / "command.py").is_file():
         raise UserError(
-            f"pedzoo {command}: needs a checkout of pedzoo's repository, and {ROOT} is none: "
+            f"{command}: needs a checkout of pedzoo's repository, and {ROOT} is none: "
             f"git clone the repository, run tools/setup in it, then .venv/bin/pedzoo {command}"
         )
     return import_of_checkout(f"{package}.command").run(argv)
