@@ -10,10 +10,10 @@ The commit is checked out into a temporary worktree. Each side runs ``side.py`` 
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -21,8 +21,10 @@ from typing import Any
 
 import torch
 
+from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.errors import UserError
+from tools.bench.command import add_timing, timed
 from tools.bench.comparison import SIDES, measure, rows
 from tools.bench.peer import Peer, PeerCase, Scenes, check
 from tools.bench.scenes import Size
@@ -33,6 +35,7 @@ from tools.bench.turns import load, machine
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SIDE = HERE / "side.py"
+EXAMPLE = "python tools/bench/before_after.py --sections environment --size 64x5 --quick"
 BEFORE = "f998d3e"
 """The commit before the kernel (issue 19)."""
 
@@ -50,8 +53,8 @@ SIZES = {
 
 def main(argv: Sequence[str]) -> int:
     """Measure, write and print; returns the exit code."""
-    options = parsed(argv)
     try:
+        options = parsed(argv)
         check_outputs(json=options.json)
         for script in options.peer:
             check(script, options.peer_python)
@@ -68,50 +71,38 @@ def main(argv: Sequence[str]) -> int:
     return 1 if report["skipped"] else 0
 
 
-def parsed(argv: Sequence[str]) -> argparse.Namespace:
-    """Return the options."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    add = parser.add_argument
-    add("--before", default=BEFORE, metavar="COMMIT", help=f"default: {BEFORE}")
-    add("--sections", nargs="+", choices=[*SIZES], default=[*SIZES], help="default: all")
-    add("--size", nargs="+", metavar="BxA", help="only these of the sections' sizes, such as 64x5")
-    add("--turns", type=int, help="how often each case is timed (default: 7; quick 3)")
-    add("--seconds", type=float, help="least seconds of one case in a turn (default: 1; quick 0.2)")
-    add("--quick", action="store_true", help="few short turns: ratios are rough")
-    add(
-        "--peer",
-        nargs="+",
-        default=[],
-        type=Path,
-        metavar="FILE.py",
-        help="programs such as tools/bench/peers/*.py",
-    )
-    add("--peer_python", "--peer-python", default="", metavar="PYTHON", help="interpreter of peers")
-    add("--json", metavar="FILE", help="also write the report to this file")
-    options = parser.parse_args(argv)
-    turns, seconds = (3, 0.2) if options.quick else (7, 1.0)
-    options.turns = turns if options.turns is None else options.turns
-    options.seconds = seconds if options.seconds is None else options.seconds
+def parsed(argv: Sequence[str]) -> Namespace:
+    """Return the options.
+
+    Raises:
+        UserError: A wrong one.
+    """
+    parser = Arguments("before_after", (__doc__ or "").partition("\n")[0], EXAMPLE)
+    parser.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"default: {BEFORE}")
+    parser.add_argument("--sections", nargs="+", choices=[*SIZES], default=[*SIZES], help="default: all")
+    add_timing(parser, "the sections")
+    options = timed(parser.parse_args(argv))
     # It answers nothing: the other peers import it.
     options.peer = [script for script in options.peer if script.name != "answering.py"]
     return options
 
 
-def questions(sections: Sequence[str], sizes: Sequence[str] | None) -> list[Scenes]:
+def questions(sections: Sequence[str], sizes: Sequence[tuple[int, int]]) -> list[Scenes]:
     """Return what sides are asked about: sections at sizes, without any states.
 
     Raises:
         UserError: None of the sizes is measured in these sections.
     """
     every = [(size, name) for name in sections for size in SIZES[name]]
-    if sizes is not None:
-        every = [(size, name) for size, name in every if f"{size[0]}x{size[1]}" in sizes]
+    if sizes:
+        every = [(size, name) for size, name in every if size in sizes]
     if not every:
-        raise UserError(f"--size {' '.join(sizes or ())}: none is measured in {', '.join(sections)}")
+        given = " ".join(f"{scenes}x{people}" for scenes, people in sizes)
+        raise UserError(f"--size {given}: none is measured in {', '.join(sections)}")
     return [Scenes(name, size[0], size[1], {}, [], [], [], [], []) for size, name in sorted(every)]
 
 
-def measured(options: argparse.Namespace, asked: Sequence[Scenes]) -> dict[str, Any]:
+def measured(options: Namespace, asked: Sequence[Scenes]) -> dict[str, Any]:
     """Run both sides and the peers; returns the report.
 
     Raises:

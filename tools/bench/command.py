@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
@@ -35,9 +35,9 @@ def run(argv: list[str]) -> int:
         turns=options.turns,
         quick=options.quick,
         threads=options.threads,
-        sizes=tuple(map(_size, options.size)),
+        sizes=options.size,
         maps=tuple(options.map),
-        peers=tuple(map(Path, options.peer)),
+        peers=options.peer,
         peer_python=options.peer_python,
         sgan=Path(options.sgan) if options.sgan else None,
         data=options.data,
@@ -67,14 +67,7 @@ def _parsed(argv: list[str]) -> Namespace:
     about = [f"  {name:<{width}}  {BENCHMARKS.describe(name)}" for name in names]
     parser = Arguments("bench", "\n".join([f"{HELP}", "", "sections:", *about]), EXAMPLE)
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="which (default: all that can be run)")
-    parser.add_argument("--quick", action="store_true", help="small cases and short turns: about a minute")
-    parser.add_argument(
-        "--seconds", type=float, help="least seconds per side and turn (default: 1; quick 0.1)"
-    )
-    parser.add_argument("--turns", type=int, help="how often each side is timed (default: 5; quick 3)")
-    parser.add_argument(
-        "--size", nargs="+", default=[], metavar="BxA", help="scenes x people in loop, orca, profile: 1024x5"
-    )
+    add_timing(parser, "loop, orca, profile")
     parser.add_argument("--threads", type=int, default=1, help="of torch and of peers (default: 1)")
     parser.add_argument(
         "--map",
@@ -90,25 +83,37 @@ def _parsed(argv: list[str]) -> Namespace:
         help="cpu; tools/bench/devices.py measures the others",
     )
     parser.add_argument(
-        "--peer", nargs="+", default=[], metavar="FILE.py", help="other programs: tools/bench/peers/*.py"
-    )
-    parser.add_argument(
-        "--peer_python",
-        "--peer-python",
-        default="",
-        metavar="PYTHON",
-        help="interpreter of peers (default: this)",
-    )
-    parser.add_argument(
         "--sgan", metavar="FOLDER", help="checkout of the original Social GAN, for section sgan"
     )
     parser.add_argument("--data", metavar="FOLDER", help="ETH/UCY, for section sgan (default: PEDZOO_DATA)")
-    parser.add_argument("--json", metavar="FILE", help="also write the report to this file")
     parser.add_argument("--compare", metavar="FILE", help="an older report: what has become faster or slower")
-    options = parser.parse_args(argv)
+    return timed(parser.parse_args(argv))
+
+
+def add_timing(parser: ArgumentParser, sized: str) -> None:
+    """Add the options of every benchmark that times sides and peers in turns; ``sized`` have sizes."""
+    add = parser.add_argument
+    add("--quick", action="store_true", help="small cases and short turns: about a minute")
+    add("--seconds", type=float, help="least seconds per side and turn (default: 1; quick 0.1)")
+    add("--turns", type=int, help="how often each side is timed (default: 5; quick 3)")
+    add("--size", nargs="+", default=[], metavar="BxA", help=f"scenes x people in {sized}: 1024x5")
+    add("--peer", nargs="+", default=[], metavar="FILE.py", help="other programs: tools/bench/peers/*.py")
+    python = "interpreter of peers (default: this)"
+    add("--peer_python", "--peer-python", default="", metavar="PYTHON", help=python)
+    add("--json", metavar="FILE", help="also write the report to this file")
+
+
+def timed(options: Namespace) -> Namespace:
+    """Return the options with seconds and turns where none are given, sizes as numbers and peers as paths.
+
+    Raises:
+        UserError: Something that is no size.
+    """
     seconds, turns = (0.1, 3) if options.quick else (1.0, 5)
     options.seconds = seconds if options.seconds is None else options.seconds
     options.turns = turns if options.turns is None else options.turns
+    options.size = tuple(map(_size, options.size))
+    options.peer = tuple(map(Path, options.peer))
     return options
 
 

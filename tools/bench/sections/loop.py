@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
@@ -102,7 +103,7 @@ class Loop(Section):
             if walk.policy_name == KEPT_CLEAR:
                 metrics["times_without_safety"] = ratio(found, speeds[by_name[UNHELD].title])
             row = Row("loop", walk.title, where, metrics)
-            yield Row("loop", walk.title, where, metrics, self._bars(row, walk.policy_name, size))
+            yield replace(row, bars=self._bars(row, walk.policy_name, size))
         alone = _metrics(speeds[NETWORK], STEP_SECONDS)
         yield Row("loop", NETWORK, where, alone, note="asked about the same scenes again and again")
         for case in rivals:

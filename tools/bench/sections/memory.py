@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -42,7 +43,7 @@ class Memory(Section):
         for what, megabytes in found.items():
             row = Row("memory", what, where, {"peak_mb": Measured.of([megabytes])})
             bars = [self._bar(row)] if what == list(found)[-1] else []
-            yield Row("memory", what, where, row.metrics, bars)
+            yield replace(row, bars=bars)
 
     def _bar(self, row: Row) -> Verdict:
         """Return the verdict on the whole peak, where it is one on the whole task."""

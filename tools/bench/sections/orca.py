@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -56,7 +57,7 @@ class Orca(Section):
                         metrics[f"{rival}_per_s"] = Measured.of(speeds[case.metric])
                         metrics[case.metric] = ratio(speeds["pedzoo"], speeds[case.metric])
                     row = Row("orca", name, {"size": str(size)}, metrics)
-                    yield Row("orca", name, row.case, metrics, self._bars(row, size))
+                    yield replace(row, bars=self._bars(row, size))
             for peer in peers:
                 self.versions |= peer.versions
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.metadata import version
 from statistics import mean, median
 from typing import Any
@@ -83,7 +84,7 @@ class Planner(Section):
             sample = sample or means
             row = Row("planner", f"first query, {name}", where, versus(own, other, "networkx"))
             bars = [row.at_least("times_networkx", 5)] if name == IGIBSON else []
-            yield Row("planner", row.name, where, row.metrics, bars)
+            yield replace(row, bars=bars)
 
         people = draws.choice(cells, QUERIES)
         which = torch.from_numpy(draws.integers(0, len(goals), QUERIES))
@@ -94,7 +95,7 @@ class Planner(Section):
         scaled = [second * QUERIES for second in sample]  # theirs of iGibson's heuristic, for as many queries
         row = Row("planner", f"{QUERIES} queries", where, versus(look, scaled, "networkx"))
         note = "networkx scaled up from the first queries"
-        yield Row("planner", row.name, where, row.metrics, [row.at_least("times_networkx", 50)], note)
+        yield replace(row, bars=[row.at_least("times_networkx", 50)], note=note)
         whole = versus([cache + second for second in look], scaled, "networkx")
         yield Row("planner", f"{QUERIES} queries, fields built", where, whole, note=note)
         far = self._lengths(ours, peer, starts, ends, ids, goals)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -62,7 +63,7 @@ class Profile(Section):
             percent = Measured.of([100 * sum(share[part] for part in parts) for share in shares])
             row = Row("profile", name, where, {"percent": percent})
             bars = [row.below("percent", BAR)] if size == LARGEST else []
-            yield Row("profile", name, where, row.metrics, bars)
+            yield replace(row, bars=bars)
 
     @torch.no_grad()
     def _turns(

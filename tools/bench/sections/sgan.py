@@ -7,6 +7,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any, cast
@@ -102,8 +103,7 @@ class Sgan(Section):
 
 def _row(what: str, ours: list[float], theirs: list[float]) -> Row:
     row = Row("sgan", what, {"data": WHERE}, versus(ours, theirs, "original"))
-    bars = [row.at_least("times_original", BARS[what])] if what in BARS else []
-    return Row("sgan", what, row.case, row.metrics, bars)
+    return replace(row, bars=[row.at_least("times_original", BARS[what])]) if what in BARS else row
 
 
 def loaded(
