@@ -78,6 +78,7 @@ def parsed(argv: Sequence[str]) -> Namespace:
         UserError: A wrong one.
     """
     parser = Arguments("before_after", (__doc__ or "").partition("\n")[0], EXAMPLE)
+    parser.prog = "python tools/bench/before_after.py"
     parser.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"default: {BEFORE}")
     parser.add_argument("--sections", nargs="+", choices=[*SIZES], default=[*SIZES], help="default: all")
     add_timing(parser, "the sections")
