@@ -17,38 +17,46 @@ from collections.abc import Callable
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from zlib import crc32
 
 from pedzoo.errors import UserError, unknown
 
+ROOT = Path(__file__).parents[1]
+"""The checkout, or where the wheel is installed."""
+
 
 class Registry:
-    """The drop-ins of one folder, by file name."""
+    """The drop-ins of a package's folder, by file name."""
 
-    def __init__(self, kind: str, package: str) -> None:
-        """Serve the files of ``package``; ``kind`` is the word for one of them in messages."""
+    def __init__(self, kind: str, package: str, more: str = "") -> None:
+        """Serve the files of a package.
+
+        Args:
+            kind: The word for one of them in messages.
+            package: ``pedzoo.*``, or ``tools.*``, which only a checkout has.
+            more: A second package, of which a checkout serves the files, too.
+        """
         self.kind = kind
         self.package = package
-        self.folder = Path(__file__).parent.joinpath(*package.split(".")[1:])
+        self.folder = folder_of(package)
+        self._more = more
 
     def names(self) -> list[str]:
         """Return all names in alphabetical order, without importing any of them."""
-        files = {path.stem for path in self.folder.glob("*.py") if not path.stem.startswith("_")}
+        files = {path.stem for package in self._packages for path in folder_of(package).glob("[!_]*.py")}
         return sorted(files | set(self._plugins()))
 
     def describe(self, name: str) -> str:
         """Return the first line of the drop-in's docstring, without importing it."""
-        path = self.folder / f"{name}.py"
-        if not path.is_file():
-            return "plugin"
-        return (ast.get_docstring(ast.parse(path.read_text())) or "").partition("\n")[0]
+        package = self._package_of(name)
+        return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
 
     def constant(self, name: str, variable: str) -> Any:
         """Return a literal module-level ``variable`` of a drop-in without importing it, or None."""
-        path = self.folder / f"{name}.py"
-        body = ast.parse(path.read_text()).body if path.is_file() else []
-        for node in body:
+        package = self._package_of(name)
+        for node in _parsed(package, name).body if package else ():
             if isinstance(node, ast.Assign) and any(
                 isinstance(target, ast.Name) and target.id == variable for target in node.targets
             ):
@@ -65,14 +73,24 @@ class Registry:
             return _class_in_file(name)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
-        if name not in self.names():
+        package = self._package_of(name)
+        if package is None:
             raise unknown(self.kind, name, self.names())
-        module = importlib.import_module(f"{self.package}.{name}")
+        module = import_of_checkout(f"{package}.{name}")
         wanted = name.replace("_", "")
         for attribute, value in vars(module).items():
             if isinstance(value, type) and attribute.lower() == wanted:
                 return value
         raise UserError(f"{self.kind} file {name}.py has no class named like it (any capitals): {wanted}")
+
+    @property
+    def _packages(self) -> tuple[str, ...]:
+        return (self.package, self._more) if self._more else (self.package,)
+
+    def _package_of(self, name: str) -> str | None:
+        if not name.isidentifier() or name.startswith("_"):
+            return None
+        return next((one for one in self._packages if (folder_of(one) / f"{name}.py").is_file()), None)
 
     def _plugins(self) -> dict[str, Any]:
         prefix = f"{self.kind}."
@@ -81,6 +99,22 @@ class Registry:
             for point in _entry_points()
             if point.name.startswith(prefix)
         }
+
+
+def folder_of(package: str) -> Path:
+    """Return where a package of this checkout or wheel lies; ``tools.*`` is nowhere in a wheel."""
+    return ROOT.joinpath(*package.split("."))
+
+
+def import_of_checkout(module: str) -> ModuleType:
+    """Import a module of ``pedzoo`` or of ``tools`` beside it; another package's ``tools`` is not taken."""
+    if not module.startswith("pedzoo.") and "tools" not in sys.modules:
+        sys.path.insert(0, str(ROOT))
+    return importlib.import_module(module)
+
+
+def _parsed(package: str, name: str) -> ast.Module:
+    return ast.parse((folder_of(package) / f"{name}.py").read_text())
 
 
 @cache  # reading the metadata of everything installed takes 30 ms
@@ -132,6 +166,5 @@ MODELS = Registry("model", "pedzoo.models.architectures")
 DATASETS = Registry("dataset", "pedzoo.data.datasets")
 SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios")
 POLICIES = Registry("policy", "pedzoo.sim.policies")
-SUITES = Registry("suite", "pedzoo.eval.suites")
+SUITES = Registry("suite", "pedzoo.eval.suites", "tools.paper.suites")
 PHYSICS = Registry("physics", "pedzoo.sim.physics")
-BENCHMARKS = Registry("benchmark", "pedzoo.bench.sections")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from pedzoo.sim.orca.velocity import orca_velocity
 from pedzoo.sim.orca.wall_lines import wall_lines
 
 SETTINGS = OrcaSettings(time_step=0.4)
-TOOLS = Path(__file__).parents[1] / "tools"
 
 
 def present(position: Tensor) -> Tensor:
@@ -382,12 +380,9 @@ def test_people_pressed_against_a_wall_do_not_enter_it() -> None:
 @pytest.mark.parametrize(
     ("side", "boxes", "agents"), [(120, None, 5), (50, None, 20), (120, 14, 5), (80, 8, 20)]
 )
-def test_rvo2_chooses_the_same_velocities(
-    side: int, boxes: int | None, agents: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rvo2_chooses_the_same_velocities(side: int, boxes: int | None, agents: int) -> None:
     pytest.importorskip("pyrvo")
-    monkeypatch.syspath_prepend(TOOLS)
-    from compare_orca import Walk, plan  # pyright: ignore[reportMissingImports]
+    from tools.bench.compare_orca import Walk, plan
 
     scenes = Walk(plan(side, boxes or 0, 0), boxes is not None, 200 // agents, agents, 0)
     apart = []

@@ -10,13 +10,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from pedzoo.cli import bench_tables, output, progress
+from pedzoo.cli import output, progress
 from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
 from pedzoo.cli.output import print_report, print_tables, write_and_print
 from pedzoo.eval.clock import Step
 from pedzoo.eval.results import Page
 from pedzoo.maps.library import flat
+from tools.bench.tables import print_bench
 
 ODD = "[/a/b.yaml,[bold]c[/]]:door:"
 """Rich would fail at it, or draw a door."""
@@ -46,7 +47,7 @@ def test_speeds_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     row = {"section": "walls", "name": ODD, "case": {"map": ODD}, "bars": [], "note": ODD, **figure}
     machine = {"load_before": 0.0, "load_after": 0.0, "cpu": ODD}
     known = {"protocol": {"threads": 1}, "machine": machine, "versions": {}}
-    bench_tables.print_bench({"rows": [row], "skipped": {ODD: ODD}, **known})
+    print_bench({"rows": [row], "skipped": {ODD: ODD}, **known})
     assert capsys.readouterr().out.count(ODD) == 2 + 2 + 2 + 1
 
 

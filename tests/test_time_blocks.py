@@ -10,12 +10,12 @@ import torch
 from pedzoo.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import forecast_row
-from pedzoo.eval.line_density import NATS, line_likelihood, log_density, strayed
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo import load
+from tools.paper.line_density import NATS, line_likelihood, log_density, strayed
 
 
 def test_blocks_are_as_long_as_a_window_and_within_a_recording() -> None:

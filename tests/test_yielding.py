@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
 from importlib import import_module
-from pathlib import Path
 from types import ModuleType
 from typing import cast
 
@@ -23,17 +21,12 @@ from pedzoo.models.yielding import yielding
 from pedzoo.sim.controller import Controller
 from pedzoo.sim.policy import load_policy
 
-TOOLS = Path(__file__).parents[1] / "tools"
 CORRIDOR = rectangles(room((-8.0, -1.2), (8.0, 1.2), 0.2), resolution=0.05)
 
 
 @pytest.fixture(scope="module")
 def tool() -> ModuleType:
-    sys.path.insert(0, str(TOOLS))
-    try:
-        return import_module("robots_respected")
-    finally:
-        sys.path.remove(str(TOOLS))
+    return import_module("tools.pages.robots_respected")
 
 
 def steps_of(place: Tensor, velocity: Tensor, radius: Tensor, robot: Tensor, moved: Tensor) -> Steps:
@@ -151,7 +144,7 @@ def test_the_gradient_is_that_of_what_is_asked_for() -> None:
 )
 @pytest.mark.parametrize("policy", ["orca", "social_force:preset=indoor", "sgan_goal_map.indoor"])
 def test_robots_are_respected(tool: ModuleType, policy: str, place: str, encounter: str) -> None:
-    """All offsets: tools/robots_respected.py. The corridor leaves 0.7 m beside a robot in the middle."""
+    """The corridor leaves 0.7 m beside a robot. All offsets: tools/pages/robots_respected.py."""
     for share in (0.0, 0.5):
         run = tool.walked(policy, place, encounter, share * tool.WIDEST[place])
         assert run.nearest >= 0.65 - 1e-3 and run.arrived, share

@@ -12,13 +12,13 @@ from typing import Any
 from pedzoo.eval.suite import Tell, Unit
 from pedzoo.fetch import sha256_of
 from pedzoo.models.store import find
-from pedzoo.registry import SUITES
+from pedzoo.registry import SUITES, folder_of
 from pedzoo.sim.crowd import parts
 from pedzoo.spec import Spec, parse
 from pedzoo.versions import versions
 
 _MATTER = (".py", ".csv", ".yaml", ".png")
-_NO_MATTER = ("cli", "bench", "train", "configs")
+_NO_MATTER = ("cli", "train", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 
@@ -80,11 +80,12 @@ def _code_sum() -> str:
 
     Commits of anything else leave it as it is.
     """
-    base, found = Path(__file__).parents[1], hashlib.sha256()
-    for path in sorted(base.rglob("*")):
-        place = path.relative_to(base)
-        if path.suffix in _MATTER and place.parts[0] not in _NO_MATTER:
-            found.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
+    found = hashlib.sha256()
+    for base in (Path(__file__).parents[1], folder_of("tools.paper")):  # a checkout's suites and tables
+        for path in sorted(base.rglob("*")):
+            place = path.relative_to(base)
+            if path.suffix in _MATTER and place.parts[0] not in _NO_MATTER:
+                found.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
     return found.hexdigest()
 
 

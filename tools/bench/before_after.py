@@ -2,7 +2,7 @@
 
     python tools/bench/before_after.py --before f998d3e --json speed.json
     python tools/bench/before_after.py --sections environment --quick
-    python tools/bench/before_after.py --peer tools/peers/*.py --peer_python ../venv_peers/bin/python
+    python tools/bench/before_after.py --peer tools/bench/peers/*.py --peer_python ../venv_peers/bin/python
 
 The commit is checked out into a temporary worktree. Each side runs ``side.py`` in a process of its own.
 ``README.md`` beside this file says what is measured and how to read the table.
@@ -10,26 +10,32 @@ The commit is checked out into a temporary worktree. Each side runs ``side.py`` 
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import subprocess
 import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
-from comparison import SIDES, measure, print_rows, rows
+import torch
 
-from pedzoo.bench.machine import load, machine
-from pedzoo.bench.peer import Peer, PeerCase, Scenes, check
+from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.errors import UserError
+from tools.bench.command import add_timing, timed
+from tools.bench.comparison import SIDES, measure, rows
+from tools.bench.peer import Peer, PeerCase, Scenes, check
+from tools.bench.scenes import Size
+from tools.bench.sections.loop import ORCA, Walk
+from tools.bench.tables import print_bench
+from tools.bench.turns import load, machine
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SIDE = HERE / "side.py"
+EXAMPLE = "python tools/bench/before_after.py --sections environment --size 64x5 --quick"
 BEFORE = "f998d3e"
 """The commit before the kernel (issue 19)."""
 
@@ -47,69 +53,58 @@ SIZES = {
 
 def main(argv: Sequence[str]) -> int:
     """Measure, write and print; returns the exit code."""
-    options = parsed(argv)
     try:
+        options = parsed(argv)
         check_outputs(json=options.json)
         for script in options.peer:
             check(script, options.peer_python)
         if options.turns < 1 or not options.seconds > 0:
             raise UserError(f"--turns {options.turns} --seconds {options.seconds:g}: expected above 0")
         asked = questions(options.sections, options.size)
-        report, found = measured(options, asked)
+        report = measured(options, asked)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if options.json:
         write_json(options.json, report)
-    print_rows(found, report)
-    return 1 if report["failed"] else 0
+    print_bench(report)
+    return 1 if report["skipped"] else 0
 
 
-def parsed(argv: Sequence[str]) -> argparse.Namespace:
-    """Return the options."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    add = parser.add_argument
-    add("--before", default=BEFORE, metavar="COMMIT", help=f"default: {BEFORE}")
-    add("--sections", nargs="+", choices=[*SIZES], default=[*SIZES], help="default: all")
-    add("--size", nargs="+", metavar="BxA", help="only these of the sections' sizes, such as 64x5")
-    add("--turns", type=int, help="how often each case is timed (default: 7; quick 3)")
-    add("--seconds", type=float, help="least seconds of one case in a turn (default: 1; quick 0.2)")
-    add("--quick", action="store_true", help="few short turns: ratios are rough")
-    add(
-        "--peer",
-        nargs="+",
-        default=[],
-        type=Path,
-        metavar="FILE.py",
-        help="programs such as tools/peers/*.py",
-    )
-    add("--peer_python", "--peer-python", default="", metavar="PYTHON", help="interpreter of peers")
-    add("--json", metavar="FILE", help="also write the report to this file")
-    options = parser.parse_args(argv)
-    turns, seconds = (3, 0.2) if options.quick else (7, 1.0)
-    options.turns = turns if options.turns is None else options.turns
-    options.seconds = seconds if options.seconds is None else options.seconds
+def parsed(argv: Sequence[str]) -> Namespace:
+    """Return the options.
+
+    Raises:
+        UserError: A wrong one.
+    """
+    parser = Arguments("before_after", (__doc__ or "").partition("\n")[0], EXAMPLE)
+    parser.prog = "python tools/bench/before_after.py"
+    parser.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"default: {BEFORE}")
+    parser.add_argument("--sections", nargs="+", choices=[*SIZES], default=[*SIZES], help="default: all")
+    add_timing(parser, "the sections")
+    options = timed(parser.parse_args(argv))
     # It answers nothing: the other peers import it.
     options.peer = [script for script in options.peer if script.name != "answering.py"]
     return options
 
 
-def questions(sections: Sequence[str], sizes: Sequence[str] | None) -> list[Scenes]:
+def questions(sections: Sequence[str], sizes: Sequence[tuple[int, int]]) -> list[Scenes]:
     """Return what sides are asked about: sections at sizes, without any states.
 
     Raises:
         UserError: None of the sizes is measured in these sections.
     """
     every = [(size, name) for name in sections for size in SIZES[name]]
-    if sizes is not None:
-        every = [(size, name) for size, name in every if f"{size[0]}x{size[1]}" in sizes]
+    if sizes:
+        every = [(size, name) for size, name in every if size in sizes]
     if not every:
-        raise UserError(f"--size {' '.join(sizes or ())}: none is measured in {', '.join(sections)}")
+        given = " ".join(f"{scenes}x{people}" for scenes, people in sizes)
+        raise UserError(f"--size {given}: none is measured in {', '.join(sections)}")
     return [Scenes(name, size[0], size[1], {}, [], [], [], [], []) for size, name in sorted(every)]
 
 
-def measured(options: argparse.Namespace, asked: Sequence[Scenes]) -> tuple[dict, list]:
-    """Run both sides and the peers; returns the report and its rows.
+def measured(options: Namespace, asked: Sequence[Scenes]) -> dict[str, Any]:
+    """Run both sides and the peers; returns the report.
 
     Raises:
         UserError: There is no such commit, or a program does not start.
@@ -130,15 +125,13 @@ def measured(options: argparse.Namespace, asked: Sequence[Scenes]) -> tuple[dict
                 raise UserError(
                     f"{name}: imported pedzoo from {sides[name].versions['tree']}, not from {where}"
                 )
-        # The states are told by the commit before, whose interface stays what it is.
-        told = states(tree, asked) if options.peer else []
+        told = states(asked) if options.peer else []
         peers = [start(script, options.peer_python, {}) for script in options.peer]
         cases += [(case.peer, case) for peer in peers for case in known(peer, told, peer.script.stem)]
         timed, failed = measure(cases, options.turns, options.seconds, tell)
         versions = {name: each for peer in (sides["after"], *peers) for name, each in peer.versions.items()}
-    found = rows(timed)
     changed = " with changes" if git("status", "--porcelain", "--untracked-files=no") else ""
-    report = {
+    return {
         "command": "before_after",
         "protocol": {
             "before": commit(options.before),
@@ -151,10 +144,9 @@ def measured(options: argparse.Namespace, asked: Sequence[Scenes]) -> tuple[dict
         },
         "machine": machine() | {"load_before": busy, "load_after": load()},
         "versions": {name: each for name, each in versions.items() if name != "tree"},
-        "failed": failed,
-        "rows": [row.as_json() for row in found],
+        "skipped": failed,
+        "rows": [row.as_json() for row in rows(timed)],
     }
-    return report, found
 
 
 def known(program: Peer, asked: Sequence[Scenes], name: str) -> list[PeerCase]:
@@ -163,19 +155,12 @@ def known(program: Peer, asked: Sequence[Scenes], name: str) -> list[PeerCase]:
     return program.cases(asked)
 
 
-def states(tree: Path, asked: Sequence[Scenes]) -> list[Scenes]:
-    """Return the states that peers start from, at the environment's sizes.
-
-    Raises:
-        UserError: The checkout cannot tell them.
-    """
-    sizes = [f"{each.scenes}x{each.people}" for each in asked if each.section == "environment"]
-    command = [sys.executable, str(SIDE), "scenes", *sizes]
+def states(asked: Sequence[Scenes]) -> list[Scenes]:
+    """Return the middle of walks, at the environment's sizes, for peers to start from."""
     tell("states for peers")
-    done = subprocess.run(command, env=os.environ | of(tree), capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise UserError(f"no states for peers from {tree}: {done.stderr.strip().splitlines()[-1]}")
-    return [Scenes(**each) for each in json.loads(done.stdout)]
+    torch.set_num_threads(1)
+    sizes = [Size(each.scenes, each.people) for each in asked if each.section == "environment"]
+    return [Walk(f"goals:map=apartment.7,people={size.people}", size, ORCA).scenes() for size in sizes]
 
 
 def of(tree: Path) -> dict[str, str]:

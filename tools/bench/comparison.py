@@ -1,18 +1,14 @@
-"""The turns and the table of ``before_after.py``."""
+"""The turns and the rows of ``before_after.py``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
-
-from pedzoo.bench.figures import Measured, Row, Verdict
-from pedzoo.bench.peer import PeerCase
-from pedzoo.bench.turns import ratio
-from pedzoo.errors import UserError
+from tools.bench.figures import Measured, Row
+from tools.bench.peer import PeerCase
+from tools.bench.turns import in_turns, ratio
 
 SIDES = ("before", "after")
 SHARE = "safety layer's share of the steps"
@@ -26,8 +22,6 @@ ENVIRONMENT_BARS = {
 
 POLICY_BAR, CONTROLLER_BAR, SHARE_BAR = 1.5, 2.0, 25.0
 POLICY_SIZE = "64 x 5"
-WIDTH = 200
-"""Columns of the table where the terminal has fewer."""
 
 
 class Timed(NamedTuple):
@@ -85,17 +79,8 @@ def measure(
         same = [Timed(who, case, []) for who, case in cases if (case.scenes, case.people) == size]
         # Sorting keeps the order of equal names: both sides of a comparison are neighbours.
         block = sorted(same, key=lambda one: ("" if one.who in SIDES else one.who, one.case.name))
-        for turn in range(turns):
-            for one in reversed(block) if turn % 2 else block:
-                if one.title in failed:
-                    continue
-                tell(f"turn {turn + 1} of {turns}, {one.title}")
-                try:
-                    one.speeds.append(one.case.side(seconds))
-                except UserError as error:
-                    failed[one.title] = str(error)
-                    tell(f"{one.title}: {error}")
-        every += [one for one in block if one.title not in failed]
+        speeds = in_turns({one.title: one.case.side for one in block}, turns, seconds, tell, failed)
+        every += [one._replace(speeds=speeds[one.title]) for one in block if one.title not in failed]
     return every, failed
 
 
@@ -122,7 +107,7 @@ def compare(after: Timed, timed: Sequence[Timed]) -> Row:
     row = Row("before_after", after.case.name, case, metrics)
     bar = least(after)
     bars = [row.at_least("times_before", bar)] if bar and rivals else []
-    return Row(row.section, row.name, row.case, metrics, bars)
+    return replace(row, bars=bars)
 
 
 def least(after: Timed) -> float | None:
@@ -144,11 +129,10 @@ def shares(timed: Sequence[Timed]) -> list[Row]:
                 pairs = zip(held.speeds, free.speeds, strict=True)
                 percent = [100 * (1 - with_it / without) for with_it, without in pairs]
                 found.setdefault(held.size, {})[f"{held.who}_percent"] = Measured.of(percent)
+    rows = [Row("before_after", SHARE, {"size": size}, metrics) for size, metrics in found.items()]
     return [
-        Row("before_after", SHARE, {"size": size}, metrics, bars)
-        for size, metrics in found.items()
-        for row in [Row("before_after", SHARE, {"size": size}, metrics)]
-        for bars in [[row.below("after_percent", SHARE_BAR)] if "after_percent" in metrics else []]
+        replace(row, bars=[row.below("after_percent", SHARE_BAR)] if "after_percent" in row.metrics else [])
+        for row in rows
     ]
 
 
@@ -157,57 +141,3 @@ def peer(one: Timed) -> Row:
     metrics = {"agent_steps_per_s": one.speed, "step_ms": one.milliseconds}
     case = {"size": one.size, "step_s": one.case.step_seconds}
     return Row("peer", one.case.title, case, metrics, (), one.case.note)
-
-
-def print_rows(found: Sequence[Row], report: dict[str, Any]) -> None:
-    """Print tables of both sides and of the peers, and what the numbers mean."""
-    console, protocol = Console(), report["protocol"]
-    console.width = max(console.width, WIDTH)  # a cell that is cut would say nothing
-    table = Table(title=f"{protocol['before']} (before) and {protocol['after']} (after)", box=SIMPLE)
-    for column in ("", "size", "physics", "before/s", "after/s", "before ms", "after ms", "ratio", "bar"):
-        table.add_column(
-            column, justify="left" if column in ("", "physics", "bar") else "right", no_wrap=True
-        )
-    for row in found:
-        if row.section == "before_after":
-            unit = "percent" if row.name == SHARE else "agent_steps_per_s"
-            cells = [f"{side}_{metric}" for metric in (unit, "ms") for side in SIDES]
-            told = [text(row.metrics.get(cell), cell) for cell in (*cells, "times_before")]
-            case = row.case
-            table.add_row(row.name, case["size"], case.get("physics", ""), *told, verdict(row.bars))
-    console.print(table)
-    others, notes = Table(title="peers", box=SIMPLE), {}
-    for column in ("program", "size", "agent-steps/s", "ms", "step s"):
-        others.add_column(column, justify="left" if column == "program" else "right", no_wrap=True)
-    for row in found:
-        if row.section == "peer":
-            told = [text(row.metrics[metric], metric) for metric in ("agent_steps_per_s", "step_ms")]
-            others.add_row(row.name, row.case["size"], *told, f"{row.case['step_s']:g}")
-            notes[row.name] = row.note
-    if notes:
-        console.print(others)
-    lines = [f"{name}: {note}" for name, note in notes.items()]
-    lines += [
-        f"Agent-steps per second on one thread: medians of {protocol['turns']} turns of at least "
-        f"{protocol['seconds_per_turn']:g} s, {protocol['clock']}; in brackets: quartiles."
-    ]
-    lines += [f"left out: {title}: {why}" for title, why in report["failed"].items()]
-    print("\n".join(lines))
-
-
-def text(value: Measured | None, metric: str) -> str:
-    """Return a value with its quartiles, as a table has it."""
-    if value is None:
-        return ""
-    if metric.endswith("_per_s"):
-        return f"{value.value:,.0f} [{value.low:,.0f}-{value.high:,.0f}]"
-    if metric.endswith("percent"):
-        return f"{value.value:.0f} % [{value.low:.0f}-{value.high:.0f}]"
-    if metric.startswith("times"):
-        return f"{value.value:.2f} [{value.low:.2f}-{value.high:.2f}]"
-    return f"{value.value:.3g}"
-
-
-def verdict(bars: Sequence[Verdict]) -> str:
-    """Return what was asked for and whether it is so."""
-    return "; ".join(str(bar).replace("times_before ", "").replace("after_percent ", "") for bar in bars)

@@ -22,6 +22,7 @@ from tensordict.nn import TensorDictModuleBase
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.policy import load_policy
+from tools.bench.turns import repeated
 
 SIZES = ((1, 5), (64, 5), (1024, 5), (8192, 5))
 POLICIES = ("go_to_goal", "sgan_goal_map.indoor:safety=false", "sgan_goal_map.indoor")
@@ -73,15 +74,17 @@ def measured(
     now = env.reset()
     for _ in range(10):
         _, now = env.step_and_maybe_reset(decide(now))
-    finish(device)
-    steps, begin = 0, time.perf_counter()
-    while time.perf_counter() - begin < seconds:
+
+    def clock() -> float:
+        finish(device)
+        return time.perf_counter()
+
+    def walk() -> None:
+        nonlocal now
         for _ in range(5):
             _, now = env.step_and_maybe_reset(decide(now))
-        finish(device)
-        steps += 5
-    taken = time.perf_counter() - begin
-    return steps * scenes * env.scenario.people / taken, places
+
+    return repeated(walk, 5 * scenes * env.scenario.people, clock)(seconds), places
 
 
 def walked(env: PedestrianEnv, policy: TensorDictModuleBase | Callable[[Any], Any], now: Any) -> torch.Tensor:

@@ -8,23 +8,19 @@ works with the interface of both checkouts:
 * floor plans are bound to a policy where it has ``bind``.
 
 A question's ``section`` says what is timed at a size (see `SECTIONS`); the answered ``note`` is the variant.
-
-``side.py scenes 64x5`` prints the scenes in the middle of a walk, for peers that start from the same states.
 """
 
 from __future__ import annotations
 
 import inspect
-import json
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "peers"))
+sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
 
 import numpy as np
 import torch
@@ -172,37 +168,6 @@ def steering(plan: str, people: int) -> tuple[Step, Step]:
     return step, again
 
 
-def scenes_for_peers(scenes: int, people: int) -> dict[str, Any]:
-    """Return the middle of a walk in the form of `pedzoo.bench.peer.Scenes`, section ``loop``."""
-    walk = Walk(scenes, people, f"orca:dt={DECISION}", "")
-    agents, bank = walk.now["agents"], walk.env.bank
-    # Loaded by name: only the checkout that is asked for scenes has to have these.
-    settings = import_module("pedzoo.sim.orca.settings").OrcaSettings(time_step=DECISION)
-    return {
-        "section": "loop",
-        "scenes": scenes,
-        "people": people,
-        "orca": {key: value for key, value in asdict(settings).items() if key != "max_obstacles"},
-        "walls": [polygon.tolist() for polygon in outlines_of(bank)],
-        "position": agents["history"][:, :, -1].tolist(),
-        "velocity": agents["velocity"].tolist(),
-        "preferred": agents["desired_velocity"].tolist(),
-        "top_speed": (1.3 * agents["pref_speed"].squeeze(-1)).tolist(),
-    }
-
-
-def outlines_of(bank: Any) -> Any:
-    """Return the outlines of a bank's only floor plan, in either checkout."""
-    if hasattr(bank, "walls"):
-        return bank.walls.outlines.polygons()[0]
-    return import_module("pedzoo.maps.segments").WallSegments(bank).polygons(bank.grids[0])
-
-
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["scenes"]:
-        torch.set_num_threads(1)
-        told = [scenes_for_peers(*map(int, size.split("x"))) for size in sys.argv[2:]]
-        json.dump(told, sys.stdout)
-    else:
-        tree = str(Path(pedzoo.__file__).resolve().parents[1])
-        serve("pedzoo", {"torch": torch.__version__, "tree": tree}, cases)
+    tree = str(Path(pedzoo.__file__).resolve().parents[1])
+    serve("pedzoo", {"torch": torch.__version__, "tree": tree}, cases)

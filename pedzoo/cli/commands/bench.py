@@ -2,115 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 HELP = "every speed figure, as ratios measured in one run, beside other programs where they are given"
-EXAMPLE = "pedzoo bench loop orca --peer tools/peers/pyrvo_orca.py --json speed.json --compare old.json"
+EXAMPLE = "pedzoo bench loop orca --peer tools/bench/peers/pyrvo_orca.py --json speed.json --compare old.json"
 
 
 def run(argv: list[str]) -> int:
     """Measure and print; returns the exit code."""
-    from pedzoo.cli.arguments import Arguments
-    from pedzoo.registry import BENCHMARKS
+    from pedzoo.cli.checkout import run_tool
 
-    names = BENCHMARKS.names()
-    width = max(map(len, names))
-    about = [f"  {name:<{width}}  {BENCHMARKS.describe(name)}" for name in names]
-    parser = Arguments("bench", "\n".join([f"{HELP}", "", "sections:", *about]), EXAMPLE)
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help="which (default: all that can be run)")
-    parser.add_argument("--quick", action="store_true", help="small cases and short turns: about a minute")
-    parser.add_argument(
-        "--seconds", type=float, help="least seconds per side and turn (default: 1; quick 0.1)"
-    )
-    parser.add_argument("--turns", type=int, help="how often each side is timed (default: 5; quick 3)")
-    parser.add_argument(
-        "--size", nargs="+", default=[], metavar="BxA", help="scenes x people in loop, orca, profile: 1024x5"
-    )
-    parser.add_argument("--threads", type=int, default=1, help="of torch and of peers (default: 1)")
-    parser.add_argument(
-        "--map",
-        nargs="+",
-        default=[],
-        metavar="PLAN",
-        help="floor plans, files or office.7; each case takes the first with room",
-    )
-    parser.add_argument(
-        "--device",
-        default="cpu",
-        choices=("cpu", "cuda"),
-        help="cpu; tools/bench/devices.py measures the others",
-    )
-    parser.add_argument(
-        "--peer", nargs="+", default=[], metavar="FILE.py", help="other programs: tools/peers/*.py"
-    )
-    parser.add_argument(
-        "--peer_python",
-        "--peer-python",
-        default="",
-        metavar="PYTHON",
-        help="interpreter of peers (default: this)",
-    )
-    parser.add_argument(
-        "--sgan", metavar="FOLDER", help="checkout of the original Social GAN, for section sgan"
-    )
-    parser.add_argument("--data", metavar="FOLDER", help="ETH/UCY, for section sgan (default: PEDZOO_DATA)")
-    parser.add_argument("--json", metavar="FILE", help="also write the report to this file")
-    parser.add_argument("--compare", metavar="FILE", help="an older report: what has become faster or slower")
-    options = parser.parse_args(argv)
-
-    import sys
-
-    from pedzoo.bench.compare import compare, read_report
-    from pedzoo.bench.run import Run
-    from pedzoo.bench.section import Settings
-    from pedzoo.cli.bench_tables import line, print_bench, print_comparison
-    from pedzoo.cli.output import check_outputs, write_and_print
-    from pedzoo.errors import UserError
-
-    if options.device != "cpu":
-        raise UserError(
-            f"--device {options.device}: benchmarks are of the CPU only: expected cpu; "
-            "python tools/bench/devices.py --devices cpu cuda measures the environment on others"
-        )
-    check_outputs(json=options.json)
-    old = read_report(options.compare) if options.compare else None
-    seconds, turns = (0.1, 3) if options.quick else (1.0, 5)
-    settings = Settings(
-        seconds=seconds if options.seconds is None else options.seconds,
-        turns=turns if options.turns is None else options.turns,
-        quick=options.quick,
-        threads=options.threads,
-        sizes=tuple(map(_size, options.size)),
-        maps=tuple(options.map),
-        peers=tuple(map(Path, options.peer)),
-        peer_python=options.peer_python,
-        sgan=Path(options.sgan) if options.sgan else None,
-        data=options.data,
-    )
-    measuring = Run(options.sections, settings)
-
-    def finish(**more: bool) -> None:
-        report = measuring.report() | more
-        write_and_print(report, options.json, lambda: print_bench(report))
-        if old is not None:
-            print_comparison(compare(old, report), options.compare)
-
-    try:
-        measuring.go(lambda row: print(line(row), file=sys.stderr, flush=True))
-    except (KeyboardInterrupt, UserError):
-        if measuring.rows:
-            print("not finished: only what was measured by then")
-            finish(interrupted=True)
-        raise
-    finish()
-    return 0
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Return scenes and people of ``1024x5``."""
-    from pedzoo.errors import UserError
-
-    scenes, _, people = text.partition("x")
-    if not (scenes.isdecimal() and people.isdecimal()):
-        raise UserError(f"--size {text}: expected scenes x people such as 1024x5")
-    return int(scenes), int(people)
+    return run_tool("bench", "tools.bench", argv)

@@ -1,1 +1,0 @@
-"""Speed: every figure of the project, measured in one run and beside others where there are others."""

@@ -1,0 +1,231 @@
+"""What controllers have to show: choices and targets by hand, cases, and the page that people read."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from walks import made, straight
+
+from pedzoo.cli.main import main
+from pedzoo.eval.suite import Request
+from pedzoo.eval.suites.goals import DRAWN
+from pedzoo.metrics.ratios import summarised
+from pedzoo.models.card import ModelCard, read_card, write_card
+from pedzoo.paths import shipped
+from pedzoo.sim.make import make_scenario
+from tools.paper.choices import first_through, passing_side, varied
+from tools.paper.loop import BASELINES, FORCE, ORCA, Loop, _plans, targets
+from tools.paper.loop_forecasts import forecasts
+from tools.paper.suites.loop_buildings import OFFICES, LoopBuildings
+from tools.paper.suites.loop_doors import Doorway, LoopDoors
+from tools.paper.suites.loop_noise import CHOICES, DRAWS, LoopNoise
+from tools.paper.suites.loop_replay import LoopReplay
+from tools.paper.targets import Target, verdict
+
+NAN = float("nan")
+GATE = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]], dtype=torch.float64)
+
+
+def named(**metrics: float) -> dict[str, Any]:
+    return {"metrics": metrics}
+
+
+def meeting(lateral: float, late: int = 0) -> torch.Tensor:
+    """Two people (1, 2, 81, 2) towards each other along x, the second ``lateral`` metres to its left."""
+    first, second = straight(1.3, 80, (-4.0, 0.0)), straight(1.3, 80, (-4.0, -lateral))
+    second = torch.cat((second[:1].expand(late, 2), second))[:81]
+    return torch.stack((first, -second)).unsqueeze(0)
+
+
+def test_who_passes_a_door_first() -> None:
+    assert first_through(made(meeting(0.3, 10), gate=GATE)).tolist() == [0.0]
+    assert first_through(made(meeting(0.3, 10).flip(1), gate=GATE)).tolist() == [0.0]  # however numbered
+    assert first_through(made(-meeting(0.3, 10), gate=GATE)).tolist() == [1.0]
+    stays = meeting(0.3, 10)
+    stays[:, 1] = stays[:, 1, :1]
+    assert math.isnan(first_through(made(stays, gate=GATE)))
+    with pytest.raises(ValueError, match="has none"):
+        first_through(made(meeting(0.3)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 3.0])
+def test_passing_side_is_seen_from_the_two_and_not_from_the_frame(angle: float) -> None:
+    turn = torch.tensor([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]).double()
+    for lateral, side in ((0.4, 1.0), (-0.4, 0.0)):
+        path = meeting(lateral) @ turn
+        assert passing_side(made(path)).tolist() == [side]
+        assert passing_side(made(path.flip(1))).tolist() == [side]
+    # they are not past each other yet, or one arrives before
+    assert math.isnan(passing_side(made(meeting(0.4)[:, :, :25])))
+    early = (torch.arange(80) >= 10).long().expand(1, 2, 80)
+    assert math.isnan(passing_side(made(meeting(0.4), reached=early)))
+
+
+def test_variety_by_hand() -> None:
+    """Three of four draws agree in the first scene, all in the second; of the others too little is known."""
+    settled = torch.tensor([[1, 1, 0, 1], [0, 0, 0, NAN], [1, NAN, NAN, NAN], [NAN] * 4]).double()
+    found, intervals = summarised(varied(settled))
+    assert found["varied"] == 0.5 and found["settled"] == pytest.approx(8 / 16)
+    assert found["disagreement"] == pytest.approx((3 / 6 + 0) / 2)  # 3 of 6 pairs
+    assert intervals["varied"][0] < 0.5 < intervals["varied"][1]
+    coins = torch.randint(2, (4000, 10), generator=torch.Generator().manual_seed(0)).double()
+    assert summarised(varied(coins))[0]["disagreement"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_targets_by_numbers_and_by_what_others_have() -> None:
+    rows = {"mine": named(a=0.99, b=2.0), "one": named(a=0.5, b=1.0), "two": named(b=4.0)}
+    assert Target("a", "at least", 0.99).met("mine", rows) and not Target("a", "above", 0.99).met(
+        "mine", rows
+    )
+    mean, least = (
+        Target("b", "below", others=("one", "two")),
+        Target("b", "below", 1, ("one", "two"), "least"),
+    )
+    assert mean.limit(rows) == 2.5 and mean.met("mine", rows) and least.limit(rows) == 1.0
+    assert not least.met("mine", rows) and Target("b", "at most", 2, ("one",)).met("mine", rows)
+    assert mean.text == "b below the mean of one, two" and least.text == "b below the least of one, two"
+    assert Target("b", "at most", 1.1, ("one",)).text == "b at most 1.1 x one"
+    unknown = Target("a", "at most", others=("two",))
+    assert unknown.limit(rows) is None and unknown.met("mine", rows) is None
+    assert verdict([mean], "mine", rows) == "met"
+    assert verdict([mean, least], "mine", rows) == "b 2.000, not below 1.000"
+    assert verdict([Target("a", "at least", 0.9)], "two", rows) == "a -, not at least 0.900"
+    assert verdict([unknown], "mine", rows) == "nothing to compare a with"
+
+
+def test_every_case_has_targets_and_its_scenario_can_be_made() -> None:
+    cases = LoopDoors("loop_doors").cases(Request()) + LoopNoise("loop_noise").cases(Request())
+    assert [case.episodes for case in cases[:3]] == [1000, 500, 500]
+    for case in cases:
+        assert targets(case.table) and make_scenario(case.scenario).people >= 2
+    assert {case.physics for case in cases[:7]} == {"bullet"}
+    buildings = LoopBuildings("loop_buildings").cases(Request(maps=("flat",), quick=True))
+    tables = list(dict.fromkeys(case.table for case in buildings))
+    assert tables == [f"loop_buildings {name}" for name in ("drawn", "flat", "crowd of 20", "crowd of 50")]
+    assert [t.key for t in targets(tables[0])] == [t.key for t in targets(tables[1])] != targets(tables[2])
+    recorded = LoopReplay("loop_replay")
+    assert "walk 3 x where all are simulated; others once" in recorded.notes(Request(), [])[1]
+    folds = recorded.cases(Request(quick=True))
+    assert all(case.case["simulated"] == "all" and targets(case.table)[0].key == "realism" for case in folds)
+    assert {ORCA, FORCE} <= set(BASELINES)
+
+
+def test_training_sees_none_of_the_floor_plans_of_the_tests() -> None:
+    configs = list((Path(__file__).parents[2] / "configs" / "closed_loop").glob("*.yaml"))
+    seen = set(re.findall(r"\b(?:apartment|office)\.\d+", " ".join(file.read_text() for file in configs)))
+    assert not seen & {*DRAWN, *OFFICES}
+    config = {"a": [{"scenario": "goals:map=[one.1,two.yaml],people=3"}, "goals:map=three"], "b": "door"}
+    assert _plans(config) == ["one.1", "two.yaml", "three"]
+
+
+def test_policies_without_noise_have_no_part_in_what_noise_changes() -> None:
+    suite = LoopNoise("loop_noise")
+    case = suite.cases(Request())[0]
+    names = ["go_to_goal", "sgan_goal.eth_ucy", "orca"]
+    assert [unit.policy for unit in suite.units(case, names, (0,), False)] == ["sgan_goal.eth_ucy"]
+    assert suite.units(case, names, (0,), True) == []
+
+
+def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tools.paper.suites.loop_noise.DRAWS", 3)
+    suite = LoopNoise("loop_noise")
+    case = suite.cases(Request(episodes=4))[1]
+    (unit,) = suite.units(case, ["sgan_goal.eth_ucy"], (0,), False)
+    told: list[float] = []
+    (row,) = suite.rows(unit, told.append)
+    assert row["n"] == 4 and row["draws"] == 3 and told[-1] == 1.0
+    found = row["metrics"]
+    assert set(found) == set(suite.columns) and found["settled"] > 0
+    assert 0 <= found["clean"] <= found["contact_free"] <= 1 and (found["varied"] > 0) == (
+        found["disagreement"] > 0
+    )
+    json.dumps(row, allow_nan=False)
+
+
+def test_page_says_what_is_met_and_what_is_missing() -> None:
+    loop = Loop(models=["go_to_goal"], request=Request(quick=True))
+
+    def scored(name: str, table: str, **metrics: float) -> dict[str, Any]:
+        case = {"suite": table.split()[0], "physics": "compiled"}
+        return {"name": name, "table": table, "case": case, "n": 3, "metrics": metrics, "ci95": {},
+                "seconds": {"cpu": 7.4, "wall": 9.0}}  # fmt: skip
+
+    door = "loop_doors varied"
+    rows = [
+        scored("mine", door, clean=0.997, time_ratio_median=1.05),
+        scored(ORCA, door, clean=0.7, time_ratio_median=1.02),
+        scored("mine", "loop_noise passing side", varied=0.1),
+        scored("real", "loop_replay embedded", realism=0.0),
+    ]
+    overview, varied_door, *_ = pages = loop.pages({"summary": rows})
+    assert len(pages) == 4 and overview.head == ["case", "target", "mine", ORCA]
+    assert overview.rows[0] == ["doors: varied", "clean at least 0.995", "0.997 met", "0.700"]
+    assert overview.rows[2][2:] == ["0.100", "-"]
+    assert "clean at least 0.995; time_ratio_median at most 1.1" in varied_door.title
+    assert varied_door.rows[0] == ["mine", "met", "3", "1.00", "1.05", "7"]
+    assert varied_door.rows[1][1] == "clean 0.700, not at least 0.995"
+    assert pages[-1].rows[0][1] == ""  # recorded people have nothing to show
+    assert loop.pages({"summary": []}) == []
+    assert f"walked {DRAWS} times" in " ".join(loop.notes()) and "office.2" in loop.notes()[1]
+    given = Loop(models=["go_to_goal"], request=Request(quick=True, maps=("flat", "office.7")))
+    assert "those that were given: flat, office.7" in given.notes()[1]
+
+
+def test_forecasts_stand_beside_those_of_the_weights_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = (
+        read_card(shipped("checkpoints") / f"sgan_goal_map.{tag}.yaml") for tag in ("zara1", "zara2")
+    )
+    reports = [one for one in before.evaluations if one["command"] == "forecast"]
+
+    def told(card: ModelCard, name: str, factor: float, **training: Any) -> None:
+        rows = [
+            [dict(row, metrics={"ade_m": factor * row["metrics"]["ade_m"]}) for row in one["rows"]]
+            for one in reports
+        ]
+        found = [one | {"rows": row} for one, row in zip(reports, rows, strict=True)]
+        known = card.training | training
+        write_card(replace(card, name=name, training=known, evaluations=found), tmp_path / f"{name}.yaml")
+
+    told(before, "sgan_goal_map.before", 1.0)
+    told(after, "sgan_goal_map.good", 1.1, overrides={"weights": "sgan_goal_map.before"})
+    told(after, "sgan_goal_map.bad", 1.2, overrides={"weights": "sgan_goal_map.before"})
+    told(after, "sgan_goal_map.alone", 1.2)
+    monkeypatch.setenv("PEDZOO_ZOO", str(tmp_path))
+    names = [f"sgan_goal_map.{tag}" for tag in ("before", "good:safety=false", "bad", "alone")]
+    page = forecasts([*names, "go_to_goal", "orca:radius=0.3"])
+    assert page is not None and len(page.rows) == 2 * len(reports)
+    verdicts = {row[0]: row[2] for row in page.rows}
+    assert verdicts == {"sgan_goal_map.good": "met", "sgan_goal_map.bad": "1.200, not at most 1.15"}
+    assert all(row[4] == "sgan_goal_map.before" for row in page.rows)
+    assert forecasts(["go_to_goal"]) is None
+
+
+def test_loop_writes_page_and_report_and_names_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Loop, "suites", ("loop_doors",))
+    monkeypatch.setattr(Loop, "models", ("sgan_goal.nowhere",))
+    monkeypatch.setattr(Loop, "baselines", ("go_to_goal",))
+    monkeypatch.setattr(
+        "tools.paper.suites.loop_doors.DOORWAYS",
+        {"hard": Doorway("door:sync=0.4", 500), "flow of 20": Doorway("room_exit:width=0.9", 20)},
+    )
+    assert main(["reproduce", "loop", "--episodes", "2", "--physics", "compiled", "--out", "made"]) == 0
+    said, page = capsys.readouterr().out, Path("made/LOOP.md").read_text()
+    report = json.loads(Path("made/LOOP.json").read_text())
+    assert report["missing"] == ["sgan_goal.nowhere"] and len(report["rows"]) == 2
+    assert {row["n"] for row in report["rows"]} == {2}
+    for text in (said, page):
+        assert "not here, no such weights: sgan_goal.nowhere" in text and "doors: hard" in text
+    assert "## Targets" in page and "* `clean`: share of episodes" in page
+    assert set(CHOICES) == {"who goes first", "passing side"}

@@ -1,0 +1,366 @@
+"""`pedzoo reproduce`: means over folds, by hand; what is missing and kept; and the pages that people read."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pedzoo.cli.main import main
+from pedzoo.errors import UserError
+from pedzoo.eval.results import Page
+from pedzoo.eval.suite import Request
+from pedzoo.models.zoo import list_models
+from pedzoo.spec import Spec
+from tools.paper import table1 as module
+from tools.paper.base import Reproduction, markdown
+from tools.paper.figure4 import Figure4, outcome
+from tools.paper.folds import mean_errors, means
+from tools.paper.line_density import NATS
+from tools.paper.outcome import OUTCOMES
+from tools.paper.paper import FOLDS, RELEASED, Errors
+from tools.paper.table1 import Table1
+from tools.paper.table1_pages import table1_pages
+from tools.paper.table2 import Table2, in_steps, steps_per_goal_at_most
+
+VERSIONS = {"pedzoo": "1", "torch": "2", "commit": "abc"}
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> str:
+    """Social GAN's folders, zara1 alone: three people walk straight on at 1.25 m/s for 60 steps."""
+    lines = [
+        f"{10 * step}\t{person}\t{0.5 * step * (1 - 2 * (person % 2)):.4f}\t{2.0 * person:.4f}"
+        for step in range(60)
+        for person in range(3)
+    ]
+    for split in ("train", "val", "test"):
+        folder = tmp_path / "recordings" / "zara1" / split
+        folder.mkdir(parents=True)
+        (folder / "walk.txt").write_text("\n".join(lines) + "\n")
+    return str(tmp_path / "recordings")
+
+
+# Table I
+
+
+def scored(name: str, fold: str, ade: float, **case: str) -> dict[str, Any]:
+    where = {"fold": fold, "goal": "none", "pred_len": "8"} | case
+    metrics = {
+        key.format(what): value
+        for what, value in (("ade", ade), ("fde", 2 * ade))
+        for key in ("{}_m", "{}_sampled_m", "min_{}_20_scene_m", "min_{}_20_agent_m")
+    }
+    ci95 = {"ade_m": (ade - 0.03, ade + 0.04)}
+    return {
+        "name": name,
+        "weights": name,
+        "case": where,
+        "n": 10,
+        "blocks": 12,
+        "metrics": metrics,
+        "ci95": ci95,
+    }
+
+
+def test_mean_over_folds_has_all_folds_and_the_interval_of_a_mean() -> None:
+    """Deviations of 0.03 and 0.04 to either side, twice: the mean's are divided by the root of two."""
+    rows = [scored("sgan", "eth", 0.2), scored("sgan", "zara1", 0.4), scored("sgan_pool", "eth", 0.2)]
+    (mean,) = means(rows, ["eth", "zara1"])
+    assert mean["name"] == "sgan" and mean["n"] == 20
+    assert mean["metrics"]["ade_m"] == pytest.approx(0.3) and mean["metrics"]["fde_m"] == pytest.approx(0.6)
+    assert mean["ci95"]["ade_m"] == pytest.approx((0.3 - 0.03 / 2**0.5, 0.3 + 0.04 / 2**0.5))
+    assert means(rows, ["eth"]) == [] and mean["blocks"] == 12
+    rows[0]["blocks"], rows[0]["ci95"] = 1, {}  # too short for an interval, and not exactly right
+    assert means(rows, ["eth", "zara1"])[0]["ci95"] == {}
+
+
+def test_released_models_have_the_printed_means() -> None:
+    """As the facts have them: V .48/.96 and VP .53/1.04 for 12 steps, .34/.68 and .37/.71 for 8."""
+    found = [[mean_errors(model.errors[steps]) for steps in (12, 8)] for model in RELEASED]
+    printed = [[(0.48, 0.96), (0.34, 0.68)], [(0.53, 1.04), (0.37, 0.71)]]
+    assert [[tuple(round(value, 2) for value in errors) for errors in row] for row in found] == printed
+
+
+def test_ratio_of_means_and_seeds_on_the_pages() -> None:
+    rows = [scored("sgan", fold, 0.5, pred_len="12") for fold in FOLDS]
+    rows += [
+        scored("constant_velocity", fold, 0.6, pred_len=steps) for fold in FOLDS for steps in ("8", "12")
+    ]
+    report = {
+        "protocol": {"folds": list(FOLDS)},
+        "rows": rows,
+        "means": means(rows, FOLDS),
+        "missing": {f"sgan_pool.{fold}_pred12": "no such weights" for fold in FOLDS[1:]},
+        "blocks": [
+            {
+                "pred_len": "12",
+                "goal": "none",
+                "tag": "_pred12",
+                "rows": ["constant_velocity", "sgan", "sgan_pool"],
+            }
+        ],
+        "training_seeds": {"sgan.eth": {"seeds": {0: 0.1, 1: 0.3}, "seed": 0, "chosen_by": "val/ade"}},
+    }
+    rows[0]["blocks"] = 3
+    for row in rows:
+        if row["name"] == "constant_velocity" or row["case"]["fold"] == "eth":
+            row["metrics"][NATS] = -1.234
+    pages = {page.title: page for page in table1_pages(report)}
+    (ratio,) = pages["Best of 20 per scene beside released models, means"].rows
+    assert ratio[-2:] == ["0.48\n0.96", "1.04\n1.04"]  # 0.5 / 0.48, 1 / 0.964
+    overview = pages["Means over the folds, ADE / FDE"].rows
+    assert [row[:3] for row in overview] == [
+        ["8 -> 8", "none", "constant_velocity"],
+        ["8 -> 12", "none", "sgan"],
+        ["8 -> 12", "none", "constant_velocity"],
+    ]
+    assert overview[1][3:] == ["0.500 / 1.000"] * 4 + ["-"]
+    best = pages["8 -> 12, goal none: best of 20 per scene"]
+    assert best.head == ["model", *(f"{fold} (10)" for fold in FOLDS), "mean (50)"]
+    assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan_pool"]
+    assert best.rows[2][1:] == ["-", *["no weights"] * 4, "-"]
+    assert best.rows[3][1] == "0.71\n1.29"
+    nats = pages[
+        "8 -> 12, goal none: negative log-likelihood, nats per person and step: lower is better"
+    ].rows
+    assert nats == [["sgan", "-1.23", *["-"] * 5], ["constant_velocity", *["-1.23"] * 5, "-"]]
+    likely = pages["8 -> 12, goal none: most likely"]
+    assert likely.rows[1][1] == "0.500 ~[0.470, 0.540]\n1.000"  # of three blocks
+    assert likely.rows[1][2] == "0.500 [0.470, 0.540]\n1.000"
+    (seeds,) = pages["Spread over training seeds, in validation (from the model cards)"].rows
+    assert seeds == ["sgan.eth", "2", "val/ade", "0.2000 ± 0.1414", "0: 0.1000, 1: 0.3000", "0"]
+    paper = next(iter(pages.values()))
+    assert paper.rows[1][:4] == ["Social-VRNN", "0.41\n0.70", "social_vrnn\ngoal none", "-"]
+
+
+def test_models_that_are_there_are_scored_and_kept_and_the_rest_is_named(
+    recordings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "find", lambda name: None)
+    journal = tmp_path / "kept"
+    table = Table1(["zara1"], root=recordings, journal=journal)
+    seen = []
+    table.run(progress=seen.append)
+    report = table.report()
+    assert [step.units for step in seen] == list(range(1, len(table.jobs) + 1)) and seen[-1].done == 1
+    assert {row["name"] for row in report["rows"]} == {"constant_velocity", "straight_line", "bent_line"}
+    for row in report["rows"]:  # who walks straight on goes where constant velocity goes
+        assert row["metrics"]["ade_m"] == pytest.approx(0, abs=1e-5) or row["case"]["goal"] == "destination"
+        if NATS in row["metrics"]:  # exactly right, with the smallest standard deviation that there is
+            assert row["metrics"][NATS] == pytest.approx(math.log(2 * math.pi * 0.02**2), abs=1e-4)
+        assert (NATS in row["metrics"]) == (row["case"]["goal"] == "none")
+        assert row["blocks"] == row["windows"] // (8 + int(row["case"]["pred_len"]))
+        assert row["n"] == 3 * row["windows"] == 3 * (60 - 8 - int(row["case"]["pred_len"]) + 1)
+    assert set(report["missing"]) >= {"sgan.zara1", "sgan_goal.zara1_destination", "sgan_pool.zara1_pred12"}
+    assert "not here, no such weights: sgan.zara1, sgan_pool.zara1" in report["notes"][-1]
+
+    monkeypatch.setattr(module, "work", None)  # nothing is left to be done
+    again = Table1(["zara1"], root=recordings, journal=journal)
+    assert again.parts == (len(table.jobs), len(table.jobs))
+    again.run()
+    assert json.loads(json.dumps(again.report())) == json.loads(json.dumps(report))
+    other = Table1(["zara1"], seed=1, root=recordings, journal=journal)
+    assert (again.others, other.parts[0], other.others) == (0, 0, len(table.jobs))
+
+
+def test_what_cannot_be_loaded_says_why_and_is_tried_again(
+    recordings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(name: str, goal: str) -> Any:
+        raise UserError(f"{name}: no convolutions")
+
+    monkeypatch.setattr(module, "find", lambda name: None)
+    monkeypatch.setattr(module, "load", broken)
+    table = Table1(["zara1"], root=recordings, journal=tmp_path / "kept")
+    table.run()
+    report = table.report()
+    assert report["rows"] == [] and report["missing"]["bent_line"] == "bent_line: no convolutions"
+    assert Table1(["zara1"], root=recordings, journal=tmp_path / "kept").parts[0] == 0
+
+
+# Table II and Figure 4
+
+
+def test_steps_by_hand() -> None:
+    assert in_steps(22.7, 0.1) == pytest.approx(227) and in_steps(22.7, 0.4) == pytest.approx(56.75)
+    assert steps_per_goal_at_most(2, 5) == 60  # 300 steps, 5 goals each
+    assert steps_per_goal_at_most(5, 3) == 53  # 265 steps; the paper lists 5 goals where 3 were to be reached
+
+
+def test_table_2_has_the_papers_cells_in_both_units() -> None:
+    metrics = {"time_s": 22.7, "seconds_per_goal": 7.5, "episode_success": 0.9}
+    row = {
+        "name": "walker",
+        "case": {"speed": "1.3", "people": "2", "goals": "3"},
+        "metrics": metrics,
+        "ci95": {"time_s": (20.0, 24.0)},
+    }
+    table = Table2(models=["go_to_goal"])
+    assert len(table.evaluation.units) == 2 * 5 * len(Table2.baselines)  # of which go_to_goal is one
+    pages = {page.title: page.rows for page in table.pages({"rows": [row]})}
+    total, per_goal = (next(rows for title, rows in pages.items() if title.startswith(f"1.3 m/s: {start}"))
+                       for start in ("total steps", "steps per goal"))  # fmt: skip
+    assert total[0][1:] == ["227", "300", "139", "280", "265"]
+    assert total[1] == ["walker", "227 [200, 240]\n57 [50, 60]", "-", "-", "-", "-"]
+    assert per_goal[0][1:3] == ["at most 76 (76%)", "at most 60 (60%)"]
+    assert pages["1.3 m/s: goals per person, all episodes"][0][1:] == [
+        f"at least {n}" for n in (3, 5, 3, 5, 5)
+    ]
+    assert per_goal[1][1] == "75 (75%)\n19 (19%)"
+    assert table.printed()["total_steps"]["3/5"] == 280
+    assert "apartment.0, apartment.1, apartment.2" in table.notes()[0]
+
+
+def test_floor_plans_that_are_given_take_the_place_of_drawn_ones() -> None:
+    units = Table2(models=["go_to_goal"], request=Request(maps=("flat",), quick=True)).evaluation.units
+    assert {unit.case.case["map"] for unit in units} == {"flat"}
+    settings = [unit.case.scenario.settings for unit in units if isinstance(unit.case.scenario, Spec)]
+    assert len(settings) == len(units) and all(unit.case.episodes == 2 for unit in units)
+    assert all(given["map"] == ["flat"] for given in settings)
+    assert {(given["speed"], given["speed_std"]) for given in settings} == {(1.3, 0.2), (0.5, 0.0)}
+
+
+def test_outcomes_that_are_not_rare_are_told() -> None:
+    shares = {"outcome_lost": 0.25, "outcome_circle": 0.71, "outcome_pass": 0.04}
+    metrics = {f"outcome_{name}": 0.0 for name in OUTCOMES} | shares
+    row = {"case": {}, "metrics": metrics, "ci95": {}}
+    assert outcome(row) == "circle 0.71, lost 0.25" and outcome(None) == "-"
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Figure 4 with one baseline and a model that is not there, one episode, without pybullet."""
+    monkeypatch.setattr(Figure4, "models", ("sgan.nowhere",))
+    monkeypatch.setattr(Figure4, "baselines", ("go_to_goal", "orca:radius=0.1"))
+    return ["reproduce", "figure4", "--episodes", "1", "--physics", "compiled", "--out", "made"]
+
+
+def test_figure_4_writes_page_report_and_picture_and_names_what_is_missing(
+    small: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(small) == 0
+    said, folder = capsys.readouterr().out, Path("made")
+    assert sorted(path.name for path in folder.iterdir()) == ["FIGURE4.json", "FIGURE4.md", "FIGURE4.png"]
+    report = json.loads((folder / "FIGURE4.json").read_text())
+    assert (
+        report["command"] == "reproduce" and report["seeds"] == [0] and report["missing"] == ["sgan.nowhere"]
+    )
+    assert report["paper"]["orca:radius=0.5"] == "blocked"
+    found = {(row["name"], row["case"]["speeds"]): row["metrics"] for row in report["rows"]}
+    assert len(found) == 6 and found["orca:radius=0.1", "equal"]["outcome_circle"] == 1
+    assert found["go_to_goal", "equal"]["outcome_through"] == 1
+    page = (folder / "FIGURE4.md").read_text()
+    for text in (page, said):
+        assert "not here, no such weights: sgan.nowhere" in text and "circular pattern" in text
+    assert "![FIGURE4](FIGURE4.png)" in page and "Made by `pedzoo reproduce figure4 --episodes 1" in page
+    assert "* `outcome_circle`: in which both arrive and turn around each other" in page
+
+
+def test_what_was_interrupted_goes_on(
+    small: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = Figure4.run
+
+    def interrupted(self: Figure4, workers: int = 1, progress: Any = None) -> None:
+        def stop(step: Any) -> None:
+            if step.units == 2:
+                raise KeyboardInterrupt
+
+        whole(self, workers, stop)
+
+    monkeypatch.setattr(Figure4, "baselines", ("go_to_goal",))
+    monkeypatch.setattr(Figure4, "run", interrupted)
+    assert main(small) == 130
+    assert "not finished: 2 of 3 parts" in capsys.readouterr().out
+    assert [path.name for path in Path("made").iterdir()] == ["FIGURE4.json.partial"]
+    monkeypatch.setattr(Figure4, "run", whole)
+    monkeypatch.setattr(Figure4, "draw", lambda self, folder: [])
+    assert main(small) == 0
+    assert "2 of 3 parts were done before" in capsys.readouterr().out
+    kept = Path("made/FIGURE4.json.partial")
+    assert not kept.exists()
+    kept.write_text('{"unit": "of a larger table", "rows": []}\n')
+    assert main(small) == 0
+    assert "with 1 parts of another request" in capsys.readouterr().out
+    assert "of a larger table" in kept.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["table3"], "table3"),
+        (["table1", "--folds", "etth"], "unknown fold 'etth': did you mean 'eth'?"),
+        (["table1", "--seeds", "0,1"], "table1 has one seed"),
+        (["table1", "--maps", "flat"], "--map"),
+        (["table1", "--map", "flat"], "--map: no use for it in table1; table2, loop would have"),
+        (["table2", "--folds", "eth"], "--folds: no use for it in table2; table1 would have"),
+        (["table2", "--models", "orka"], "unknown policy 'orka': did you mean 'orca'?"),
+        (["table2", "--map", "apartmint.1"], "did you mean 'apartment.1'?"),
+        (["figure4", "--seeds", "one"], "--seeds one: expected whole numbers"),
+        (["figure4", "--workers", "0"], "workers 0: expected at least 1"),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_done(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not list(Path().iterdir())
+
+
+def test_without_recordings_the_way_to_get_them_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
+    assert main(["reproduce", "table1", "--quick"]) == 2
+    assert "PEDZOO_DATA" in capsys.readouterr().err
+
+
+def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None:
+    class Made(Reproduction):
+        title, stem = "A table", "A"
+
+        @property
+        def parts(self) -> tuple[int, int]:
+            return 0, 0
+
+        @property
+        def others(self) -> int:
+            return 0
+
+        def run(self, workers: int = 1, progress: Any = None) -> None:
+            pass
+
+        def report(self) -> dict[str, Any]:
+            return {"seeds": [0, 1], "notes": ["a note"], "versions": VERSIONS}
+
+        def pages(self, report: Any) -> list[Page]:
+            return [Page("numbers", ["name", "x"], [["one", "1\n[0, 2]"]], 1)]
+
+        def legend(self) -> dict[str, str]:
+            return {"x": "how many"}
+
+    text = markdown(Made(), Made().report(), ["pedzoo", "reproduce", "a b"], [Path("out/A.png")])
+    assert text.startswith(
+        "# A table\n\nMade by `pedzoo reproduce 'a b'` with pedzoo 1, torch 2, commit abc;"
+    )
+    for part in ("seeds 0 1.", "* a note", "![A](A.png)", "| one | 1<br>[0, 2] |", "* `x`: how many."):
+        assert part in text
+
+
+def test_paper_has_five_folds_and_models_of_the_zoo() -> None:
+    assert Errors(0.21, 0.42) == RELEASED[0].errors[8]["zara1"]
+    assert set(RELEASED[1].errors[12]) == set(FOLDS)
+    assert any(name.startswith("sgan.") for name in list_models())

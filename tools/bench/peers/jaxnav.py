@@ -1,0 +1,93 @@
+"""JaxMARL's JaxNav as a peer of `pedzoo bench`: with the rays of its lidar, and with next to none.
+
+    python -m venv ../venv_peers && ../venv_peers/bin/pip install jaxmarl==0.2.0
+    pedzoo bench loop --peer tools/bench/peers/jaxnav.py --peer_python ../venv_peers/bin/python
+
+Robots with differential drive and a body of 0.3 m get random actions in grids of 11 x 11 m. Observations,
+rewards and resets are computed in each step of 0.1 s. A robot that touches something stands. An episode ends
+when all robots of its scene have touched something or arrived, or after 500 steps; the scene goes on from one
+of 64 starts drawn beforehand. JaxNav's own reset draws a map in every step, needed or not, and is slower.
+
+One step of all scenes is one compiled program, on one thread and one processor.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from importlib.metadata import version
+from typing import Any
+
+from answering import Case, Step, serve
+
+ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+STARTS = 64
+WARM = 3
+"""Steps before the first turn: the types of the state settle in them, and each new one is compiled."""
+
+MOST = 100
+
+KINDS = {"lidar": (12, "12 rays each"), "no lidar": (2, "2 rays each, the fewest that it takes")}
+
+
+def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
+    """Return both kinds for every size that is asked about."""
+    if threads == 1:
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    return [
+        Case(
+            kind,
+            size["scenes"],
+            size["people"],
+            0.1,
+            f"JaxNav, {about}, random actions, scenes that end go on from starts drawn beforehand",
+            lambda size=size, rays=rays: built(size["scenes"], size["people"], rays),
+        )
+        for size in asked
+        if size["section"] == "loop" and size["people"] <= MOST
+        for kind, (rays, about) in KINDS.items()
+    ]
+
+
+def built(scenes: int, people: int, rays: int) -> tuple[Step, None]:
+    """Return what makes one step of all scenes."""
+    # XLA reads its flags when jax is first used.
+    import jax  # pyright: ignore[reportMissingImports]
+    from jax import numpy as jnp  # pyright: ignore[reportMissingImports]
+    from jaxmarl.environments.jaxnav import JaxNav  # pyright: ignore[reportMissingImports]
+
+    side = max(11, math.ceil(11 * math.sqrt(people / 5)))
+    env = JaxNav(num_agents=people, lidar_num_beams=rays, map_params={"map_size": (side, side), "fill": 0.3})
+    split, tree_map = jax.random.split, jax.tree.map
+    starts = jax.jit(jax.vmap(env.sample_test_case))(split(jax.random.PRNGKey(0), STARTS))
+
+    def one(key: Any, state: Any) -> tuple[Any, ...]:
+        draw, move, pick = split(key, 3)
+        keys = split(draw, people)
+        actions = {name: env.action_space(name).sample(keys[i]) for i, name in enumerate(env.agents)}
+        seen, after, reward, done, _ = env.step_env(move, state, actions)
+        row = jax.random.randint(pick, (), 0, STARTS)
+        state = tree_map(lambda new, old: jnp.where(done["__all__"], new[row], old), starts, after)
+        return state, seen, reward, done
+
+    @jax.jit
+    def step_all(key: Any, state: Any) -> tuple[Any, ...]:
+        key, draw = split(key)
+        return key, *jax.vmap(one)(split(draw, scenes), state)
+
+    first = jnp.arange(scenes) % STARTS
+    key, state = jax.random.PRNGKey(1), tree_map(lambda value: value[first], starts)
+
+    def step() -> None:
+        nonlocal key, state
+        key, state, *rest = step_all(key, state)
+        jax.block_until_ready((state, rest))
+
+    for _ in range(WARM):
+        step()
+    return step, None
+
+
+if __name__ == "__main__":
+    serve("JaxNav", {"jaxmarl": version("jaxmarl"), "jax": version("jax")}, cases)

@@ -1,0 +1,196 @@
+"""Do people keep clear of a robot that does not react? Steps controllers beside a disc of 0.5 m.
+
+    python tools/pages/robots_respected.py
+    python tools/pages/robots_respected.py orca go_to_goal:safety=true --json FILE
+
+One person and one robot, 9 lateral offsets for every encounter, in the open (-1 to 1 m) and in a corridor of
+2.4 m (as far as the robot fits). The robot is parked, or drives straight at 1 m/s. A run touches if the
+centres come closer than 0.65 m; a person arrives who comes within 0.3 m of the goal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from itertools import chain, product
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pedzoo.eval.results import markdown_table
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plain import rectangles, room
+from pedzoo.sim.controller import Controller
+from pedzoo.sim.policy import load_policy
+from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.versions import versions
+
+POLICIES = ("sgan_goal_map.indoor", "sgan_goal.indoor", "orca", "social_force:preset=indoor")
+ROBOT_RADIUS = 0.5
+CONTACT = ROBOT_RADIUS + BODY_RADIUS
+WIDTH = 2.4
+LENGTH = 34.0
+OFFSETS = 9
+WIDEST = {"open": 1.0, "corridor": WIDTH / 2 - ROBOT_RADIUS - 0.05}
+"""Largest lateral offset of the robot, metres."""
+
+
+class Encounter(NamedTuple):
+    """A person who walks along the x axis from -5 m, and a robot that passes the origin's surroundings.
+
+    Attributes:
+        start: Where the robot begins (x, y), metres, before the offset.
+        velocity: Of the robot, m/s.
+        aside: The direction of the offset.
+        pref_speed: Of the person, m/s.
+        goal: x of the person's goal, metres.
+    """
+
+    start: tuple[float, float]
+    velocity: tuple[float, float]
+    aside: tuple[float, float] = (0.0, 1.0)
+    pref_speed: float = 1.3
+    goal: float = 5.0
+
+
+ENCOUNTERS = {
+    "parked": Encounter((0.0, 0.0), (0.0, 0.0)),
+    "head-on": Encounter((5.0, 0.0), (-1.0, 0.0)),
+    "overtaken": Encounter((-7.5, 0.0), (1.0, 0.0), pref_speed=0.8, goal=14.0),
+    "overtakes": Encounter((-3.0, 0.0), (1.0, 0.0), goal=14.0),
+    "crossing": Encounter((0.0, -5 / 1.3), (0.0, 1.0), aside=(1.0, 0.0)),
+}
+
+
+class Run(NamedTuple):
+    """What came of one encounter.
+
+    Attributes:
+        nearest: Least distance of the centres, metres.
+        arrived: The person has reached the goal.
+        seconds: How long it took, or all of the time.
+    """
+
+    nearest: float
+    arrived: bool
+    seconds: float
+
+
+class Row(NamedTuple):
+    """What came of the runs of one policy in one encounter; ``metrics`` by name, the unit last."""
+
+    name: str
+    case: str
+    n: int
+    metrics: dict[str, float]
+
+
+def walls(place: str, encounter: str) -> list[tuple[float, float, float, float]]:
+    """Return the walls of a place as rectangles (x0, y0, x1, y1), metres: none in the open.
+
+    A robot that crosses the corridor comes through another one, as wide.
+    """
+    if place == "open":
+        return []
+    half, end, deep = WIDTH / 2, LENGTH / 2, 8.0
+    if encounter != "crossing":
+        return room((-end, -half), (end, half), 0.2)
+    corners = [
+        (x0, y0, x1, y1)
+        for x0, x1 in ((-end, -half), (half, end))
+        for y0, y1 in ((-deep, -half), (half, deep))
+    ]
+    return [*room((-end, -deep), (end, deep), 0.2), *corners]
+
+
+def walked(policy: str, place: str, encounter: str, aside: float, seed: int = 0) -> Run:
+    """Return one run; ``aside`` is the robot's offset, metres."""
+    case, dt = ENCOUNTERS[encounter], TRACE_SECONDS
+    blocks = walls(place, encounter)
+    plan: OccupancyGrid | None = rectangles(blocks, resolution=0.1) if blocks else None
+    steering = Controller(load_policy(policy), plan, case.pref_speed, dt, seed)
+    person, velocity = np.array([-5.0, 0.0]), np.array(case.velocity)
+    robot = np.array(case.start) + aside * np.array(case.aside)
+    goal = np.array([case.goal, 0.0])
+    nearest, limit = np.inf, 2 * (case.goal + 5) / case.pref_speed + 5
+    for tick in range(round(limit / dt)):
+        command = steering.step(
+            {"person": person},
+            {"person": goal},
+            velocities={"robot": velocity},
+            others={"robot": robot},
+            radius={"robot": ROBOT_RADIUS},
+        )["person"]
+        moved = slid(person, command * dt, blocks)
+        nearest = min(nearest, closest(person - robot, moved - person - velocity * dt))
+        person, robot = moved, robot + velocity * dt
+        if np.linalg.norm(person - goal) < GOAL_RADIUS:
+            return Run(nearest, True, (tick + 1) * dt)
+    return Run(nearest, False, limit)
+
+
+def closest(away: NDArray[np.float64], move: NDArray[np.float64]) -> float:
+    """Return the least distance of two agents that move straight, metres."""
+    part = np.clip(-(away @ move) / max(float(move @ move), 1e-12), 0, 1)
+    return float(np.linalg.norm(away + part * move))
+
+
+def slid(
+    place: NDArray[np.float64], move: NDArray[np.float64], blocks: list[tuple[float, float, float, float]]
+) -> NDArray[np.float64]:
+    """Return where a person comes who slides along walls."""
+    for part in (move, move * (1, 0), move * (0, 1)):
+        end = place + part
+        gaps = [np.linalg.norm(end - np.clip(end, block[:2], block[2:])) for block in blocks]
+        if min(gaps, default=np.inf) >= BODY_RADIUS - 1e-6:
+            return end
+    return place
+
+
+def rows(policy: str, places: list[str], encounters: list[str], seeds: int) -> Iterator[Row]:
+    """Yield one row for every place and encounter."""
+    for place, encounter in product(places, encounters):
+        offsets = np.linspace(-WIDEST[place], WIDEST[place], OFFSETS)
+        cases = product(offsets.tolist(), range(seeds))
+        runs = [walked(policy, place, encounter, aside, seed) for aside, seed in cases]
+        metrics = {
+            "touches": sum(run.nearest < CONTACT - 1e-3 for run in runs),
+            "arrived": sum(run.arrived for run in runs),
+            "nearest_m": round(min(run.nearest for run in runs), 3),
+            "median_time_s": round(median(run.seconds for run in runs), 1),
+        }
+        yield Row(policy, f"{place}, {encounter}", len(runs), metrics)
+
+
+def main() -> None:
+    """Walk, print the table, and write it to a file if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("policies", nargs="*", default=list(POLICIES))
+    parser.add_argument("--places", nargs="+", default=list(WIDEST), choices=list(WIDEST))
+    parser.add_argument("--encounters", nargs="+", default=list(ENCOUNTERS), choices=list(ENCOUNTERS))
+    parser.add_argument("--seeds", type=int, default=1, help="noise of so many seeds for every offset")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    given = parser.parse_args()
+    walks = (rows(policy, given.places, given.encounters, given.seeds) for policy in given.policies)
+    found = list(chain.from_iterable(walks))
+    if given.json:
+        report = {
+            "command": shlex.join(["tools/pages/robots_respected.py", *sys.argv[1:]]),
+            "protocol": f"a person and a robot of {ROBOT_RADIUS} m that does not react, {OFFSETS} offsets",
+            "seeds": list(range(given.seeds)),
+            "versions": versions(),
+            "rows": [row._asdict() for row in found],
+        }
+        given.json.write_text(json.dumps(report, indent=1) + "\n")
+    head = ["policy", "case", "runs", "touches", "arrived", "nearest, m", "median time, s"]
+    print(markdown_table(head, [[*row[:3], *row.metrics.values()] for row in found]), end="")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""The command ``pedzoo reproduce``."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pedzoo.cli.arguments import Arguments
+from pedzoo.cli.commands.reproduce import EXAMPLE, HELP
+from pedzoo.errors import UserError, unknown
+
+if TYPE_CHECKING:
+    from tools.paper.base import Reproduction
+
+ONLY = {
+    "folds": ("table1",),
+    "data_root": ("table1", "loop"),
+    "maps": ("table2", "loop"),
+    "models": ("table2", "figure4", "loop"),
+    "episodes": ("table2", "figure4", "loop"),
+    "physics": ("table2", "figure4", "loop"),
+}
+"""Options that only some have a use for."""
+
+
+def run(argv: list[str]) -> int:
+    """Do what is not done, print the tables and write page, report and picture; returns the exit code."""
+    about = f"""{HELP}
+
+table1   forecasts on ETH/UCY: five folds, 8 and 12 steps, every protocol, released Social GANs
+table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
+figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
+loop     what controllers trained in the loop have to show: doors, buildings, crowds, noise, recorded people
+
+Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP. What was interrupted goes on where it was."""
+    parser = Arguments("reproduce", about, EXAMPLE)
+    parser.add_argument("what", choices=("table1", "table2", "figure4", "loop"), help="what is made")
+    parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
+    parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
+    parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (table1: one)")
+    parser.add_argument("--workers", type=int, default=1, help="processes; the numbers stay the same")
+    parser.add_argument("--folds", metavar="FOLD,...", help="table1: test scenes (default: all five)")
+    parser.add_argument(
+        "--data.root", dest="data_root", metavar="FOLDER", help="table1, loop: the recordings"
+    )
+    parser.add_argument("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
+    parser.add_argument("--episodes", type=int, help="not table1: of every case and seed")
+    parser.add_argument("--physics", metavar="NAME", help="not table1 (default: as each case says)")
+    parser.add_argument(
+        "--map", dest="maps", nargs="+", metavar="PLAN", help="table2, loop: floor plans, files or names"
+    )
+    options = parser.parse_args(argv)
+
+    from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
+    from pedzoo.cli.parsing import whole_numbers
+    from pedzoo.cli.progress import overall_bar
+    from pedzoo.versions import versions
+    from tools.paper.base import markdown
+
+    for key, having in ONLY.items():
+        if getattr(options, key) is not None and options.what not in having:
+            flag = {"data_root": "data.root", "maps": "map"}.get(key, key)
+            raise UserError(f"--{flag}: no use for it in {options.what}; {', '.join(having)} would have")
+    folder, stem = Path(options.out), options.what.upper()
+    page, file, journal = (folder / f"{stem}{end}" for end in (".md", ".json", ".json.partial"))
+    check_outputs(out=str(page), json=str(file))
+    made = _made(options, journal, whole_numbers("--seeds", options.seeds))
+    if made.parts[0]:
+        print(f"{made.parts[0]} of {made.parts[1]} parts were done before: {journal}")
+
+    def tell(**more: bool) -> None:
+        report = {"command": "reproduce", **made.report(), "versions": versions(), **more}
+        if not more:
+            write_json(file, report)
+            write_text(page, markdown(made, report, ["pedzoo", "reproduce", *argv], made.draw(folder)))
+        for note in report["notes"]:
+            print(f"note: {note}")
+        print_tables(made.pages(report))
+        if not more:
+            print(f"page:   {page}\nreport: {file}")
+
+    try:
+        with overall_bar() as progress:
+            made.run(options.workers, progress)
+    except (KeyboardInterrupt, UserError, RuntimeError):  # the last: a worker was killed
+        done, total = made.parts
+        if done:
+            tell(interrupted=True)
+            print(f"not finished: {done} of {total} parts, kept in {journal}: the same command goes on")
+        raise
+    tell()
+    if made.others:  # of a larger table, perhaps, that was interrupted before a quick one was made
+        print(f"kept:   {journal}, with {made.others} parts of another request, other weights or other code")
+    else:
+        journal.unlink(missing_ok=True)  # the report has all of it
+    return 0
+
+
+def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
+    """Return the reproduction that was asked for.
+
+    Raises:
+        UserError: A fold, policy or floor plan that is not there, or recordings that are not.
+    """
+    from pedzoo.eval.suite import Request
+    from tools.paper.paper import FOLDS
+
+    if options.what == "table1":
+        from tools.paper.table1 import Table1
+
+        if len(seeds) != 1:
+            raise UserError(f"--seeds {options.seeds}: table1 has one seed of its samples")
+        folds = options.folds.split(",") if options.folds else ["zara1"] if options.quick else list(FOLDS)
+        for fold in folds:
+            if fold not in FOLDS:
+                raise unknown("fold", fold, FOLDS)
+        return Table1(folds, seeds[0], options.data_root, journal)
+    if options.what == "table2":
+        from tools.paper.table2 import Table2 as Walked
+    elif options.what == "loop":
+        from tools.paper.loop import Loop as Walked
+    else:
+        from tools.paper.figure4 import Figure4 as Walked
+    request = Request(
+        options.episodes, options.quick, options.physics, tuple(options.maps or ()), options.data_root
+    )
+    return Walked(options.models or (), request, seeds, journal)
