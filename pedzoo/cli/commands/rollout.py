@@ -42,28 +42,17 @@ def run(argv: list[str]) -> int:
         help=f"{', '.join(SCENARIOS.names())}, or file.py:Class, with settings: door:width=0.9,people=4, "
         "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file).",
     )
-    parser.add_argument(
-        "--physics",
-        type=str,
-        default="bullet",
-        help=f"{', '.join(PHYSICS.names())}, or file.py:Class; compiled is the fastest.",
-    )
+    physics = f"{', '.join(PHYSICS.names())}, or file.py:Class; compiled is the fastest."
+    parser.add_argument("--physics", type=str, default="bullet", help=physics)
     parser.add_argument("--device", type=str, default="cpu", help="Where scenes and models are, as cuda.")
-    parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
     parser.add_argument(
         "--clearance", type=NonNegativeFloat, default=CLEARANCE, help="Planned ways from walls, metres."
     )
+    parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
     parser.add_argument("--seed", type=int, default=0, help="Of the scenes, the same for all.")
-    parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
-    parser.add_argument(
-        "--warm_start", "--warm-start", type=WarmStart, default="orca", help="The first 2.8 s, not counted."
-    )
-    parser.add_argument(
-        "--decision_dt",
-        "--decision-dt",
-        type=float | None,
-        help="Refused unless the policies' own, seconds.",
-    )
+    parser.add_argument("--deterministic", type=bool, default=False, help="Models walk with noise zero.")
+    parser.add_argument("--warm_start", type=WarmStart, default="orca", help="The first 2.8 s, not counted.")
+    parser.add_argument("--decision_dt", type=float | None, help="Refused unless the policies' own, seconds.")
     parser.add_argument(
         "--metrics",
         type=list[str] | None,
@@ -74,17 +63,11 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--video", type=str | None, help="Film an episode into this .webm or .mp4.")
     parser.add_argument(
         "--video_view",
-        "--video-view",
         type=Literal["perspective", "top"],
         default="perspective",
         help="Where the camera is; only bullet has a perspective.",
     )
-    parser.add_argument(
-        "--video_seconds",
-        "--video-seconds",
-        type=PositiveFloat,
-        help="Film no more than this, seconds of the scene.",
-    )
+    parser.add_argument("--video_seconds", type=PositiveFloat, help="Film so many seconds at most.")
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
