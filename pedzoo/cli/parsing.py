@@ -24,6 +24,9 @@ PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
 
 
+_TRUTH = ("true", "false", "yes", "no", "on", "off")
+
+
 def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, type]] = ()) -> Namespace:
     """Return the parsed options.
 
@@ -184,7 +187,7 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
         if flag not in known and (flag := f"--{flag[2:].replace('-', '_')}") in known:
             found[i] = flag + joined + value
         hint, follows = getattr(known.get(flag), "_typehint", None), argv[i + 1 : i + 2]
-        if hint is bool and not joined and follows not in (["true"], ["false"]):
+        if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
             found[i] = f"{flag}=true"
         item, alone = _item_type(hint)
         if item is None or not (joined or follows):
