@@ -93,6 +93,7 @@ def test_options_may_be_written_as_people_write_them(typed):
     options = parse(parser, typed.split())
     assert (options.quick, options.video_view) == (True, "top")
     assert not parse(parser, ["--quick", "false"]).quick
+    assert parse(parser, ["--video-view", "x.quick"]).video_view == "x.quick", "a value is no option"
 
 
 @pytest.mark.parametrize(

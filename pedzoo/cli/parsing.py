@@ -184,8 +184,9 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
     known, found = parser._option_string_actions, list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
-        if flag not in known and (flag := f"--{flag[2:].replace('-', '_')}") in known:
-            found[i] = flag + joined + value
+        plain = f"--{flag[2:].replace('-', '_')}"
+        if flag.startswith("--") and flag not in known and plain in known:
+            flag, found[i] = plain, plain + joined + value
         hint, follows = getattr(known.get(flag), "_typehint", None), argv[i + 1 : i + 2]
         if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
             found[i] = f"{flag}=true"
