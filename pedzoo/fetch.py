@@ -41,16 +41,14 @@ _FAILED: set[str] = set()
 """Hosts that no try reached in this process: asked last, so that many files do not wait for each."""
 
 
-class _NotHereError(Exception):
+class _RefusedError(Exception):
     """This address does not give the file; another one may."""
 
 
 class _BrokeOffError(Exception):
-    """This try did not give the whole file; the next one may."""
+    """This try did not give the whole file; the next one may, after ``wait`` seconds."""
 
-    def __init__(self, why: str, wait: float = 0.0) -> None:
-        super().__init__(why)
-        self.wait = wait
+    wait = 0.0
 
 
 def offline() -> bool:
@@ -103,13 +101,21 @@ def fetch(
             f"{target} {state}, and PEDZOO_OFFLINE forbids the network: unset it, or {way_out} (from "
             f"{' or '.join(addresses)})"
         )
+    said = []
     try:
         with _alone(target):
-            if not _is_there(target, sha256):  # another process may have brought it meanwhile
-                _from_mirrors(addresses, target, sha256, size, token, way_out)
+            if _is_there(target, sha256):  # another process may have brought it meanwhile
+                return target
+            target.parent.mkdir(parents=True, exist_ok=True)
+            for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
+                try:
+                    os.replace(_whole(url, target, sha256, size, token), target)
+                    return target
+                except _RefusedError as error:
+                    said.append(f"{url}: {error}")
     except OSError as error:
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
-    return target
+    raise UserError(f"cannot download {target.name}: {'; '.join(said)}: {way_out}")
 
 
 def _below(folder: Path, filename: str) -> Path:
@@ -142,45 +148,29 @@ def _alone(target: Path) -> Iterator[None]:
         lock.release()
 
 
-def _from_mirrors(
-    addresses: list[str], target: Path, sha256: str | None, size: int | None, token: str | None, way_out: str
-) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
+def _whole(url: str, target: Path, sha256: str | None, size: int | None, token: str | None) -> Path:
+    """Try at one address until all of the file has come, and return where it is."""
     part = target.with_name(f".{target.name}.part")
-    if sha256 is None:
-        part.unlink(missing_ok=True)
-    said = []
-    for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
-        try:
-            _whole(url, part, sha256, size, token)
-        except _NotHereError as error:
-            said.append(f"{url}: {error}")
-        else:
-            os.replace(part, target)
-            return
-    raise UserError(f"cannot download {target.name}: {'; '.join(said)}: {way_out}")
-
-
-def _whole(url: str, part: Path, sha256: str | None, size: int | None, token: str | None) -> None:
-    """Try at one address until ``part`` has the file's content."""
     mixed, furthest, waits = part.exists(), 0, iter(WAITS)
     while True:
+        if sha256 is None:
+            part.unlink(missing_ok=True)
         try:
-            _stream(url, part, _length(part) if sha256 else 0, size, token)
+            _stream(url, part, size, token)
         except _BrokeOffError as error:
-            if _length(part) > furthest:
-                furthest, waits = _length(part), iter(WAITS)
+            if (length := _length(part)) > furthest:
+                furthest, waits = length, iter(WAITS)
             if (wait := next(waits, None)) is None:
                 _FAILED.add(_host(url))
-                raise _NotHereError(f"{error}, tried {len(WAITS) + 1} times") from error
+                raise _RefusedError(f"{error}, tried {len(WAITS) + 1} times") from error
             time.sleep(max(wait, error.wait))
             continue
         found = sha256_of(part)
         if sha256 in (None, found):
-            return
+            return part
         part.unlink()
         if not mixed:
-            raise _NotHereError(f"does not have the expected content: sha256 {found}, expected {sha256}")
+            raise _RefusedError(f"does not have the expected content: sha256 {found}, expected {sha256}")
         mixed = False  # some of it was left by an earlier download: once more, all from here
 
 
@@ -192,9 +182,9 @@ def _length(part: Path) -> int:
     return part.stat().st_size if part.exists() else 0
 
 
-def _stream(url: str, part: Path, start: int, size: int | None, token: str | None) -> None:
-    """Ask once for a file from byte ``start`` on, and append to ``part`` or begin it anew."""
-    import requests  # takes 0.1 s: only who downloads pays for it
+def _stream(url: str, part: Path, size: int | None, token: str | None) -> None:
+    """Ask once for what a file lacks, and append it to ``part`` or begin it anew."""
+    import requests  # takes 0.1 s: only downloads pay for it
 
     def authorize(request: requests.PreparedRequest) -> requests.PreparedRequest:
         request.headers["Authorization"] = f"Bearer {token}"  # requests drops it where another host answers
@@ -202,45 +192,39 @@ def _stream(url: str, part: Path, start: int, size: int | None, token: str | Non
 
     # Compressed on the way, a file's parts and its length would be those of something else.
     headers = {"Accept-Encoding": "identity", "User-Agent": f"pedzoo/{__version__}"}
-    if start:
+    if start := _length(part):
         headers["Range"] = f"bytes={start}-"
     auth = authorize if token else None
+    again = requests.ConnectionError, requests.Timeout, requests.exceptions.ChunkedEncodingError
     try:
         with requests.get(url, headers=headers, auth=auth, stream=True, timeout=TIMEOUT) as answer:
             _read(answer, part, start, size)
-    except requests.exceptions.SSLError as error:
-        raise _NotHereError(f"its certificate is not trusted ({_root(error)})") from error
-    except requests.Timeout as error:
-        raise _BrokeOffError(
-            f"no answer within {TIMEOUT[isinstance(error, requests.ReadTimeout)]:g} s"
-        ) from error
-    except (requests.ConnectionError, requests.exceptions.ChunkedEncodingError) as error:
-        raise _BrokeOffError(_root(error)) from error
-    except requests.RequestException as error:  # an address or a redirection that leads nowhere
-        raise _NotHereError(str(error)) from error
+    except requests.RequestException as error:
+        final = isinstance(error, requests.exceptions.SSLError) or not isinstance(error, again)
+        raise (_RefusedError if final else _BrokeOffError)(_root(error)) from error
 
 
 def _read(answer: requests.Response, part: Path, start: int, size: int | None) -> None:
     from tqdm import tqdm
 
+    said, where = f"{answer.status_code} {answer.reason}", answer.headers.get("Content-Range", "")
     goes_on = answer.status_code == 206 and start > 0
-    where = answer.headers.get("Content-Range", "")
     if answer.status_code == 416 and where == f"bytes */{start}":
         return  # nothing was missing
     if answer.status_code == 416 or (goes_on and not where.startswith(f"bytes {start}-")):
         part.unlink()
         raise _BrokeOffError(f"cannot go on at byte {start}")
     if answer.status_code in BUSY:
-        asked = answer.headers.get("Retry-After", "")
-        wait = min(float(asked), LONGEST_WAIT) if asked.isdecimal() else 0.0
-        raise _BrokeOffError(f"{answer.status_code} {answer.reason}", wait)
+        error, asked = _BrokeOffError(said), answer.headers.get("Retry-After", "")
+        error.wait = min(float(asked), LONGEST_WAIT) if asked.isdecimal() else 0.0
+        raise error
     if not answer.ok:
-        raise _NotHereError(f"{answer.status_code} {answer.reason}")
+        raise _RefusedError(said)
     done = start if goes_on else 0
     length = answer.headers.get("Content-Length", "")
     total = done + int(length) if length.isdecimal() else size
     if size is not None and total != size:
-        raise _NotHereError(f"has {total} bytes, expected {size}")
+        raise _RefusedError(f"has {total} bytes, expected {size}")
     look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
     bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
     with part.open("ab" if goes_on else "wb") as file, bar:
@@ -248,7 +232,7 @@ def _read(answer: requests.Response, part: Path, start: int, size: int | None) -
             done += file.write(block)
             bar.update(len(block))
             if size is not None and done > size:
-                raise _NotHereError(f"has more than the expected {size} bytes")
+                raise _RefusedError(f"has more than the expected {size} bytes")
     if size is not None and done < size:
         raise _BrokeOffError(f"broke off after {done} of {size} bytes")
 

@@ -80,13 +80,13 @@ def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
     name, settings = spec
     known = [item for item in inspect.signature(cls).parameters]
-    read = _checked if isinstance(spec, Spec) else _value
+    written = isinstance(spec, Written)
     hints = get_type_hints(cls.__init__)
     arguments = {key: value for key, value in given.items() if key in known}
     for key, value in settings.items():
         if key not in known:
             raise unknown(f"setting of {kind} {name}", key, known)
-        arguments[key] = read(f"{name}:{key}", value, hints.get(key, str))
+        arguments[key] = _typed(f"{name}:{key}", value, hints.get(key, str), written)
     try:
         inspect.signature(cls).bind(**arguments)
     except TypeError as error:
@@ -94,33 +94,23 @@ def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
     return cls(**arguments)
 
 
-def _value(where: str, text: str, hint: Any) -> Any:
+def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
+    """Return a value of the type ``hint``: read from text if it was written, else checked as it is."""
     from argparse import ArgumentError
 
     from jsonargparse import ArgumentParser
 
-    if hint is str:
-        return text
+    if written and hint is str:
+        return value
     parser = ArgumentParser(exit_on_error=False)
-    parser.add_argument("--value", type=hint)
+    # a text that stands alone would be read as YAML
+    parser.add_argument("--value", type=hint if written else list[hint])
     try:
-        return parser.parse_args([f"--value={text}"]).value
-    except ArgumentError as error:
-        raise UserError(f"{where}={text}: expected {_short(hint)}") from error
-
-
-def _checked(where: str, value: Any, hint: Any) -> Any:
-    """Return a value of the type ``hint``; the parts of a text mean nothing."""
-    from argparse import ArgumentError
-
-    from jsonargparse import ArgumentParser
-
-    parser = ArgumentParser(exit_on_error=False)
-    parser.add_argument("--value", type=list[hint])  # a text that stands alone would be read as YAML
-    try:
+        if written:
+            return parser.parse_args([f"--value={value}"]).value
         return parser.parse_object({"value": [value]}).value[0]
     except ArgumentError as error:
-        raise UserError(f"{where}={value!r}: expected {_short(hint)}") from error
+        raise UserError(f"{where}={value if written else repr(value)}: expected {_short(hint)}") from error
 
 
 def _short(hint: Any) -> str:

@@ -55,6 +55,12 @@ def test_small_numbers_are_numbers_again_and_shared_parts_are_written_out(tmp_pa
         ({"licence": ...}, "licence is missing"),
         ({"license": "MIT"}, "unknown key 'license': did you mean 'licence'"),
         ({"size": "many"}, "size is 'many', expected a whole number"),
+        ({"size": True}, "size is True, expected a whole number"),
+        ({"versions": {"torch": 2}}, "versions 'torch' is 2, expected a text"),
+        (
+            {"training": make_card().training | {"epoch": 1.5}},
+            "epoch is 1.5, expected a whole n",
+        ),
         ({"url": 3}, "url is 3, expected a text or null"),
         ({"url": "file:///etc/passwd"}, "expected an address at http"),
         ({"sha256": "abc"}, "expected 64 digits"),

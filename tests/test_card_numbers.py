@@ -148,6 +148,7 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(
         ("forecast", {"samples": "many"}, "protocol of forecast: samples is 'many', expected a whole number"),
         ("evaluate", {"suites": ["own.py:Mine"]}, r"unknown suite 'own\.py:Mine'"),
         ("evaluate", {"suites": "door"}, "suites is 'door', expected a list"),
+        ("evaluate", {"suites": ["door"], "quick": "yes"}, "quick is 'yes', expected true or false"),
         ("evaluate", {"suites": ["door"], "episodes": "few"}, "episodes is 'few', expected a whole number"),
     ],
 )

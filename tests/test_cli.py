@@ -83,6 +83,20 @@ def test_unknown_command_suggests(capsys):
 
 
 @pytest.mark.parametrize(
+    "typed",
+    ["--quick --video-view top", "--video_view=top --quick=true", "--quick true --video-view=top"],
+)
+def test_options_may_be_written_as_people_write_them(typed):
+    parser = ArgumentParser(**PARSER_SETTINGS)
+    parser.add_argument("--video_view", type=str)
+    parser.add_argument("--quick", type=bool, default=False)
+    options = parse(parser, typed.split())
+    assert (options.quick, options.video_view) == (True, "top")
+    assert not parse(parser, ["--quick", "false"]).quick
+    assert parse(parser, ["--video-view", "x.quick"]).video_view == "x.quick", "a value is no option"
+
+
+@pytest.mark.parametrize(
     ("given", "expected"),
     [
         (["--model.lrr", "1e-3"], "unknown option --model.lrr: did you mean --model.lr?"),

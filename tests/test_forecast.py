@@ -171,6 +171,8 @@ def test_what_cannot_be_forecast_is_refused(weights: dict[str, str]) -> None:
         forecast([], make_data("random_future"))
     with pytest.raises(UserError, match="unknown model 'bent_lime': did you mean 'bent_line'"):
         forecast(["bent_lime"], make_data())
+    with pytest.raises(UserError, match="samples -1: expected at least 0"):
+        forecast([], make_data(), samples=-1)
 
 
 def test_the_command_writes_what_the_function_returns(

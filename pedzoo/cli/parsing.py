@@ -24,6 +24,9 @@ PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
 
 
+_TRUTH = ("true", "false", "yes", "no", "on", "off")
+
+
 def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, type]] = ()) -> Namespace:
     """Return the parsed options.
 
@@ -36,7 +39,7 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         UserError: An option or value is refused.
     """
     try:
-        return parser.parse_args(_bare_lists(parser, _config_files(argv)))
+        return parser.parse_args(_written_out(parser, _config_files(argv)))
     except ArgumentError as error:
         raise UserError(explain(str(error), _known_options(parser, classes))) from error
 
@@ -170,20 +173,27 @@ def _config_files(argv: list[str]) -> list[str]:
     return found
 
 
-def _bare_lists(parser: ArgumentParser, argv: list[str]) -> list[str]:
-    """Put brackets around ``a.csv,b.csv`` where a list is expected, which nobody types by hand.
+def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
+    """Return a command line as jsonargparse reads it, from one as people type it.
 
-    What could be something else too, as ``--trainer.devices 2``, is a list only where it has a comma.
-    Settings stay with their name: ``door:width=0.9,people=4,circle`` is two scenarios.
+    ``--video-view`` stands for ``--video_view``, and ``--quick`` alone for ``--quick=true``.
+    ``a.csv,b.csv`` gets brackets where a list is expected. What could be something else too, as
+    ``--trainer.devices 2``, is a list only where it has a comma. Settings stay with their name:
+    ``door:width=0.9,people=4,circle`` is two scenarios.
     """
-    found = list(argv)
+    known, found = parser._option_string_actions, list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
-        action = parser._option_string_actions.get(flag)
-        item, alone = _item_type(getattr(action, "_typehint", None))
-        if item is None or (not joined and i + 1 == len(argv)):
+        plain = f"--{flag[2:].replace('-', '_')}"
+        if flag.startswith("--") and flag not in known and plain in known:
+            flag, found[i] = plain, plain + joined + value
+        hint, follows = getattr(known.get(flag), "_typehint", None), argv[i + 1 : i + 2]
+        if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
+            found[i] = f"{flag}=true"
+        item, alone = _item_type(hint)
+        if item is None or not (joined or follows):
             continue
-        value = value if joined else argv[i + 1]
+        value = value if joined else follows[0]
         if not value.startswith(("[", "-", "{")) and value != "null" and (alone or "," in value):
             listed = json.dumps(_names(value)) if item is str else f"[{value}]"
             found[i if joined else i + 1] = f"{flag}={listed}" if joined else listed

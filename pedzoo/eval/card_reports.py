@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, NotRequired, get_args
+
+from typing_extensions import TypedDict
 
 from pedzoo import renamed
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
@@ -12,7 +14,7 @@ from pedzoo.eval.clock import Step
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row
 from pedzoo.eval.suite import Request
-from pedzoo.models.keys import Kinds, check_keys
+from pedzoo.models.keys import check
 from pedzoo.models.zoo import load
 from pedzoo.registry import SUITES
 from pedzoo.types import Clock, GoalProtocol
@@ -50,9 +52,9 @@ def report_of(command: str, job: Job) -> Report:
     """
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
-    kinds, optional, make = _MAKERS[command]
+    form, make = _MAKERS[command]
     job = job._replace(protocol=renamed.new_keys(job.protocol))
-    check_keys(job.protocol, kinds, f"protocol of {command}:", more=True, optional=optional)
+    check(job.protocol, form, f"protocol of {command}:")
     protocol, rows = make(job)
     content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}
     return {"command": command, **content}
@@ -108,21 +110,27 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     return protocol, rows
 
 
-_FORECASTS: Kinds = {
-    **dict.fromkeys(("fold", "goal", "clock", "people", "split"), (str,)),
-    **dict.fromkeys(("obs_len", "pred_len", "min_people", "samples"), (int,)),
-}
-_WALKS: Kinds = {
-    "suites": (list,),
-    "quick": (bool,),
-    "deterministic": (bool,),
-    "physics": (str,),
-    "maps": (list,),
-    **dict.fromkeys(("episodes", "rollouts"), (int,)),
-}
+class _Forecast(TypedDict):
+    fold: str
+    goal: str
+    clock: str
+    people: str
+    split: str
+    obs_len: int
+    pred_len: int
+    min_people: int
+    samples: int
 
-_MAKERS = {
-    "forecast": (_FORECASTS, (), _forecasts),
-    "evaluate": (_WALKS, tuple(key for key in _WALKS if key != "suites"), _walks),
-}
-"""What a protocol says, what of it may be left out, and who does it."""
+
+class _Walks(TypedDict):
+    suites: list
+    quick: NotRequired[bool]
+    deterministic: NotRequired[bool]
+    physics: NotRequired[str]
+    maps: NotRequired[list]
+    episodes: NotRequired[int]
+    rollouts: NotRequired[int]
+
+
+_MAKERS = {"forecast": (_Forecast, _forecasts), "evaluate": (_Walks, _walks)}
+"""What a protocol says, and the function that does it."""

@@ -15,7 +15,8 @@ from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_scenario
+from pedzoo.sim.make import CLEARANCE, make_scenario
+from pedzoo.sim.warm_start import WarmStart
 
 
 class Walked(NamedTuple):
@@ -49,23 +50,31 @@ class Comparison:
         episodes: int = 20,
         seed: int = 0,
         deterministic: bool = False,
-        **settings: Any,
+        warm_start: WarmStart = "orca",
+        clearance: float = CLEARANCE,
+        decision_dt: float | None = None,
+        device: str = "cpu",
     ) -> None:
         """Build all policies and their environments, so that a misspelt one is found before any has walked.
 
         Args:
             policies: Names with settings.
             scenario: Its name with settings.
-            physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
-            episodes: E.
-            seed: Of the scenes.
-            deterministic: Without noise.
-            settings: More of `pedzoo.make_env`.
+            physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``.
+            episodes: Scenes per policy.
+            seed: Of the scenes, the same for all policies.
+            deterministic: Models walk with noise zero.
+            warm_start: The first 2.8 s, which are not counted.
+            clearance: Metres that planned ways keep from walls.
+            decision_dt: Seconds; refused unless it is the policies' own.
+            device: Where scenes and models are, such as ``cuda``.
 
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
         """
         physics = renamed.backend(physics)
+        settings = {"warm_start": warm_start, "clearance": clearance}
+        settings |= {"decision_dt": decision_dt, "device": device}
         self._prepared = {}
         self.walked: list[Walked] = []
         made = make_scenario(scenario)
@@ -77,7 +86,7 @@ class Comparison:
             "physics": physics,
             "episodes": episodes,
             "noise": "none" if deterministic else "sampled",
-            **{"warm_start": "orca"} | {key: value for key, value in settings.items() if value is not None},
+            **{key: value for key, value in settings.items() if value is not None},
             **({} if made.script is None else {"warm_start": "recorded"}),
         }
 

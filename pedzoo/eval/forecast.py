@@ -34,7 +34,7 @@ def forecast(
     Args:
         names: What `pedzoo.load` accepts.
         data: The data; their options are the protocol.
-        samples: K of the best-of-K errors.
+        samples: K of the best-of-K errors; 0 for none.
         seed: Of the samples, the same for every model.
         split: Which part of the fold.
         progress: Called with the model, batches done and batches in all.
@@ -47,6 +47,8 @@ def forecast(
         raise UserError(
             "random_future goals are for training: set --data.goal to window_end, destination or none"
         )
+    if samples < 0:
+        raise UserError(f"samples {samples}: expected at least 0")
     data.setup(STAGES[split])
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}

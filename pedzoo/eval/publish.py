@@ -13,7 +13,7 @@ from pedzoo.data.provenance import provenance, together
 from pedzoo.errors import UserError
 from pedzoo.eval.run_record import RunRecord, read_run
 from pedzoo.fetch import sha256_of
-from pedzoo.models.card import TRAINING, ModelCard, check_name, read_card, write_card
+from pedzoo.models.card import ModelCard, Training, check_name, read_card, write_card
 from pedzoo.models.header import read_config
 from pedzoo.models.store import find
 from pedzoo.models.zoo import config_of, load, read_checkpoint, save_weights
@@ -85,7 +85,7 @@ def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) 
     check_name(weights.stem)
     config = read_config(weights)
     known = config.get("protocol", {}) | config.get("training", {})
-    record = RunRecord({key: known.get(key) for key in TRAINING})
+    record = RunRecord({key: known.get(key) for key in Training.__annotations__})
     data = _trained_on(record, plans="map" in load(weights).needs)
     return _write(weights, record, data, measured)
 

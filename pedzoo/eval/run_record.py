@@ -32,7 +32,7 @@ class RunRecord(NamedTuple):
     """What is known of a run.
 
     Attributes:
-        training: As a model card has it, see `pedzoo.models.card.TRAINING`.
+        training: As a model card has it, see `pedzoo.models.card.Training`.
         files: Recordings of one's own that it was trained on; None for those of a fold.
         versions: Of what it ran with.
         began_with: Weights or checkpoint that it began with, as they were named; None for new ones.

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
+from typing_extensions import TypedDict
 
 from pedzoo.errors import UserError
-from pedzoo.models.header import check_config
-from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_numbers, check_plain
+from pedzoo.models.header import Config
+from pedzoo.models.keys import check, check_keys, check_plain
 from pedzoo.paths import write_whole
 
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
@@ -21,34 +22,58 @@ _LARGEST = 2_000_000
 _DEEPEST = 20
 """Levels of a card; libyaml does not survive a hundred thousand."""
 
-TRAINING: Kinds = {
-    "config": (str, NOTHING),
-    "fold": (str, NOTHING),
-    "clock": (str, NOTHING),
-    "goal": (str, NOTHING),
-    "seed": (int, NOTHING),
-    "seeds": (dict, NOTHING),
-    "chosen_by": (str, NOTHING),
-    "value": (float, int, NOTHING),
-    "step": (int, NOTHING),
-    "epoch": (int, NOTHING),
-    "command": (list, NOTHING),
-    "overrides": (dict, NOTHING),
-}
-"""Keys of a card's ``training``; None stands for what is not known any more."""
-
-DATA: Kinds = {"recordings": (list,), "source": (str,), "terms": (str,), "citation": (str,)}
-EVALUATION: Kinds = {
-    "command": (str,),
-    "protocol": (dict,),
-    "seeds": (list,),
-    "versions": (dict,),
-    "rows": (list,),
-}
-_ROW: Kinds = {"name": (str,), "case": (dict,), "n": (int,), "metrics": (dict,), "ci95": (dict,)}
-
 _NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
 """What reading values ends in that are not what they say they are, such as the 99th of a month."""
+
+
+class Training(TypedDict, closed=True):
+    """Which run made the weights; None stands for what is not known any more.
+
+    ``seeds`` has the monitored validation value of each seed, by which this one was chosen; ``value``,
+    ``step`` and ``epoch`` are those of the checkpoint; ``overrides`` are options beyond the config.
+    """
+
+    config: str | None
+    fold: str | None
+    clock: str | None
+    goal: str | None
+    seed: int | None
+    seeds: dict[int, float] | None
+    chosen_by: str | None
+    value: float | None
+    step: int | None
+    epoch: int | None
+    command: list | None
+    overrides: dict | None
+
+
+class Data(TypedDict, closed=True):
+    """What the weights were trained on, and on whose terms."""
+
+    recordings: list
+    source: str
+    terms: str
+    citation: str
+
+
+class Row(TypedDict):
+    """A row of an evaluation: a mean with its 95 % interval by metric. It may have more keys."""
+
+    name: str
+    case: dict[str, Any]
+    n: int
+    metrics: dict[str, float]
+    ci95: dict[str, tuple[float, float]]
+
+
+class Evaluation(TypedDict):
+    """A report of ``pedzoo forecast`` or ``pedzoo evaluate``, of this model's rows. It may have more keys."""
+
+    command: str
+    protocol: dict[str, Any]
+    seeds: list
+    versions: dict[str, Any]
+    rows: list[Row]
 
 
 @dataclass(frozen=True)
@@ -61,11 +86,9 @@ class ModelCard:
         sha256: Of the weights.
         size: Bytes of the weights.
         config: As in the metadata of the weights: with it the model is built.
-        training: Which run made them (`TRAINING`): config, fold, clock, goal protocol and seed; ``seeds``
-            with the monitored validation value of each, by which this one was chosen; that value, step and
-            epoch of the checkpoint; the command, and its options beyond the config.
-        data: What it was trained on (`DATA`), on whose terms.
-        evaluations: Reports of ``pedzoo forecast`` and ``pedzoo evaluate``, of this model's rows.
+        training: Which run made them.
+        data: What it was trained on.
+        evaluations: What was measured.
         versions: Of what it was trained with.
         licence: Of the weights.
         file: Name of the weights beside the card.
@@ -79,10 +102,10 @@ class ModelCard:
     architecture: str
     sha256: str
     size: int
-    config: dict[str, Any]
-    training: dict[str, Any]
-    data: dict[str, Any]
-    evaluations: list[dict[str, Any]]
+    config: Annotated[dict[str, Any], Config]
+    training: Annotated[dict[str, Any], Training]
+    data: Annotated[dict[str, Any], Data]
+    evaluations: Annotated[list[dict[str, Any]], list[Evaluation]]
     versions: dict[str, str]
     licence: str
     file: str
@@ -91,7 +114,7 @@ class ModelCard:
     def __post_init__(self) -> None:
         """Check everything that others rely on."""
         check_plain(vars(self))
-        check_keys(vars(self), _CARD)
+        check(vars(self), ModelCard)
         check_name(self.name)
         if not _FILE.fullmatch(self.file):
             raise UserError(
@@ -101,38 +124,12 @@ class ModelCard:
             raise UserError(f"sha256 {self.sha256!r}: expected 64 digits of 0-9 and a-f")
         if self.url is not None and not re.fullmatch(r"https?://\S+", self.url):
             raise UserError(f"url {self.url!r}: expected an address at http:// or https://")
-        check_config(self.config)
         if self.architecture != self.config["architecture"]:
             raise UserError(
                 f"architecture {self.architecture!r}: its config is of {self.config['architecture']!r}"
             )
-        check_keys(self.training, TRAINING, "training")
-        check_keys(self.data, DATA, "data")
         if not all(isinstance(name, str) for name in self.data["recordings"]):
             raise UserError(f"data recordings are {self.data['recordings']!r:.60}, expected names")
-        check_numbers(self.training["seeds"] or {}, "training seeds")
-        for report in self.evaluations:
-            check_keys(report, EVALUATION, "evaluations", more=True)
-            for row in report["rows"]:
-                check_keys(row, _ROW, "evaluations rows", more=True)
-                check_numbers(row["metrics"], "evaluations rows metrics")
-                check_numbers(row["ci95"], "evaluations rows ci95", ends=2)
-
-
-_CARD: Kinds = {
-    "name": (str,),
-    "architecture": (str,),
-    "sha256": (str,),
-    "size": (int,),
-    "config": (dict,),
-    "training": (dict,),
-    "data": (dict,),
-    "evaluations": (list,),
-    "versions": (dict,),
-    "licence": (str,),
-    "file": (str,),
-    "url": (str, NOTHING),
-}
 
 
 def check_name(name: str) -> str:
@@ -165,7 +162,7 @@ def read_card(path: str | Path) -> ModelCard:
         raise UserError(f"{str(path)!r} is no model card: larger than {_LARGEST // 1_000_000} MB")
     try:
         found = load_yaml(path.read_bytes())
-        check_keys(found, _CARD)
+        check_keys(found, ModelCard)
         return ModelCard(**found)
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 from safetensors import SafetensorError, safe_open
+from typing_extensions import TypedDict
 
 from pedzoo.errors import UserError
-from pedzoo.models.keys import NOTHING, Kinds, check_keys, check_plain
+from pedzoo.models.keys import check, check_plain
 
-CONFIG: Kinds = {
-    "architecture": (str,),
-    "init": (dict,),
-    "goal": (str, NOTHING),
-    "protocol": (dict,),
-    "training": (dict,),
-}
-"""Keys of a config; the first two are all that a model is built from."""
+
+class Config(TypedDict, closed=True):
+    """Keys of a config; the first two are all that a model is built from."""
+
+    architecture: str
+    init: dict[str, Any]
+    goal: NotRequired[str | None]
+    protocol: NotRequired[dict[str, Any]]
+    training: NotRequired[dict[str, Any]]
 
 
 def opened(path: Path, framework: str = "np") -> Any:
@@ -49,7 +51,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
     try:
         config = json.loads(metadata["config"])
         check_plain(config)
-        check_config(config)
+        check(config, Config, "config")
     except (ValueError, RecursionError) as error:
         raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
     if ".py:" in config["architecture"]:
@@ -58,15 +60,6 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
             "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.fill"
         )
     return config
-
-
-def check_config(config: Any) -> None:
-    """Check a config from a file or a card; whether its model takes ``init`` is for who builds it to see.
-
-    Raises:
-        UserError: It is none, or has keys that no version of pedzoo wrote.
-    """
-    check_keys(config, CONFIG, "config", optional=("goal", "protocol", "training"))
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from safetensors.torch import save
 from pedzoo.errors import UserError
 from pedzoo.models.base import Forecaster
 from pedzoo.models.card import ModelCard
-from pedzoo.models.header import check_config, config_in, opened
+from pedzoo.models.header import Config, config_in, opened
+from pedzoo.models.keys import check
 from pedzoo.models.store import find, names, no_model, weights_of
 from pedzoo.models.store import obtain as obtain
 from pedzoo.paths import write_whole
@@ -113,7 +114,7 @@ def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -
         UserError: The model does not keep its arguments, or something else is to be said.
     """
     config = config_of(model, **known)
-    check_config(config)
+    check(config, Config, "config")
     # one metadata key: with several, their order, and so the sum, would vary
     metadata = {"config": json.dumps(config, sort_keys=True)}
     data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)

@@ -9,7 +9,6 @@ EXAMPLE = "pedzoo evaluate orca:radius=0.3 sgan_goal_map.zara1 --suite door,goal
 def run(argv: list[str]) -> int:
     """Evaluate, print the tables and write files; returns the exit code."""
     from pathlib import Path
-    from typing import Literal
 
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import PositiveInt
@@ -18,12 +17,12 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse, whole_numbers
     from pedzoo.cli.progress import overall_bar
     from pedzoo.errors import UserError
-    from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation
+    from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
     from pedzoo.eval.fundamental import plot_density_speed
     from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import Request
     from pedzoo.eval.trajectories import check_plot_path
-    from pedzoo.registry import PHYSICS, SUITES
+    from pedzoo.registry import SUITES
     from pedzoo.versions import versions
 
     usage = (
@@ -44,23 +43,13 @@ def run(argv: list[str]) -> int:
         help=f"Some of {', '.join(SUITES.names())}, between commas; or file.py:Class.",
     )
     parser.add_argument(
-        "--episodes",
-        type=int | None,
-        help="Per case and seed (default: as the suite says). In replay see --rollouts.",
-    )
-    parser.add_argument(
         "--seeds", type=str, default="0", help="Of the scenes, between commas; they count as one sample."
     )
-    parser.add_argument(
-        "--quick", action="store_true", help="A tenth of the episodes, and of the recordings."
+    parser.add_function_arguments(
+        evaluate,
+        as_group=False,
+        skip={"policies", "suites", "seeds", "maps", "root", "workers", "progress"},
     )
-    parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
-    parser.add_argument(
-        "--physics",
-        type=str | None,
-        help=f"{', '.join(PHYSICS.names())}, or file.py:Class (default: bullet for door and goals).",
-    )
-    parser.add_argument("--device", type=str, default="cpu", help="Where scenes and models are, as cuda.")
     parser.add_argument(
         "--maps",
         nargs="+",
@@ -69,23 +58,9 @@ def run(argv: list[str]) -> int:
         help="Floor plans for five more cases of the suite goals: every episode draws one.",
     )
     parser.add_argument("--data.root", type=str | None, help="Recordings for replay (default: PEDZOO_DATA).")
-    parser.add_argument(
-        "--rollouts",
-        type=int | None,
-        help="On recordings, of a policy with noise (default: 3, or 1 if quick).",
-    )
     parser.add_argument("--workers", type=PositiveInt, default=1, help="Processes; the table stays the same.")
     parser.add_argument(
-        "--backend", type=Literal["processes", "ray"], default="processes", help="What they are."
-    )
-    parser.add_argument(
-        "--resume",
-        type=str | None,
-        help="Keep finished parts in this file, and do not do again what is in it.",
-    )
-    parser.add_argument(
         "--from_card",
-        "--from-card",
         action="store_true",
         help="Do what the models' cards say again, forecasts too; exit code 1 where a number is another one.",
     )
@@ -115,15 +90,8 @@ def run(argv: list[str]) -> int:
     # finished parts lie beside the report until it is written
     beside = f"{options.json}.partial" if options.json and options.json != "-" else None
 
-    request = Request(
-        options.episodes,
-        options.quick,
-        options.physics,
-        tuple(options.maps),
-        options.data.root,
-        options.rollouts,
-        options.device,
-    )
+    known = {key: options[key] for key in Request._fields if key in options}
+    request = Request(**known | {"maps": tuple(options.maps), "root": options.data.root})
     evaluation = Evaluation(
         options.policies,
         _listed(options.suite),

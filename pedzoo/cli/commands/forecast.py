@@ -8,10 +8,7 @@ EXAMPLE = "pedzoo forecast sgan_goal.zara1 --data.fold zara1 --samples 20 --json
 
 def run(argv: list[str]) -> int:
     """Print the table; returns the exit code."""
-    from typing import Literal
-
     from jsonargparse import ArgumentParser
-    from jsonargparse.typing import NonNegativeInt
 
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
@@ -27,11 +24,7 @@ def run(argv: list[str]) -> int:
         "models", nargs="+", type=str, help="Zoo names, .safetensors, .ckpt or file.py:Class."
     )
     parser.add_class_arguments(TrajectoryDataModule, "data", skip={"rotate", "mirror", "seed"})
-    parser.add_argument("--samples", type=NonNegativeInt, default=20, help="K of the best-of-K errors.")
-    parser.add_argument("--seed", type=int, default=0, help="Of the samples, the same for every model.")
-    parser.add_argument(
-        "--split", type=Literal["train", "val", "test"], default="test", help="Part of the fold."
-    )
+    parser.add_function_arguments(forecast, as_group=False, skip={"names", "data", "progress"})
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     options = parse(parser, argv)
     check_outputs(json=options.json)

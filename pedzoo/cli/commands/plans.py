@@ -18,7 +18,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.progress import progress_bar
     from pedzoo.errors import UserError, unknown
     from pedzoo.maps.procedural.picture import save_sheet
-    from pedzoo.maps.procedural.plan import DOORS, KINDS, FloorPlan, generate
+    from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate
     from pedzoo.versions import versions
 
     usage = f"pedzoo plans KIND... [--count N] [--seed S] [--out FOLDER] [...]\nexample: {EXAMPLE}"
@@ -29,16 +29,7 @@ def run(argv: list[str]) -> int:
         "--seed", type=NonNegativeInt, default=0, help="Of the first one; the next counts on."
     )
     parser.add_argument("--out", type=str, default="plans", help="Folder for KIND.SEED.yaml and .png.")
-    parser.add_argument(
-        "--size", type=tuple[float, float] | None, help="Outer width,height in metres; drawn by default."
-    )
-    parser.add_argument(
-        "--resolution", type=float, default=0.05, help="Metres per cell: 0.05 or a whole part of it."
-    )
-    parser.add_argument("--furnished", type=float, default=1.0, help="From 0 (bare) to 1.")
-    parser.add_argument(
-        "--doors", type=tuple[float, float], default=DOORS, help="Least,largest width of a door in metres."
-    )
+    settings = parser.add_function_arguments(generate, as_group=False, skip={"kind", "seed"})
     parser.add_argument("--sheet", type=str | None, help="Draw all plans into this .png.")
     parser.add_argument("--json", type=str | None, help="Also write what is printed to this file.")
     parser.add_argument("--overwrite", action="store_true", help="Replace files that are there already.")
@@ -60,7 +51,7 @@ def run(argv: list[str]) -> int:
     if there and not options.overwrite:
         raise UserError(f"{there[0]} exists: give another --out or --seed, or --overwrite")
 
-    settings = {key: options[key] for key in ("size", "resolution", "furnished", "doors")}
+    settings = {key: options[key] for key in settings}
     plans: list[FloorPlan] = []
     with progress_bar() as progress:
         for (kind, seed), file in files.items():

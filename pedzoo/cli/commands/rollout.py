@@ -11,7 +11,7 @@ def run(argv: list[str]) -> int:
     from typing import Literal
 
     from jsonargparse import ArgumentParser
-    from jsonargparse.typing import NonNegativeFloat, PositiveFloat
+    from jsonargparse.typing import PositiveFloat
 
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
@@ -21,9 +21,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
     from pedzoo.eval.video import check_video_path, film
     from pedzoo.metrics.closed_loop import NAMES
-    from pedzoo.registry import PHYSICS, SCENARIOS
-    from pedzoo.sim.make import CLEARANCE
-    from pedzoo.sim.warm_start import WarmStart
+    from pedzoo.registry import SCENARIOS
     from pedzoo.versions import versions
 
     usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--physics PHYSICS] [...]\nexample: {EXAMPLE}"
@@ -42,28 +40,7 @@ def run(argv: list[str]) -> int:
         help=f"{', '.join(SCENARIOS.names())}, or file.py:Class, with settings: door:width=0.9,people=4, "
         "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file).",
     )
-    parser.add_argument(
-        "--physics",
-        type=str,
-        default="bullet",
-        help=f"{', '.join(PHYSICS.names())}, or file.py:Class; compiled is the fastest.",
-    )
-    parser.add_argument("--device", type=str, default="cpu", help="Where scenes and models are, as cuda.")
-    parser.add_argument("--episodes", type=int, default=20, help="Scenes per policy.")
-    parser.add_argument(
-        "--clearance", type=NonNegativeFloat, default=CLEARANCE, help="Planned ways from walls, metres."
-    )
-    parser.add_argument("--seed", type=int, default=0, help="Of the scenes, the same for all.")
-    parser.add_argument("--deterministic", action="store_true", help="Models walk with noise zero.")
-    parser.add_argument(
-        "--warm_start", "--warm-start", type=WarmStart, default="orca", help="The first 2.8 s, not counted."
-    )
-    parser.add_argument(
-        "--decision_dt",
-        "--decision-dt",
-        type=float | None,
-        help="Refused unless the policies' own, seconds.",
-    )
+    walking = parser.add_class_arguments(Comparison, as_group=False, skip={"policies", "scenario"})
     parser.add_argument(
         "--metrics",
         type=list[str] | None,
@@ -74,17 +51,11 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--video", type=str | None, help="Film an episode into this .webm or .mp4.")
     parser.add_argument(
         "--video_view",
-        "--video-view",
         type=Literal["perspective", "top"],
         default="perspective",
         help="Where the camera is; only bullet has a perspective.",
     )
-    parser.add_argument(
-        "--video_seconds",
-        "--video-seconds",
-        type=PositiveFloat,
-        help="Film no more than this, seconds of the scene.",
-    )
+    parser.add_argument("--video_seconds", type=PositiveFloat, help="Film so many seconds at most.")
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
@@ -97,10 +68,8 @@ def run(argv: list[str]) -> int:
     if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
-    settings = {key: options[key] for key in ("warm_start", "clearance", "decision_dt", "device")}
-    names, where = options.policies, (options.scenario, options.physics, options.episodes, options.seed)
-
-    with Comparison(names, *where, options.deterministic, **settings) as comparison:
+    settings = {key: options[key] for key in walking}
+    with Comparison(options.policies, options.scenario, **settings) as comparison:
 
         def tell(**more: bool) -> None:
             report = {"command": "rollout", **comparison.report(), "versions": versions(), **more}
@@ -120,7 +89,7 @@ def run(argv: list[str]) -> int:
             print(f"plot:  {options.plot}")
         if options.video:
             with progress_bar() as progress:
-                size = (640, 480) if len(names) == 1 else (480, 360)
+                size = (640, 480) if len(options.policies) == 1 else (480, 360)
                 shot = options.show, options.video_view, size, options.video_seconds
                 film(comparison.walked, options.video, *shot, progress)
             print(f"video: {options.video}")
