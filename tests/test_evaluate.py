@@ -147,6 +147,39 @@ def test_what_is_done_is_told_when_a_worker_dies(
     assert "is kept in" in said and len(Journal(Path(f"{file}.partial")).done) == 1
 
 
+DEADLY = """
+import os, signal, time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+class Deadly(Small):
+    def rows(self, unit, tell=None):
+        if unit.case.name == "two" and not (HERE / "killed").exists():
+            while not (HERE / "out.json.partial").exists():
+                time.sleep(0.05)
+            (HERE / "killed").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().rows(unit, tell)
+"""
+
+
+def test_a_killed_worker_is_named_and_what_others_finished_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suite, file = tmp_path / "deadly.py", tmp_path / "out.json"
+    suite.write_text(SMALL + DEADLY)
+    command = ["evaluate", "go_to_goal", "--suite", f"{suite}:Deadly", "--episodes", "1", "--json", str(file)]
+    with pytest.raises(RuntimeError, match=r"SIGKILL \(in job 1, .*Deadly two: go_to_goal\)"):
+        main([*command, "--workers", "2"])
+    assert "not finished: 1 of 2 parts" in capsys.readouterr().out
+    assert len(Journal(Path(f"{file}.partial")).done) == 1
+    assert main(command) == 0
+    assert "1 of 2 parts were done before" in capsys.readouterr().out
+    assert len(json.loads(file.read_text())["rows"]) == 2
+
+
 def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ended: list[int] = []
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from torch import Tensor
-
 from pedzoo import renamed
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.closed_loop import closed_loop, time_ratio_median
@@ -144,49 +142,31 @@ def row(
         "n": len(rollout.failed),
         "metrics": metrics,
         "ci95": intervals,
-        "per_agent": [] if rollout.replayed else _People.of(rollout).listed(rollout),
+        "per_agent": [] if rollout.replayed else _per_agent(rollout),
     }
 
 
-class _People(NamedTuple):
-    """What each person did, (E, A) each."""
-
-    success: Tensor
-    goals: Tensor
-    seconds: Tensor
-    agent_contacts: Tensor
-    wall_contacts: Tensor
-    least_distance: Tensor
-
-    @classmethod
-    def of(cls, walked: Rollout) -> _People:
-        return cls(
-            success(walked.reached, walked.goals, walked.late, walked.failed, walked.mask),
-            walked.reached[..., -1].where(walked.mask, 0),
-            finish_seconds(walked.reached, walked.goals),
-            contact_events(walked.agent_contact & walked.scored),
-            contact_events(walked.wall_contact & walked.scored),
-            least_distance(nearest(walked.trace, walked.present), walked.scored),
-        )
-
-    def listed(self, walked: Rollout) -> list[dict[str, Any]]:
-        found = []
-        for episode, agent in walked.mask.nonzero().tolist():
-            values = {key: value[episode, agent].item() for key, value in self._asdict().items()}
-            found.append(
-                {
-                    "episode": episode,
-                    "agent": agent,
-                    "pref_speed_m_per_s": round(walked.pref_speed[episode, agent].item(), 4),
-                    "success": values["success"],
-                    "goals": values["goals"],
-                    "time_s": _known(values["seconds"], 1),
-                    "agent_contacts": values["agent_contacts"],
-                    "wall_contacts": values["wall_contacts"],
-                    "least_distance_m": _known(values["least_distance"], 4),
-                }
-            )
-        return found
+def _per_agent(walked: Rollout) -> list[dict[str, Any]]:
+    """Return what each person did, people of one episode after the other."""
+    arrived = success(walked.reached, walked.goals, walked.late, walked.failed, walked.mask)
+    seconds = finish_seconds(walked.reached, walked.goals)
+    agents = contact_events(walked.agent_contact & walked.scored)
+    walls = contact_events(walked.wall_contact & walked.scored)
+    least = least_distance(nearest(walked.trace, walked.present), walked.scored)
+    return [
+        {
+            "episode": at[0],
+            "agent": at[1],
+            "pref_speed_m_per_s": round(walked.pref_speed[at].item(), 4),
+            "success": arrived[at].item(),
+            "goals": walked.reached[(*at, -1)].item(),
+            "time_s": _known(seconds[at].item(), 1),
+            "agent_contacts": agents[at].item(),
+            "wall_contacts": walls[at].item(),
+            "least_distance_m": _known(least[at].item(), 4),
+        }
+        for at in map(tuple, walked.mask.nonzero().tolist())
+    ]
 
 
 def _known(value: float, digits: int) -> float | None:

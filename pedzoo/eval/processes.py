@@ -1,168 +1,126 @@
-"""Jobs in processes of this machine, which TorchRL's asynchronous collector starts and listens to."""
+"""Workers that are processes of this machine. Each has its own executor, which gives it its own jobs."""
 
 from __future__ import annotations
 
-import atexit
-import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Generator, Iterator, MutableSequence, Sequence
-from contextlib import contextmanager
-from functools import partial
-from multiprocessing import forkserver
-from multiprocessing.process import BaseProcess
-from reprlib import repr as short_repr
+import threading
+import time
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache
+from multiprocessing import parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 from typing import Any
 
-import torch
-from torch import Tensor
+PATIENCE = 5.0
+"""Seconds that a worker has to end in good order."""
 
-from pedzoo.eval.collectors import RoomyCollector
-from pedzoo.eval.jobs import JobEnv, packed
-from pedzoo.eval.shares import Shares
-
-# A fork server imports torch and TorchRL once (seconds); a worker forked from it is there in a tenth of one.
-START = "forkserver" if sys.platform == "linux" else "spawn"
-ONE_THREAD: dict[str, str] = dict.fromkeys(
-    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
-)
+_payload = b""  # of a process
 
 
-def outcomes(
-    jobs: Sequence[Any], work: Callable[[Any], Any], groups: Sequence[Sequence[int]], workers: int
-) -> Generator[Tensor, None, None]:
-    """Yield what became of each job: bytes (N,), a pickled `pedzoo.eval.jobs.Outcome`.
+class Processes:
+    """Processes that do jobs by number.
 
-    Raises:
-        UserError: Jobs that cannot be pickled.
-        RuntimeError: A worker died.
+    Attributes:
+        deaths: Exceptions of a future that say that its worker has died.
     """
-    sent = packed(jobs, work, {**os.environ, **ONE_THREAD})
-    context = multiprocessing.get_context(START)
-    shares = Shares(groups, context.RawArray("l", len(groups)), context.Lock())
-    doing = context.RawArray("l", [-1] * workers)
-    others = multiprocessing.active_children()
-    threads = torch.get_num_threads()
-    collector = None
 
-    def end() -> None:
-        _end(collector.procs if collector is not None else [p for p in _children() if p not in others])
+    deaths = (BrokenProcessPool, SystemExit)
 
-    atexit.register(end)  # an iterator that is never closed: Python waits for processes before it closes it
-    try:
-        with _starting(work):
-            collector = RoomyCollector(
-                [JobEnv] * workers,
-                create_env_kwargs=[
-                    {"sent": sent, "take": partial(_take, shares, doing, worker)} for worker in range(workers)
-                ],
-                frames_per_batch=1,
-                total_frames=-1,
-                use_buffers=False,  # a buffer would have to be as long as the longest outcome
-                num_threads=threads,
-                device="cpu",
-            )
-        frames = iter(collector)
-        for _ in jobs:
-            yield next(frames)["next", "outcome"][0]
-    except (EOFError, OSError, RuntimeError, ValueError) as error:
-        processes = [] if collector is None else collector.procs
-        raise RuntimeError(_what_died(processes, doing, jobs) or str(error)) from error
-    finally:
-        end()
-        atexit.unregister(end)
-        if collector is not None:
-            collector.shutdown(raise_on_error=False)
-        torch.set_num_threads(threads)  # TorchRL leaves the number it finds fit
+    def __init__(self, payload: bytes, count: int) -> None:
+        """Take what `pedzoo.eval.jobs.packed` returned; a process starts with its first job."""
+        self._context = _Context()
+        self._executors = [ProcessPoolExecutor(1, self._context, _begin, (payload,)) for _ in range(count)]
 
-
-def _take(
-    shares: Shares, doing: MutableSequence[int], worker: int, group: int | None
-) -> tuple[int, int] | None:
-    """Return the next job of a worker, and note it for the case that the worker dies."""
-    taken = shares.take(group)
-    doing[worker] = -1 if taken is None else taken[0]
-    return taken
-
-
-@contextmanager
-def _starting(work: Callable[[Any], Any]) -> Iterator[None]:
-    """Start processes as is best here, whatever the caller's process has chosen for itself.
-
-    They do not run the caller's script (all that is needed of it travels by value), so that a script needs no
-    ``if __name__ == "__main__"``.
-    """
-    main, method = sys.modules["__main__"], multiprocessing.get_start_method(allow_none=True)
-    kept = {name: os.environ.get(name) for name in ONE_THREAD}
-    sys.modules["__main__"] = ModuleType("__main__")
-    multiprocessing.set_start_method(START, force=True)
-    os.environ.update(ONE_THREAD)
-    try:
-        if START == "forkserver":
-            _run_fork_server(getattr(work, "__module__", ""))
-        yield
-    finally:
-        sys.modules["__main__"] = main
-        multiprocessing.set_start_method(method, force=True)
-        for name, value in kept.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _run_fork_server(module: str) -> None:
-    """Run the server, unless it runs, deaf to Ctrl-C: the process that started the workers ends them.
-
-    Returns when it is ready, which takes seconds. A worker asked for before would begin after Ctrl-C, look
-    for what is gone by then, and complain.
-    """
-    own = [module] if module.startswith("pedzoo.") else []  # others' may start threads, which do not survive
-    forkserver.set_forkserver_preload(["pedzoo.eval.collectors", "pedzoo.eval.jobs", *own])
-    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, heard)
-    idle = multiprocessing.get_context(START).Process()
-    idle.start()
-    idle.join()
-
-
-def _what_died(processes: Sequence[BaseProcess], doing: Sequence[int], jobs: Sequence[Any]) -> str:
-    """Return the message about the first process that is dead, or nothing."""
-    for number, process in enumerate(processes):
+    def submit(self, worker: int, job: int) -> Future[bytes]:
+        """Return the future outcome of a job; the first jobs go to the workers in their order."""
         try:
-            code = process.exitcode
-        except ValueError:  # TorchRL has ended and closed it because of another one
-            continue
-        if code is not None:
-            how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"gone with exit code {code}"
-            job = doing[number]
-            where = f"job {job}, {short_repr(jobs[job])}" if job >= 0 else "no job"
-            return (
-                f"worker {number} of {len(processes)} is {how} (in {where}); "
-                "if the memory was too small for so many at once, use fewer workers"
-            )
-    return ""
+            return self._executors[worker].submit(_do, job)
+        except BrokenProcessPool as error:
+            broken: Future[bytes] = Future()
+            broken.set_exception(error)
+            return broken
+
+    def death(self, worker: int, error: BaseException) -> str:
+        """Return how a worker ended."""
+        self._executors[worker].shutdown()
+        code = error.code if isinstance(error, SystemExit) else self._context.started[worker].exitcode
+        if isinstance(code, int) and code < 0:
+            return f"killed by {signal.Signals(-code).name}"
+        return f"gone with exit code {code}"
+
+    def end(self) -> None:
+        """End all processes at once: their results are not wanted any more."""
+        processes = [process for process in self._context.started if process.pid]
+        for process in processes:
+            process.terminate()
+        late = threading.Timer(PATIENCE, lambda: [process.kill() for process in processes])
+        late.start()
+        for executor in self._executors:
+            executor.shutdown(cancel_futures=True)
+        late.cancel()
+        late.join()
+        for process in processes:
+            process.close()
 
 
-def _children() -> list[BaseProcess]:
-    """Return the processes that TorchRL has started."""
-    return [
-        each for each in multiprocessing.active_children() if type(each).__module__.startswith("torchrl.")
-    ]
+class _Process(SpawnProcess):
+    """A process that does not run the caller's script, and leaves Ctrl-C to the caller's process."""
+
+    def start(self) -> None:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        heard = None if os.name == "nt" else signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = main
+            if heard is not None:
+                signal.pthread_sigmask(signal.SIG_SETMASK, heard)
 
 
-def _end(processes: Sequence[BaseProcess]) -> None:
-    """End workers at once: they hold nothing that is still wanted."""
-    alive = set(processes) & set(multiprocessing.active_children())
-    for process in alive:
-        process.terminate()
-    for process in alive:
-        process.join(5)
-        if process.is_alive():
-            process.kill()
-            process.join()
+class _Context(SpawnContext):
+    def __init__(self) -> None:
+        self.started: list[_Process] = []
+
+    def Process(self, *args: Any, **settings: Any) -> _Process:  # noqa: N802  # multiprocessing's name
+        self.started.append(_Process(*args, **settings))
+        return self.started[-1]
+
+
+def _begin(payload: bytes) -> None:
+    """Prepare a worker; it ends in good order when it is terminated or its parent is gone."""
+    global _payload
+    _payload = payload
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+    for library in ("OMP", "MKL", "OPENBLAS"):
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+
+
+@cache
+def _worker() -> Any:
+    from pedzoo.eval.jobs import Worker  # imports torch, which reads the variables above
+
+    return Worker(_payload)
+
+
+def _do(job: int) -> bytes:
+    return _worker().do(job)
+
+
+def _leave(*_: Any) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the executor may send another one
+    sys.exit()
+
+
+def _follow_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE)
+    os._exit(1)  # the signal came during a job, which it has ended, and the executor waits for the next one

@@ -188,31 +188,24 @@ def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _headline(summary: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Page:
-    found = {(row["name"], row["table"]): row for row in summary}
-    suites = {row["table"]: row["case"]["suite"] for row in summary}
-    columns = [(table, key) for table, suite in suites.items() for key in shown[suite].headline]
+    texts = {(row["name"], row["table"], key): cell(row, key) for row in summary for key in row["metrics"]}
     names = _labels(summary)
-    nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
-    columns = [
-        one for one in columns if any(one[1] in found.get((n, one[0]), nothing)["metrics"] for n in names)
-    ]
+    columns = dict.fromkeys(
+        (row["table"], key) for row in summary for key in shown[row["case"]["suite"]].headline
+    )
+    columns = [column for column in columns if any((name, *column) in texts for name in names)]
     body = [
-        [label, *(cell(found.get((name, table), nothing), key) for table, key in columns)]
-        for name, label in names.items()
+        [label, *(texts.get((name, *column), "-") for column in columns)] for name, label in names.items()
     ]
-    return Page("all suites", ["policy", *(f"{table} {key}" for table, key in columns)], body, 1)
+    return Page("all suites", ["policy", *map(" ".join, columns)], body, 1)
 
 
 def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> Page:
     """Return one metric: policies as rows, cases as columns."""
+    texts = {(row["name"], case_label(row)): cell(row, key) for row in rows}
+    names, cases = dict.fromkeys(name for name, _ in texts), dict.fromkeys(case for _, case in texts)
+    body = [[name, *(texts.get((name, case), "-") for case in cases)] for name in names]
     table = rows[0]["table"]
-    cases = list(dict.fromkeys(map(case_label, rows)))
-    found = {(row["name"], case_label(row)): row for row in rows}
-    nothing: dict[str, Any] = {"case": {}, "metrics": {}, "ci95": {}}
-    body = [
-        [name, *(cell(found.get((name, case), nothing), key) for case in cases)]
-        for name in dict.fromkeys(row["name"] for row in rows)
-    ]
     shorter = [" ".join(word for word in case.split() if word not in table.split()) for case in cases]
     return Page(f"{table}: {key} in each case", ["policy", *shorter], body, 1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from pedzoo.errors import UserError
@@ -12,6 +12,8 @@ from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.scenario import Scenario
 from pedzoo.spec import Spec
 
 QUICK = 10
@@ -174,25 +176,40 @@ class Suite(ABC):
 
         Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
         """
-        case, walked = unit.case, []
-        scenario = prepared(case.scenario, case.inputs)
-        for number, seed in enumerate(unit.seeds):
-            policy, env = prepare(unit.walks, scenario, case.physics, case.episodes, seed, device=unit.device)
-
-            def share(name: str, done: int, total: int, number: int = number) -> None:
-                if tell:
-                    tell((number + done / total) / len(unit.seeds))
-
-            try:
-                walked.extend(walk(policy, env, case.episodes, unit.deterministic, share))
-            finally:
-                env.physics.close()
-        rollout = joined(walked)
-        found = row(unit.policy, rollout, env.decision_dt, self.more(rollout))
+        case = unit.case
+        parts = list(walked(unit, prepared(case.scenario, case.inputs), unit.seeds, case.episodes, tell))
+        rollout, decision_dt = joined([part for part, _ in parts]), parts[0][1].decision_dt
+        found = row(unit.policy, rollout, decision_dt, self.more(rollout))
         for person in found["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
         return [found]
+
+
+def walked(
+    unit: Unit, scenario: Scenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
+) -> Iterator[tuple[Rollout, PedestrianEnv]]:
+    """Yield some episodes after the other, and where they were: large crowds do not fit memory together.
+
+    Args:
+        unit: What walks, and how.
+        scenario: The prepared scenario of its case.
+        seeds: Of the scenes.
+        episodes: Of every seed.
+        tell: Called with the share that is done.
+    """
+    for number, seed in enumerate(seeds):
+        policy, env = prepare(unit.walks, scenario, unit.case.physics, episodes, seed, device=unit.device)
+
+        def share(name: str, done: int, total: int, number: int = number) -> None:
+            if tell:
+                tell((number + done / total) / len(seeds))
+
+        try:
+            for part in walk(policy, env, episodes, unit.deterministic, share):
+                yield part, env
+        finally:
+            env.physics.close()
 
 
 def check_names(what: str, given: Sequence[str]) -> list[str]:

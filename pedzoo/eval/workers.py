@@ -1,20 +1,21 @@
-"""Many workers for a list of jobs: TorchRL's collectors, over processes or over a Ray cluster."""
+"""Many workers for a list of jobs: processes of this machine, or a Ray cluster."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import chain
+from reprlib import repr as short_repr
 from typing import Any, Literal, TypeVar, get_args
 
 import cloudpickle
 import torch
-from torch import Tensor
 
 from pedzoo.errors import UserError, unknown
-from pedzoo.eval.shares import grouped
+from pedzoo.eval.jobs import Outcome, packed
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -42,8 +43,8 @@ def finished(
         jobs: What to do; taken in this order. Must be picklable.
         work: What to do with a job; what it returns must be picklable. It and the jobs may be defined in a
             script, which needs no ``if __name__ == "__main__"`` for it, or in a notebook.
-        workers: Processes or Ray actors, at most one for each job. With one, ``processes`` stays in the
-            caller's own.
+        workers: Processes or Ray actors, at most one for each job. Each takes seconds to start. With one,
+            ``processes`` stays in the caller's own.
         backend: ``processes`` of this machine, or ``ray``: the cluster this process is connected to, else
             the one that ``RAY_ADDRESS`` names or that runs on this machine, else one that is started for
             the time. pedzoo and the files that jobs read must be on all its machines.
@@ -69,11 +70,7 @@ def finished(
     workers = min(workers, len(jobs))
     if not jobs or (workers == 1 and backend == "processes"):
         return _here(jobs, work, groups)
-    if backend == "ray":
-        from pedzoo.eval.ray_workers import outcomes
-    else:
-        from pedzoo.eval.processes import outcomes
-    return _opened(outcomes(jobs, work, groups, workers))
+    return _there(jobs, work, groups, workers, backend)
 
 
 def _here(
@@ -95,15 +92,85 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def _opened(outcomes: Generator[Tensor, None, None]) -> Generator[tuple[int, Any], None, None]:
-    """Yield the results in ``outcomes``, show the jobs' warnings and raise their errors."""
+def _there(
+    jobs: Sequence[J], work: Callable[[J], R], groups: list[list[int]], workers: int, backend: Backend
+) -> Generator[tuple[int, R], None, None]:
+    """Keep every worker busy, yield the results, show the jobs' warnings and raise their errors."""
+    if backend == "ray":
+        from pedzoo.eval.ray_workers import RayActors as Pool
+    else:
+        from pedzoo.eval.processes import Processes as Pool
+    pool, shares = Pool(packed(jobs, work), workers), Shares(groups)
+    running: dict[Future[bytes], tuple[int, int, int]] = {}
+
+    def begin(worker: int, group: int | None) -> None:
+        if taken := shares.take(group):
+            running[pool.submit(worker, taken[0])] = worker, *taken
+
+    def outcome(future: Future[bytes], worker: int, job: int) -> Outcome:
+        try:
+            return cloudpickle.loads(future.result())
+        except pool.deaths as death:
+            error = RuntimeError(
+                f"worker {worker} of {workers} is {pool.death(worker, death)} "
+                f"(in job {job}, {getattr(jobs[job], 'label', short_repr(jobs[job]))}); "
+                "if the memory was too small for so many at once, use fewer workers"
+            )
+            error.__cause__ = death
+            return Outcome(None, error)
+
     try:
-        for data in outcomes:
-            outcome = cloudpickle.loads(data.numpy().tobytes())
-            for text, category, file, line in outcome.warned:
-                warnings.warn_explicit(text, category, file, line, registry=_warned)
-            if outcome.error is not None:
-                raise outcome.error
-            yield outcome.job, outcome.result
+        for worker in range(workers):
+            begin(worker, None)
+        while running:
+            ended = [(future, *running.pop(future)) for future in wait(running, None, FIRST_COMPLETED).done]
+            outcomes = [(outcome(future, worker, job), job) for future, worker, job, _ in ended]
+            if all(each.error is None for each, _ in outcomes):
+                for _, worker, _, group in ended:
+                    begin(worker, group)
+            for each, job in sorted(outcomes, key=lambda one: one[0].error is not None):
+                for text, category, file, line in each.warned:
+                    warnings.warn_explicit(text, category, file, line, registry=_warned)
+                if each.error is not None:
+                    raise each.error
+                assert each.result is not None
+                yield job, cloudpickle.loads(each.result)
     finally:
-        outcomes.close()  # now, and not when the error's traceback is forgotten
+        pool.end()
+
+
+class Shares:
+    """Which job a worker does next: no worker waits while there is work, and jobs of a group stay together.
+
+    A worker goes on with its group. When that is finished it begins the first group that no worker has
+    begun. When there is none it helps with the group that has most left, and prepares once more what that
+    group shares.
+    """
+
+    def __init__(self, groups: Sequence[Sequence[int]]) -> None:
+        """Hand out the jobs of ``groups``: the numbers of the jobs of each."""
+        self._groups = groups
+        self._begun = [0] * len(groups)
+
+    def take(self, group: int | None) -> tuple[int, int] | None:
+        """Return the next job of a worker whose last one was of ``group``, and the job's group.
+
+        Returns:
+            None where all have been handed out.
+        """
+        left = [len(jobs) - begun for jobs, begun in zip(self._groups, self._begun, strict=True)]
+        if group is None or not left[group]:
+            untouched = (number for number, begun in enumerate(self._begun) if not begun)
+            group = next(untouched, max(range(len(left)), key=left.__getitem__))
+        if not left[group]:
+            return None
+        self._begun[group] += 1
+        return self._groups[group][self._begun[group] - 1], group
+
+
+def grouped(keys: Sequence[Hashable]) -> list[list[int]]:
+    """Return the numbers of the jobs of each key, in the order in which the keys are first seen."""
+    groups: dict[Hashable, list[int]] = {}
+    for number, key in enumerate(keys):
+        groups.setdefault(key, []).append(number)
+    return list(groups.values())

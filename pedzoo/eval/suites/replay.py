@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
 from pedzoo.data.datasets.eth_ucy import SCENES, EthUcy
@@ -11,13 +11,11 @@ from pedzoo.errors import UserError
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
-from pedzoo.eval.rollout import prepare, walk
-from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
+from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit, walked
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism_crowds import TAIL
 from pedzoo.metrics.realism_features import FEATURES
-from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim.policy import has_noise, load_policy
 from pedzoo.sim.scenarios.replay import Replay as Recorded
 from pedzoo.spec import Spec
@@ -148,24 +146,8 @@ class Replay(Suite):
         model = load_policy(unit.walks)
         noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
-
-        def walked() -> Iterator[Rollout]:
-            """Yield some scenes after the other: those of large crowds do not fit memory together."""
-            for number, seed in enumerate(seeds):
-                policy, env = prepare(
-                    unit.walks, scenario, case.physics, rounds * scenario.scenes, seed, device=unit.device
-                )
-
-                def share(name: str, done: int, total: int, number: int = number) -> None:
-                    if tell:
-                        tell((number + done / total) / len(seeds))
-
-                try:
-                    yield from walk(policy, env, rounds * scenario.scenes, unit.deterministic, share)
-                finally:
-                    env.physics.close()
-
-        row = replay_row(unit.policy, walked(), scenario, model.decision_dt)
+        parts = walked(unit, scenario, seeds, rounds * scenario.scenes, tell)
+        row = replay_row(unit.policy, (part for part, _ in parts), scenario, model.decision_dt)
         if has_seen(unit.walks, case.case["fold"]):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]
