@@ -42,9 +42,9 @@ def test_python_takes_the_old_spelling_and_tells_the_new_one_once(capsys: pytest
 
 
 def test_protocols_say_it_anew() -> None:
-    with Comparison(["go_to_goal"], "circle:people=2", world="grid", episodes=1) as comparison:
-        assert comparison.report()["protocol"]["physics"] == "compiled"
     old: dict[str, Any] = {"world": "grid"}
+    with Comparison(["go_to_goal"], "circle:people=2", episodes=1, **old) as comparison:
+        assert comparison.report()["protocol"]["physics"] == "compiled"
     report = pedzoo.evaluate(["go_to_goal"], ["door"], episodes=1, **old)
     assert report["protocol"]["physics"] == "compiled" and "world" not in report["protocol"]
     assert report["rows"][0]["case"] == {"suite": "door", "physics": "compiled"}

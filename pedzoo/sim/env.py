@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from pedzoo.batch import agents_of
 from pedzoo.draws import Draws
 from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
@@ -195,8 +196,8 @@ class PedestrianEnv(EnvBase):
                 now.set(name, torch.zeros_like(ended))
         else:
             now = after.copy()
-            now["agents"].pop("reward")
-        for old, new in ((tensordict, now), (tensordict["agents"], now["agents"])):
+            agents_of(now).pop("reward")
+        for old, new in ((tensordict, now), (agents_of(tensordict), agents_of(now))):
             for name in set(old.keys()).difference(new.keys(), ("reward",)):
                 new.set(name, old.get(name))
         tensordict.set("next", after)
