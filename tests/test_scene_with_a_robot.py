@@ -118,11 +118,12 @@ def walked(env: PedestrianEnv, policy: str) -> Tensor:
 @pytest.mark.parametrize("scenes", SCENES)
 @pytest.mark.parametrize("policy", ["go_to_goal:dt=0.4", "orca:dt=0.4"])
 def test_people_walk_as_without_the_robot_until_they_meet_it(file: Path, scenes: str, policy: str) -> None:
-    """Bit for bit, beside a robot on wheels. One in the midst of a circle is walked around, by ORCA."""
+    """Bit for bit, ORCA to rounding, beside a robot on wheels; ORCA walks around one in a circle's midst."""
     alone, joined = pair(file, scenes, 900.0)
     expected = walked(alone, policy)
     people = expected.shape[1]
-    assert torch.equal(expected, walked(joined, policy)[:, :people])
+    rounding = 1e-5 if policy.startswith("orca") else 0.0
+    assert (expected - walked(joined, policy)[:, :people]).abs().max() <= rounding
     assert (expected[:, :, -1] - expected[:, :, 0]).norm(dim=-1).max() > 3
     _, met = pair(file, scenes, 0.0)
     if scenes.startswith("circle") and policy.startswith("orca"):
