@@ -1,17 +1,23 @@
-"""Things that are named with their settings behind a colon: ``orca:radius=0.3,walls=true``."""
+"""Things that are named with their settings behind a colon: ``orca:radius=0.3,walls=true``.
+
+A value with commas is written in quotes: ``goals:map='/a,b/plan.yaml'``.
+"""
 
 from __future__ import annotations
 
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 from pedzoo.errors import UserError, unknown
 from pedzoo.registry import Registry
 
 _ADDRESS = re.compile(r"(hf|https?)://[^/:]*(:\d+(?=/))?[^:]*")
 """An address on the net: the colons of its scheme and its port are its own."""
+
+_QUOTES = "'\""
+_BEGINS = ("", *"=[,:+")
 
 
 class Spec(NamedTuple):
@@ -22,7 +28,7 @@ class Spec(NamedTuple):
 
 
 class Written(NamedTuple):
-    """A name and the settings that were written behind it, as text."""
+    """A name and the settings that were written behind it, as text: in quotes if they were written so."""
 
     name: str
     settings: Mapping[str, str]
@@ -50,7 +56,12 @@ def parse(text: str) -> Written:
     for part in split(rest) if colon else []:
         key, equals, value = part.partition("=")
         if not equals or not key.strip():
-            raise UserError(f"{text!r}: {part!r} is no setting: expected {name}:key=value,key=value")
+            expected = f"expected {name}:key=value,key=value"
+            if settings:
+                before, value = settings.popitem()
+                value = quoted(f"{unquoted(value).lstrip(_QUOTES)},{part}")
+                expected += f"; a value with commas needs quotes: {before}={value}"
+            raise UserError(f"{text!r}: {part!r} is no setting: {expected}")
         if key.strip() in settings:
             raise UserError(f"{text!r}: {key.strip()!r} is given twice")
         settings[key.strip()] = value.strip()
@@ -100,8 +111,12 @@ def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
 
     from jsonargparse import ArgumentParser
 
-    if written and hint is str:
-        return value
+    if written:
+        plain = unquoted(value)
+        if hint is str:
+            return plain
+        # what stands in quotes is a text where one is expected, and is not read as YAML
+        written, value = plain == value or str not in get_args(hint), plain
     parser = ArgumentParser(exit_on_error=False)
     # a text that stands alone would be read as YAML
     parser.add_argument("--value", type=hint if written else list[hint])
@@ -120,12 +135,30 @@ def _short(hint: Any) -> str:
 
 
 def split(text: str, at: str = ",") -> list[str]:
-    """Split at every letter ``at`` outside brackets."""
-    parts, depth = [""], 0
-    for letter in text:
-        depth += (letter == "[") - (letter == "]")
-        if letter == at and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += letter
+    """Split at every letter ``at`` outside brackets and quotes.
+
+    A quote opens where a value begins; a pair of quotes inside a value, or one alone, are letters.
+    """
+    parts, depth, closing = [""], 0, -1
+    for place, letter in enumerate(text):
+        if place > closing:
+            if letter in _QUOTES and text[:place].rstrip()[-1:] in _BEGINS:
+                closing = text.find(letter, place + 1)
+            depth += (letter == "[") - (letter == "]")
+            if letter == at and depth == 0:
+                parts.append("")
+                continue
+        parts[-1] += letter
     return parts
+
+
+def quoted(text: str) -> str:
+    """Return a value in quotes that it does not have itself."""
+    quote = _QUOTES[_QUOTES[0] in text]
+    return f"{quote}{text}{quote}"
+
+
+def unquoted(text: str) -> str:
+    """Return a value without the quotes around it, if there are any."""
+    inner = text[1:-1]
+    return inner if len(text) > 1 and text == f"{text[0]}{inner}{text[0]}" and text[0] in _QUOTES else text

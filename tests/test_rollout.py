@@ -13,6 +13,7 @@ from pedzoo.cli.main import main
 from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import Comparison, row
 from pedzoo.eval.rollout import rollout
+from pedzoo.maps.library import load_plan
 from pedzoo.metrics.rollout import OVER_TIME, Rollout
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics.compiled import Compiled
@@ -53,6 +54,27 @@ def assert_same(first: Rollout, second: Rollout, tolerance: float = 1e-6) -> Non
         mine, other = cut(first, episode), cut(second, episode)
         for key, value in mine.items():
             torch.testing.assert_close(value, other[key], atol=tolerance, rtol=0)
+
+
+def test_paths_with_commas_are_written_in_quotes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a floor plan, alone and in a list; without quotes the error says how to write it."""
+    file = tmp_path / "a,b" / "plan.yaml"
+    file.parent.mkdir()
+    load_plan("flat").save(file)
+    how = ["--physics", "compiled", "--episodes", "1", "--scenario"]
+    for plan in (f"'{file}'", f"['{file}',flat]"):
+        assert main(["rollout", "go_to_goal", *how, f"goals:map={plan},people=2,goals=1,pool=4"]) == 0
+    assert main(["rollout", "go_to_goal", *how, f"goals:map={file},people=2"]) == 2
+    assert f"a value with commas needs quotes: map='{file}'" in capsys.readouterr().err
+
+
+def test_recordings_in_a_folder_with_a_comma(shared: Path, tmp_path: Path) -> None:
+    (tmp_path / "a,b").symlink_to(shared / "data")
+    scenario = f"replay:root='{tmp_path}/a,b',fold=eth,share=0.05"
+    words = ["rollout", "go_to_goal", "--scenario", scenario, "--physics", "compiled", "--episodes", "1"]
+    assert main([*words, "--json", str(tmp_path / "found.json")]) == 0
+    (row,) = json.loads((tmp_path / "found.json").read_text())["rows"]
+    assert row["n"] > 0
 
 
 @pytest.mark.parametrize("scenario", ["door", "goals:people=3,goals=1,pool=8"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.models.clearance import Steps
-from pedzoo.models.safety import kept_clear, safe
+from pedzoo.models.safety import kept_clear, kept_clear_in_torch, safe
 from pedzoo.sim.dynamics import blended, limited
 from pedzoo.sim.make import make_env
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
@@ -106,27 +107,68 @@ def test_on_blended_paths_nobody_touches_a_wall() -> None:
 def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: bool) -> None:
     """Crowds of mixed radii with absent and uncontrolled agents and robots, in the open and at a door.
 
-    Where gradients are asked for, torch answers, in single precision: it may matter at corners.
+    Gradients too, by places, steps and velocities. Torch is in single precision: it may matter at corners.
     """
+    asked, walls = mixed_crowd(people, walled)
+    random = torch.Generator().manual_seed(people)
+    weight = torch.randn(asked.step.shape, generator=random) * asked.present.unsqueeze(-1)
+    found = []
+    for answer in (kept_clear, kept_clear_in_torch):
+        inputs: list[Any] = [asked.position, asked.step, *([asked.velocity] if blends else [])]
+        inputs = [part.clone().requires_grad_() for part in inputs]
+        velocity = inputs[2] if blends else None
+        kept = answer(asked._replace(position=inputs[0], step=inputs[1], velocity=velocity), walls)
+        found.append((kept.detach(), torch.autograd.grad((kept * weight).sum(), inputs)))
+    (compiled, slopes), (in_torch, expected) = found
+    alike = ((compiled - in_torch).norm(dim=-1).where(asked.present, 0.0) < 1e-4).all(1)
+    assert alike.float().mean() >= (0.95 if walled else 0.99)
+    for slope, other in zip(slopes, expected, strict=True):
+        close = ((slope - other).abs() < 1e-3 + 1e-3 * other.abs()).flatten(1).all(1)
+        assert close[alike].float().mean() >= (0.95 if walled else 0.99)
+    assert torch.equal(
+        kept_clear(asked._replace(velocity=asked.velocity if blends else None), walls), compiled
+    )
+
+
+def mixed_crowd(people: int, walled: bool) -> tuple[Steps, LocalWalls | None]:
+    """Return 200 scenes; with walls, only agents outside them are there."""
     asked = crowd(people, scenes=200, mixed=True)
-    if not blends:
-        asked = asked._replace(velocity=None)
-    walls = around(MapBank([ROOM]), 200) if walled else None
-    if walls is not None:
-        free = (
-            walls.rows(torch.arange(len(asked.position)).repeat_interleave(people)).closest(
-                asked.position.flatten(0, 1)
-            )[0]
-            > 0
-        )
-        free = free.view(asked.present.shape)
-        asked = asked._replace(present=asked.present & free, moved=asked.moved & free)
-    compiled = kept_clear(asked, walls)
-    in_torch = kept_clear(asked._replace(step=asked.step.clone().requires_grad_()), walls)
-    assert not compiled.requires_grad and in_torch.requires_grad
-    apart = (compiled - in_torch.detach()).norm(dim=-1).where(asked.present, 0.0)
-    assert ((apart < 1e-4).all(1)).float().mean() >= (0.95 if walled else 0.99)
-    assert (apart < 1e-4).float().mean() > 0.99
+    if not walled:
+        return asked, None
+    walls = around(MapBank([ROOM]), 200)
+    everybody = walls.rows(torch.arange(200).repeat_interleave(people))
+    free = (everybody.closest(asked.position.flatten(0, 1))[0] > 0).view(asked.present.shape)
+    return asked._replace(present=asked.present & free, moved=asked.moved & free), walls
+
+
+@pytest.mark.parametrize("answer", [kept_clear, kept_clear_in_torch])
+def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
+    """Towards the wall nothing is left of a step; along it all is, and where they stand makes no difference.
+
+    Before the wall, by a step that is cut short, the place counts: nearer by 1 cm, shorter by 1 cm.
+    """
+    walls = around(MapBank([ROOM]), 2)
+    place = torch.tensor([[[-0.15, 1.5]], [[-0.4, 1.5]]], requires_grad=True)
+    step = torch.tensor([[[0.1, 0.2]], [[0.3, 0.2]]], requires_grad=True)
+    one = torch.ones(2, 1, dtype=torch.bool)
+    size = torch.full((2, 1), BODY_RADIUS)
+    kept = answer(Steps(place, step, size + 1, one, one, ~one, size, ~one), walls)
+    across = torch.autograd.grad(kept[..., 0].sum(), (place, step), retain_graph=True)
+    along = torch.autograd.grad(kept[..., 1].sum(), (place, step))
+    close: dict[str, Any] = {"atol": 1e-4, "rtol": 0}
+    torch.testing.assert_close(across[0], torch.tensor([[[0.0, 0.0]], [[-1.0, 0.0]]]), **close)
+    torch.testing.assert_close(across[1], torch.zeros(2, 1, 2), **close)
+    torch.testing.assert_close(along[0], torch.zeros(2, 1, 2), **close)
+    torch.testing.assert_close(along[1], torch.tensor([[[0.0, 1.0]], [[0.0, 1.0]]]), **close)
+
+
+def test_top_speeds_have_gradients() -> None:
+    """Torch has them: a step that is too long is as long as the top speed allows."""
+    asked = crowd(1, scenes=4)
+    longest = asked.longest.clone().requires_grad_()
+    kept = kept_clear(asked._replace(longest=longest, step=9 * asked.step))
+    kept.norm(dim=-1).sum().backward()
+    assert longest.grad is not None and torch.allclose(longest.grad, torch.ones(4, 1))
 
 
 def test_strided_inputs_are_read_as_they_are() -> None:

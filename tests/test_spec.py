@@ -12,7 +12,7 @@ from pedzoo.registry import POLICIES, SCENARIOS
 from pedzoo.sim.policies.orca import Orca
 from pedzoo.sim.policy import Policy, load_policy
 from pedzoo.sim.scenario import Scenario
-from pedzoo.spec import Spec, build, parse
+from pedzoo.spec import Spec, build, parse, split
 
 
 def test_parts() -> None:
@@ -24,6 +24,30 @@ def test_parts() -> None:
     for address in ("hf://me/zoo@v1/sgan.mall", "http://localhost:8000/zoo/sgan.mall", "https://a.b/sgan.x"):
         assert parse(address) == (address, {})
         assert parse(f"{address}:noise=step,a=x/y") == (address, {"noise": "step", "a": "x/y"})
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        ("'/a,b/plan.yaml'", "/a,b/plan.yaml"),
+        ('"/o\'brien,b"', "/o'brien,b"),
+        ("/o'brien/it's", "/o'brien/it's"),
+        ("'[a'", "[a"),
+        ("'a+b: c'", "a+b: c"),
+        ("'3'", "3"),
+    ],
+)
+def test_quotes_hold_what_would_split_a_text(text: str, path: str) -> None:
+    one = build(SCENARIOS, f"goals:map={text},people=3", Scenario)
+    assert (one.files, one.people) == ([path], 3)
+    assert split(f"goals:map={text}+orca", "+") == [f"goals:map={text}", "orca"]
+    several = build(SCENARIOS, f"goals:people=3,map=[{text},flat]", Scenario)
+    assert several.files == [path, "flat"]
+
+
+def test_quoted_values_have_their_types() -> None:
+    policy = build(POLICIES, "orca:preset='igibson',radius='0.3'", Policy)
+    assert isinstance(policy, Orca) and policy.settings.radius == 0.3
 
 
 def test_values_have_their_types() -> None:
@@ -66,6 +90,9 @@ def test_typed_values_are_checked(settings: dict[str, Any], told: str) -> None:
         ("orca:preset=gibson", "orca:preset=gibson: expected Literal"),
         ("orca:radius", "'radius' is no setting: expected orca:key=value"),
         ("orca:radius=1,radius=2", "'radius' is given twice"),
+        ("a.py:A:map=/x,y/plan.yaml", "a value with commas needs quotes: map='/x,y/plan.yaml'$"),
+        ("a.py:A:map='/x,y", "needs quotes: map='/x,y'$"),
+        ("a.py:A:map=/it's,y", 'needs quotes: map="/it\'s,y"$'),
         ("orca:radius=-1", "radius -1.0 must be"),
         ("orka", "did you mean 'orca'"),
         ("constant_velocity:noise=always", "expected Optional\\[Literal"),

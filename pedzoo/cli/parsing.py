@@ -18,7 +18,7 @@ from jsonargparse import ArgumentParser, Namespace
 
 from pedzoo.errors import UserError
 from pedzoo.paths import config_names, find_config
-from pedzoo.spec import split
+from pedzoo.spec import split, unquoted
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
@@ -206,7 +206,7 @@ def _names(text: str) -> list[str]:
     for part in split(text):
         goes_on = bool(found) and ":" in found[-1] and "=" in part.partition(":")[0]
         found = [*found[:-1], f"{found[-1]},{part}"] if goes_on else [*found, part]
-    return found
+    return [unquoted(part) for part in found]
 
 
 def _item_type(hint: object) -> tuple[object | None, bool]:

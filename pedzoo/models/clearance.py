@@ -1,7 +1,8 @@
 """Room kept between people and to walls: where the next step lacks it, which way out, what touches.
 
 Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
-is read back to the host. `pedzoo.models.clearance_loops` says the same in compiled loops.
+is read back to the host. `pedzoo.models.clearance_loops` says the same in compiled loops, and
+`pedzoo.models.clearance_slopes` has their gradients.
 """
 
 from __future__ import annotations
@@ -13,6 +14,12 @@ from torch import Tensor
 
 from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
+
+ROUNDS = 8
+"""Corrections at most: each may undo a part of another."""
+
+NARROW = 0.5
+"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
 
 MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
@@ -65,10 +72,6 @@ class Steps(NamedTuple):
     radius: Tensor
     robot: Tensor
     velocity: Tensor | None = None
-
-    def rows(self, index: Tensor) -> Steps:
-        """Return those of some scenes."""
-        return Steps(*(None if part is None else part[index] for part in self))  # type: ignore[arg-type]
 
     @property
     def first(self) -> float:

@@ -8,9 +8,8 @@ which leave all of the avoidance to people, are seen from afar: `pedzoo.models.y
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -18,22 +17,14 @@ from torch import Tensor
 from pedzoo.batch import ROBOT, agents_of, maps_of
 from pedzoo.geometry import limit_speed
 from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.models.clearance import MARGIN, ROUNDING, SHOULDERS, Near, Pairs, Steps
+from pedzoo.models.clearance import NARROW, ROUNDS, Near, Pairs, Steps
+from pedzoo.models.compiled_clearance import compiles, kept_clear_compiled
 from pedzoo.models.yielding import yielding
-from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-
-ROUNDS = 8
-"""Corrections at most: each may undo a part of another."""
-
-NARROW = 0.5
-"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
+from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO
 
 WAITED = 0.4
 """Metres within the observed steps, 2.8 s, below which a person waits. Two people who wait for each other in
 a narrow place turn a shoulder, too: nothing else would end that."""
-
-_NONE: Any = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), np.zeros(1, np.int32)
-_NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
 
 _SHARES = 1.0, 0.5, 0.0
 """Of a step that would touch something all the same."""
@@ -50,18 +41,7 @@ def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
         steps: What is asked for.
         walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
     """
-    if not _compiles(steps):
-        return _in_torch(steps, walls)
-    with torch.no_grad():
-        kept = _compiled(steps, walls)
-    if not _asks_gradients(steps):
-        return kept
-    # the compiled loops say in which scenes anything is to be done, torch does it: it has the gradients
-    free = _capped(steps, steps.step)
-    rows = ((kept - free.detach()).abs() > ROUNDING).flatten(1).any(1).nonzero()[:, 0]
-    if not len(rows):
-        return free
-    return free.index_copy(0, rows, _in_torch(steps.rows(rows), None if walls is None else walls.rows(rows)))
+    return kept_clear_compiled(steps, walls) if compiles(steps) else kept_clear_in_torch(steps, walls)
 
 
 def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
@@ -91,14 +71,16 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
 
 
-def _in_torch(steps: Steps, walls: LocalWalls | None) -> Tensor:
+def kept_clear_in_torch(steps: Steps, walls: LocalWalls | None) -> Tensor:
+    """Do what `kept_clear` does on any device and in any precision."""
     narrow = near = None
     if walls is not None:
         walls = walls.per_scene()
         ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
-        gap, _ = walls.look(ends, edges=False)
+        gap, away = walls.look(ends, edges=False)
         narrow = (gap < NARROW).any(0)
-        near = Near.of(steps, walls, gap[0])
+        here = steps.position.movedim(-1, 0)
+        near = Near.of(steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0))
     pairs = Pairs.of(steps, narrow)
     step = _capped(steps, steps.step)
     for _ in range(ROUNDS):
@@ -141,38 +123,6 @@ def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> 
         stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
         chosen = torch.where(stops, min(turn + 1, 2), chosen)
     return 1 - 0.5 * chosen.to(step.dtype)
-
-
-def _compiles(steps: Steps) -> bool:
-    """Return whether the compiled loops may take these: float32 on the CPU."""
-    numbers = [part for part in steps if part is not None and part.is_floating_point()]
-    return all(part.device.type == "cpu" and part.dtype == torch.float32 for part in numbers)
-
-
-def _asks_gradients(steps: Steps) -> bool:
-    return torch.is_grad_enabled() and any(part.requires_grad for part in steps if part is not None)
-
-
-def _compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
-    from pedzoo.models.clearance_loops import keep_clear
-
-    kept = torch.empty_like(steps.step, memory_format=torch.contiguous_format)
-    blends = steps.velocity is not None
-    before = steps.step if steps.velocity is None else steps.velocity * TRACE_SECONDS
-    people: Any = [steps.position, steps.step, before, *steps[2:8]]
-    keep_clear(
-        *(part.detach().numpy() for part in people), blends,
-        ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond, ROUNDING,
-        *_wall_arrays(walls), kept.numpy(),
-    )  # fmt: skip
-    return kept
-
-
-def _wall_arrays(walls: LocalWalls | None) -> tuple[Any, ...]:
-    """Return frames (B, 7) and places (B, 3) of scenes, no rows for no walls, and the tables behind them."""
-    if walls is None:
-        return _NO_WALLS
-    return walls.frame.t().float().numpy(), walls.place.t().numpy(), *walls.walls.arrays
 
 
 def _capped(steps: Steps, step: Tensor) -> Tensor:

@@ -93,7 +93,8 @@ def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Ten
     result = []
     for tick in range(velocity.shape[1]):
         change = velocity[:, tick] - moving
-        free = moving + change * (most / (change.square().sum(0) + 1e-12).sqrt()).clamp_max(1.0)
+        share = (most / (change.square().sum(0) + 1e-12).sqrt()).clamp_max(1.0)
+        free = torch.lerp(moving, velocity[:, tick], share)  # all of it is exactly what is wanted
         speed = speed + (wanted_speed - speed).clamp(-most, most)
         turn = turn + (wanted_turn - turn).clamp(-most_turn, most_turn)
         middle = heading + 0.5 * TRACE_SECONDS * turn

@@ -136,4 +136,6 @@ def run(argv: list[str]) -> int:
 
 
 def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
+    from pedzoo.spec import split, unquoted
+
+    return [unquoted(part.strip()) for part in split(text) if part.strip()]

@@ -38,7 +38,8 @@ def run(argv: list[str]) -> int:
         type=str,
         default="door",
         help=f"{', '.join(SCENARIOS.names())}, or file.py:Class, with settings: door:width=0.9,people=4, "
-        "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file).",
+        "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file; if its path has commas, "
+        "in quotes: \"goals:map='/a,b/plan.yaml'\").",
     )
     walking = parser.add_class_arguments(Comparison, as_group=False, skip={"policies", "scenario"})
     parser.add_argument(

@@ -1,0 +1,130 @@
+"""Clause 7 of the loop contract: a scene with a robot and the scene without it have the same people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from pedzoo.batch import ROBOT
+from pedzoo.models.walker import Walker
+from pedzoo.models.zoo import load
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env
+from pedzoo.sim.policy import load_policy
+
+SCENES = ("door:people=4,offset=[0,0.3]", "goals:map=apartment.7,people=3,goals=2,pool=8", "circle:people=5")
+
+WITH_ROBOT = '''
+import torch
+
+from pedzoo.batch import ROBOT
+from pedzoo.sim.make import make_scenario
+from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.state import HOLONOMIC, UNICYCLE
+
+
+class WithRobot(Scenario):
+    """Another scenario, and a robot with wheels in the last slot that stands at (x, 0)."""
+
+    wheels = True
+
+    def __init__(self, of: str, x: float, present: bool = True) -> None:
+        """Take the other scenario's name with settings, and metres."""
+        self.inner, self.x, self.present = make_scenario(of), x, present
+        super().__init__(self.inner.people + 1, self.inner.speed, self.inner.speed_std)
+        self.goals, self.later, self.finished = self.inner.goals, self.inner.later, self.inner.finished
+
+    def plans(self):
+        return self.inner.plans()
+
+    def prepare(self, clearance):
+        self.inner.ready(clearance)
+        self.bank, self.planner = self.inner.bank, self.inner.planner
+
+    def next_goal(self, draws, agent, number, last):
+        found = self.inner.next_goal(draws, agent, number, last)
+        return torch.where(agent < self.inner.people, found, -1)
+
+    def layout(self, draws):
+        layout = self.inner.layout(draws)
+
+        def and_one(values, one):
+            one = torch.as_tensor(one, dtype=values.dtype)
+            return torch.cat((values, one.expand(len(values), 1, *values.shape[2:])), 1)
+
+        size = layout.pref_speed
+        return layout._replace(
+            start=and_one(layout.start, [self.x, 0.0]),
+            mask=and_one(layout.mask, self.present),
+            pref_speed=and_one(size, 1.0),
+            goal=and_one(layout.goal, -1),
+            radius=and_one(torch.full_like(size, 0.15), 0.5),
+            kind=and_one(torch.zeros_like(layout.goal), ROBOT),
+            drive=and_one(torch.full_like(layout.goal, HOLONOMIC), UNICYCLE),
+        )
+'''
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    found = tmp_path / "with_robot.py"
+    found.write_text(WITH_ROBOT)
+    return found
+
+
+def pair(file: Path, scenes: str, x: float) -> tuple[PedestrianEnv, PedestrianEnv]:
+    """Return four scenes without a robot, and with one."""
+    robot = make_env(f"{file}:WithRobot:of='{scenes}',x={x:g}", num_envs=4, physics="compiled")
+    return make_env(scenes, num_envs=4, physics="compiled"), robot
+
+
+def people_of(tensor: Tensor, people: int) -> Tensor:
+    return tensor[:, :people]
+
+
+@pytest.mark.parametrize("scenes", SCENES)
+def test_people_begin_as_they_do_without_the_robot(file: Path, scenes: str) -> None:
+    """Bit for bit: places, speeds, goals, later goals, the warm start, keys and noise. It is far away."""
+    alone, joined = pair(file, scenes, 900.0)
+    first, second = alone.reset(seed=7), joined.reset(seed=7)
+    people = alone.state.mask.shape[1]
+    assert joined.state.kind[:, people].eq(ROBOT).all() and joined.state.mask[:, people].all()
+    fields = ("past", "velocity", "heading", "pref_speed", "top_speed", "radius", "kind", "goal_point")
+    for name in (*fields, "mask", "controlled", "person", "deadline", "way", "goal_id", "later_goals"):
+        mine, other = getattr(alone.state, name), getattr(joined.state, name)
+        assert torch.equal(mine, people_of(other, people)), name
+    for name in ("key", "map_id", "pose", "clock"):
+        assert torch.equal(getattr(alone.state, name), getattr(joined.state, name)), name
+    walker = Walker(load("sgan_goal_map.indoor"))
+    noise: Any = walker.noise_of(first)
+    assert torch.equal(noise, people_of(walker.noise_of(second), people))  # type: ignore[arg-type]
+    assert noise.abs().sum() > 0
+
+
+def walked(env: PedestrianEnv, policy: str) -> Tensor:
+    """Return places (B, A, T, 2) over eight decisions."""
+    walks, seen = load_policy(policy), env.reset(seed=3)
+    places = [env.state.past]
+    for _ in range(8):
+        seen = env.step(walks(seen))["next"]
+        places.append(env.state.past)
+    return torch.cat(places, 2)
+
+
+@pytest.mark.parametrize("scenes", SCENES)
+@pytest.mark.parametrize("policy", ["go_to_goal:dt=0.4", "orca:dt=0.4"])
+def test_people_walk_as_without_the_robot_until_they_meet_it(file: Path, scenes: str, policy: str) -> None:
+    """Bit for bit, ORCA to rounding, beside a robot on wheels; ORCA walks around one in a circle's midst."""
+    alone, joined = pair(file, scenes, 900.0)
+    expected = walked(alone, policy)
+    people = expected.shape[1]
+    rounding = 1e-5 if policy.startswith("orca") else 0.0
+    assert (expected - walked(joined, policy)[:, :people]).abs().max() <= rounding
+    assert (expected[:, :, -1] - expected[:, :, 0]).norm(dim=-1).max() > 3
+    _, met = pair(file, scenes, 0.0)
+    if scenes.startswith("circle") and policy.startswith("orca"):
+        assert (expected - walked(met, policy)[:, :people]).abs().max() > 0.1
