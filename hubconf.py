@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable as _Callable
 
 from pedzoo.models.base import Forecaster as _Forecaster
-from pedzoo.models.zoo import list_models as _list_models
-from pedzoo.models.zoo import load as _load
+from pedzoo.models.zoo.loading import list_models as _list_models
+from pedzoo.models.zoo.loading import load as _load
 
 dependencies = ["torch", "lightning", "torchrl", "tensordict", "safetensors", "scipy", "yaml"]
 

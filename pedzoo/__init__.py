@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pedzoo.eval.evaluate import evaluate as evaluate
     from pedzoo.eval.rollout import rollout as rollout
-    from pedzoo.models.zoo import list_models as list_models
-    from pedzoo.models.zoo import load as load
+    from pedzoo.models.zoo.loading import list_models as list_models
+    from pedzoo.models.zoo.loading import load as load
+    from pedzoo.policies.load import list_policies as list_policies
     from pedzoo.sim.make import make_env as make_env
-    from pedzoo.sim.policy import list_policies as list_policies
 
 __version__ = "0.1.0"
 
 _HOME = {
     "evaluate": "pedzoo.eval.evaluate",
-    "load": "pedzoo.models.zoo",
-    "list_models": "pedzoo.models.zoo",
-    "list_policies": "pedzoo.sim.policy",
+    "load": "pedzoo.models.zoo.loading",
+    "list_models": "pedzoo.models.zoo.loading",
+    "list_policies": "pedzoo.policies.load",
     "make_env": "pedzoo.sim.make",
     "rollout": "pedzoo.eval.rollout",
 }

@@ -9,8 +9,8 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo import geometry
-from pedzoo.batch import agents_of, scene_batch
+from pedzoo.core import geometry
+from pedzoo.core.batch import agents_of, scene_batch
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.base import Forecaster
 

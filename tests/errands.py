@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from torchrl.envs.utils import exploration_type
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 
 
 def answer(job: tuple[int, str]) -> dict:

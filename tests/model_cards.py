@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pedzoo.models.card import ModelCard
+from pedzoo.models.zoo.card import ModelCard
 
 
 def make_card(name: str = "sgan_goal.zara1", **changed: Any) -> ModelCard:

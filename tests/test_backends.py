@@ -12,17 +12,18 @@ import torch
 from bodies import BACKENDS, Wide, commands, free_places, put
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.kinematics import blended, limited
+from pedzoo.core.registry import PHYSICS
 from pedzoo.maps.bank import MapBank
-from pedzoo.registry import PHYSICS
-from pedzoo.sim.dynamics import SKIN, blended, limited
+from pedzoo.sim.dynamics import SKIN
+from pedzoo.sim.engine.base import People, Physics
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_physics
 from pedzoo.sim.motion import Motion
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
-from pedzoo.sim.worlds.base import People, Physics
 
 WIDTHS = (0.15, 0.5)
 MAP = "apartment.7"

@@ -14,15 +14,15 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
-from pedzoo.batch import PERSON, ROBOT, agents_of, ids_of, maps_of, scene_batch
+from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of, maps_of, scene_batch
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room
-from pedzoo.sim.controller import Controller
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.stepping.controller import Controller
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import load_policy
 
 ROOM = rectangles(room((-6.0, -6.0), (6.0, 6.0), 0.1))
 AVOIDING = ("orca:jitter=0", "social_force:fluctuation=0,preset=indoor", "go_to_goal:safety=true")

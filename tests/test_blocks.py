@@ -10,10 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.models.blocks import pooling
-from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
-from pedzoo.models.blocks.pooling import SocialPooling
+from pedzoo.models.blocks.people import pooling
+from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
 
 

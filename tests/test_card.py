@@ -13,9 +13,9 @@ import pytest
 import yaml
 from model_cards import make_card
 
-from pedzoo.errors import UserError
-from pedzoo.models.card import read_card, write_card
-from pedzoo.models.card_page import page
+from pedzoo.core.errors import UserError
+from pedzoo.models.zoo.card import read_card, write_card
+from pedzoo.models.zoo.card_page import page
 
 
 def written(path: Path, **changed: Any) -> Path:
@@ -184,7 +184,8 @@ def test_a_page_says_everything_and_its_tables_hold() -> None:
 def test_cards_are_read_without_torch(tmp_path: Path) -> None:
     write_card(make_card(), tmp_path / "a.yaml")
     code = (
-        "import sys; from pedzoo.models.card import read_card; from pedzoo.models.card_page import page;"
+        "import sys; from pedzoo.models.zoo.card import read_card;"
+        "from pedzoo.models.zoo.card_page import page;"
         "page(read_card('a.yaml'));"
         "assert not {'torch', 'numpy', 'rich'} & set(sys.modules)"
     )

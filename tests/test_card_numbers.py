@@ -13,14 +13,14 @@ import pytest
 
 import pedzoo
 from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.eval import card_numbers
 from pedzoo.eval.card_numbers import compare, measure
 from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.forecast import forecast
-from pedzoo.models.card import ModelCard, read_card, write_card
-from pedzoo.models.store import find
+from pedzoo.models.zoo.card import ModelCard, read_card, write_card
+from pedzoo.models.zoo.store import find
 
 NAME = "sgan_goal_map.zara1"
 DOOR = {"suites": ["door"], "episodes": 3, "physics": "compiled"}

@@ -18,9 +18,9 @@ import pedzoo
 from pedzoo.cli.main import COMMANDS, main
 from pedzoo.cli.output import write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, parse
-from pedzoo.errors import UserError
-from pedzoo.models.header import read_config
-from pedzoo.paths import config_names
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import config_names
+from pedzoo.models.zoo.header import read_config
 
 ROOT = Path(pedzoo.__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
@@ -230,7 +230,7 @@ def test_second_run_gets_its_own_folder(elsewhere):
 
 def test_interrupted_fit_ends_like_an_uninterrupted_one(capsys, monkeypatch):
     """Ctrl-C, the printed command, and the same weights of both networks and states of both optimisers."""
-    from pedzoo.train.module import ForecastModule
+    from pedzoo.train.modules.module import ForecastModule
 
     def interrupt(self):
         if self.current_epoch == 1:

@@ -14,9 +14,9 @@ from pedzoo.eval.closed_loop import row
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop, time_ratios
 from pedzoo.metrics.intervals import wilson
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.rollout import OVER_TIME, Rollout, joined
 from pedzoo.metrics.runs import Runs
 from pedzoo.metrics.safety import least_distance, nearest
+from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
 
 INF = float("inf")
 

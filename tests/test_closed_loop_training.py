@@ -22,15 +22,15 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch import Tensor, nn
 
 from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.video import read_video
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.train.closed_loop import METRICS, ClosedLoopValidation
-from pedzoo.train.plain import PlainModule
-from pedzoo.train.stage import Stage, share
+from pedzoo.train.modules.plain import PlainModule
+from pedzoo.train.validation.closed_loop import METRICS, ClosedLoopValidation
+from pedzoo.train.validation.stage import Stage, share
+from pedzoo.viz.video import read_video
 
 ROOT = Path(__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]

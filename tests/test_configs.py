@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from pedzoo.cli.main import main
+from pedzoo.core.paths import config_names, shipped
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.paths import config_names, shipped
 from pedzoo.sim.make import make_scenario
 from pedzoo.train.fine_tuning import architecture_options
 

@@ -13,15 +13,16 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
-from pedzoo.batch import PERSON, ROBOT, agents_of
-from pedzoo.errors import UserError
-from pedzoo.geometry import limit_speed
+from pedzoo.core.batch import PERSON, ROBOT, agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import limit_speed
+from pedzoo.core.kinematics import blended
+from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.sim.called_with import number_of
-from pedzoo.sim.controller import Controller
-from pedzoo.sim.dynamics import blended
-from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.policy import Policy
+from pedzoo.policies.stepping.called_with import number_of
+from pedzoo.policies.stepping.controller import Controller
 
 # two rooms of 5 x 6 m with a door of 1.2 m between, and a third behind a wall without one
 ROOMS = rectangles(

@@ -15,9 +15,9 @@ import torch
 from jsonargparse import ArgumentParser
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import Split
-from pedzoo.errors import UserError
 
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 TURN = np.array([[0.0, -0.1, 30.0], [0.1, 0.0, 2.0], [0.0, 0.0, 1.0]])

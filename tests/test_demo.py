@@ -11,7 +11,7 @@ import pytest
 
 from pedzoo.cli.commands import demo
 from pedzoo.cli.main import main
-from pedzoo.eval.video import read_video
+from pedzoo.viz.video import read_video
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13

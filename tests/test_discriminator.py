@@ -8,8 +8,8 @@ import pytest
 import torch
 from test_blocks import crowd_of, plain_encoder, plain_pooling
 
-from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
+from pedzoo.models.blocks.people.crowd import Crowd
 
 SIZES = (2, 4, 1)
 KINDS = pytest.mark.parametrize("kind", ["local", "global"])

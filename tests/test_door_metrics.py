@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 from walks import made
 
-from pedzoo.draws import Draws
+from pedzoo.core.draws import Draws
+from pedzoo.core.registry import SCENARIOS
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics import door
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.smoothness import velocities
-from pedzoo.registry import SCENARIOS
+from pedzoo.sim.rollout import Rollout
 
 INF = float("inf")
 BOTH = torch.tensor([[0, 1]])

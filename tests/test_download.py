@@ -17,17 +17,18 @@ import pytest
 import torch
 from server import Page, Site, serving
 
-from pedzoo import fetch as fetching
 from pedzoo.cli.main import main
+from pedzoo.core import fetch as fetching
+from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.published import files as listing
 from pedzoo.data.published.eth_ucy import splits
 from pedzoo.data.published.files import files_of, published
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan
-from pedzoo.errors import UserError
 from pedzoo.maps.camera import seen_from_above
-from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.models.blocks import alexnet
+from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN
+from pedzoo.models.blocks.floor_plan import alexnet
 
 PLACE = ("repository", "commit", "path")
 RAW, CDN = "raw/{repository}/{commit}/{path}", "cdn/{repository}@{commit}/{path}"
@@ -102,7 +103,7 @@ def test_folds_are_those_of_social_gan(shared: Path) -> None:
 @pytest.mark.parametrize("scene", FRAMES)
 def test_floor_plans_equal_the_recorded_ones_bit_for_bit(shared: Path, scene: str) -> None:
     plan = floor_plan(scene, shared / "data" / "eth_ucy")
-    expected = OccupancyGrid.load(shared / "data" / "eth_ucy" / "maps" / f"{scene}.yaml")
+    expected = read_plan(shared / "data" / "eth_ucy" / "maps" / f"{scene}.yaml")
     assert np.array_equal(plan.cells, expected.cells)
     assert (plan.resolution, plan.origin) == (expected.resolution, expected.origin)
     assert plan.digest == expected.digest
@@ -186,7 +187,7 @@ def test_a_dataset_comes_whole_and_is_found_without_being_named(
         assert np.array_equal(one.tracks.xy, other.tracks.xy)
         assert (one.plan is None) == (other.plan is None)
         if one.plan and other.plan:
-            assert OccupancyGrid.load(one.plan).digest == OccupancyGrid.load(other.plan).digest
+            assert read_plan(one.plan).digest == read_plan(other.plan).digest
 
     monkeypatch.setenv("PEDZOO_OFFLINE", "1")
     assert main(["download", "eth_ucy"]) == 0, "all is there"

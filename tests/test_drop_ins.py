@@ -13,7 +13,7 @@ from test_in_the_loop import module, train
 
 import pedzoo
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.state import UNICYCLE
@@ -23,9 +23,9 @@ ROBOT = '''
 
     import torch
 
-    from pedzoo.batch import ROBOT, agents_of
-    from pedzoo.geometry import heading_of
-    from pedzoo.sim.policy import Policy
+    from pedzoo.core.batch import ROBOT, agents_of
+    from pedzoo.core.geometry import heading_of
+    from pedzoo.policies.policy import Policy
     from pedzoo.sim.scenarios.circle import Circle
     from pedzoo.sim.state import UNICYCLE
 
@@ -67,7 +67,7 @@ PHYSICS = '''
 
     import torch
 
-    from pedzoo.batch import ROBOT
+    from pedzoo.core.batch import ROBOT
     from pedzoo.sim.motion import Owned
     from pedzoo.sim.physics.torch import Torch
 

@@ -7,13 +7,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose, limit_speed, move_to_map, move_to_scene
+from pedzoo.core.geometry import identity_pose, limit_speed, move_to_map, move_to_scene
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim import dynamics
 from pedzoo.sim.dynamics import SKIN, substeps
-from pedzoo.types import BODY_RADIUS
 
 BANK = MapBank([rectangles(room((0, 0), (4, 3), 0.1) + wall((2.05, 0), (2.05, 3), 0.1), 0.05)], "wall")
 """Two rooms and no door: free for x from 0 to 2 and from 2.1 to 4, for y from 0 to 3."""

@@ -10,14 +10,14 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 import pedzoo
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.make import make_env
-from pedzoo.train.loop_losses import LoopLosses, least_gaps, lost_seconds, wall_distances, wrong_side
-from pedzoo.train.mixture import Course, Mixture
-from pedzoo.train.segments import Segment, unrolled
+from pedzoo.train.loop.loop_losses import LoopLosses, least_gaps, lost_seconds, wall_distances, wrong_side
+from pedzoo.train.loop.mixture import Course, Mixture
+from pedzoo.train.loop.segments import Segment, unrolled
 
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)
 

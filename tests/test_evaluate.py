@@ -15,23 +15,24 @@ from model_cards import make_card
 
 import pedzoo
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import SUITES
+from pedzoo.core.spec import Spec
 from pedzoo.eval import evaluate as module
 from pedzoo.eval import prepared as keeping
 from pedzoo.eval import unseen
-from pedzoo.eval.clock import Step
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.fundamental import plot_density_speed
-from pedzoo.eval.journal import Journal
 from pedzoo.eval.results import Shown, cell, markdown, pages
 from pedzoo.eval.suite import Request
 from pedzoo.eval.suites.goals import CELLS, POOL
 from pedzoo.eval.summary import mean_interval, summary
 from pedzoo.eval.units import digest, work
+from pedzoo.eval.workers.clock import Step
+from pedzoo.eval.workers.journal import Journal
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import flat
-from pedzoo.models.card import write_card
-from pedzoo.registry import SUITES
-from pedzoo.spec import Spec
+from pedzoo.models.zoo.card import write_card
+from pedzoo.viz.fundamental import plot_density_speed
 
 SMALL = '''
 from pedzoo.eval.suite import Case, Suite
@@ -48,7 +49,7 @@ class Small(Suite):
 '''
 
 BROKEN = '''
-from pedzoo.sim.policy import Policy
+from pedzoo.policies.policy import Policy
 
 
 class Broken(Policy):
@@ -266,7 +267,7 @@ ODD = "a,b=[c:d,people=1"
 def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
     file = tmp_path / ODD / "plan.yaml"
     file.parent.mkdir()
-    flat().save(file)
+    write_ros(flat(), file)
     evaluation = Evaluation(["go_to_goal"], [suite], Request(1, True, "compiled", (str(file),)))
     unit = next(unit for unit in evaluation.units if unit.case.case["map"] == "plan")
     (row,) = work(unit)

@@ -17,15 +17,15 @@ from test_publish import make_run
 
 import pedzoo
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.eval import card_numbers
-from pedzoo.eval.publish import describe
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.card import read_card, write_card
-from pedzoo.models.card_page import page
-from pedzoo.models.hub import readme, write_hub
-from pedzoo.models.zoo import load, save_weights
+from pedzoo.models.export.publish import describe
+from pedzoo.models.zoo.card import read_card, write_card
+from pedzoo.models.zoo.card_page import page
+from pedzoo.models.zoo.hub import readme, write_hub
+from pedzoo.models.zoo.loading import load, save_weights
 
 
 def answers(model: Forecaster) -> torch.Tensor:

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from server import Page, Site, serving
 
-from pedzoo import fetch as fetching
-from pedzoo.errors import UserError
-from pedzoo.fetch import fetch
+from pedzoo.core import fetch as fetching
+from pedzoo.core.errors import UserError
+from pedzoo.core.fetch import fetch
 
 CONTENT = bytes(range(256)) * 1000
 SUM = hashlib.sha256(CONTENT).hexdigest()
@@ -261,7 +261,7 @@ def test_many_at_once_download_once(site: Site) -> None:
 
 def start_fetch(url: str) -> subprocess.Popen[str]:
     """Run `fetch` in a process of its own."""
-    code = f"from pedzoo.fetch import fetch; print(fetch({url!r}, {SUM!r}, 'file.bin'))"
+    code = f"from pedzoo.core.fetch import fetch; print(fetch({url!r}, {SUM!r}, 'file.bin'))"
     return subprocess.Popen(
         [sys.executable, "-c", code], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )

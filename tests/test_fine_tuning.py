@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.zoo import save_weights
+from pedzoo.models.zoo.loading import save_weights
 
 NAME = "sgan_goal_map.zara1"
 QUICK = ["--data.batch_size", "8", "--model.samples", "2", "--trainer.limit_train_batches", "2"]

@@ -10,15 +10,17 @@ import pytest
 import torch
 from scipy.spatial.distance import pdist
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.boxes import boxes
+from pedzoo.maps.files.igibson import read_igibson
+from pedzoo.maps.files.images import read_image
+from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.files.ros import read_ros, write_ros
 from pedzoo.maps.free_space import free_points, spread_points
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.igibson import read_igibson
-from pedzoo.maps.images import read_image
 from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.walls.boxes import boxes
 
 
 def two_rooms(width: float = 0.85, thickness: float = 0.15) -> OccupancyGrid:
@@ -134,7 +136,7 @@ CLEAR = {
 
 def test_free_space_of_the_shared_maps(shared: Path) -> None:
     for path in sorted((shared / "maps").glob("*.yaml")):
-        grid = OccupancyGrid.from_ros_yaml(path)
+        grid = read_ros(path)
         # The README measures to the centres of pixels, a clearance to their edges.
         clearance = 0.3 - grid.resolution / 2 + 1e-6
         area = len(free_points(grid, "wall", clearance)) * grid.resolution**2
@@ -150,22 +152,22 @@ def test_saving_is_a_round_trip(
     grid = OccupancyGrid(cells.astype(np.uint8), resolution, origin, name="office")
     path = tmp_path / "new" / "office.yaml"
     for _ in range(2):  # onto itself, too
-        grid.save(path)
-        again = OccupancyGrid.load(path)
+        write_ros(grid, path)
+        again = read_plan(path)
         assert (again.digest, again.map_id, again.name) == (grid.digest, grid.map_id, "office")
         assert again.origin == origin
     assert sorted(file.name for file in path.parent.iterdir()) == ["office.png", "office.yaml"]
     pixels = cv2.imread(str(path.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     assert (np.array([254, 0, 205])[np.flipud(cells)] == pixels).all()
     with pytest.raises(UserError, match=r"expected a name in \.yaml"):
-        grid.save(tmp_path / "office.png")
+        write_ros(grid, tmp_path / "office.png")
 
 
 def test_the_shared_maps_and_their_round_trips(shared: Path, tmp_path: Path) -> None:
     for path in [*shared.glob("maps/*.yaml"), *shared.glob("data/*/maps/*.yaml")]:
-        grid = OccupancyGrid.load(path)
-        grid.save(tmp_path / path.name)
-        assert OccupancyGrid.load(tmp_path / path.name).digest == grid.digest
+        grid = read_plan(path)
+        write_ros(grid, tmp_path / path.name)
+        assert read_plan(tmp_path / path.name).digest == grid.digest
 
 
 def igibson(folder: Path, name: str = "floor_trav_0.png", size: int = 60) -> Path:
@@ -192,9 +194,9 @@ def test_igibson_maps_have_their_own_frame(tmp_path: Path) -> None:
     # A box of two erodes towards larger rows and columns, as OpenCV anchors it.
     eroded = expected.copy()
     eroded[1, 1:5] = eroded[1:5, 1] = eroded[2, 2] = OCCUPIED
-    grid = OccupancyGrid.load(path)
+    grid = read_plan(path)
     assert (grid.cells == eroded).all() and grid.resolution == 0.1 and grid.name == "floor_trav_0"
-    assert OccupancyGrid.load(path, resolution=0.05).resolution == 0.05
+    assert read_plan(path, resolution=0.05).resolution == 0.05
 
 
 def test_igibson_floor_image_forbids_and_resizing_leaves_only_whole_cells(tmp_path: Path) -> None:
@@ -210,7 +212,7 @@ def test_igibson_floor_image_forbids_and_resizing_leaves_only_whole_cells(tmp_pa
 
 def test_bad_igibson_maps_are_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="60 x 50 pixels, expected a square image"):
-        OccupancyGrid.load(igibson(tmp_path, size=50))
+        read_plan(igibson(tmp_path, size=50))
     path = igibson(tmp_path)
     for options in ({"resolution": 0}, {"source_resolution": -1}, {"erosion": -1}):
         with pytest.raises(UserError, match="expected metres above 0"):
@@ -223,7 +225,7 @@ def test_an_image_with_a_resolution(tmp_path: Path) -> None:
     pixels = np.array([[0, 127, 128], [255, 200, 90]], dtype=np.uint8)
     for name in ("plan.png", "plan.pgm"):
         cv2.imwrite(str(tmp_path / name), pixels)
-        grid = OccupancyGrid.load(tmp_path / name, resolution=0.2)
+        grid = read_plan(tmp_path / name, resolution=0.2)
         assert grid.cells.tolist() == [[FREE, FREE, OCCUPIED], [OCCUPIED, OCCUPIED, FREE]]
         assert (grid.resolution, grid.origin, grid.name) == (0.2, (0.0, 0.0, 0.0), "plan")
     light = read_image(tmp_path / "plan.png", 0.2, threshold=80, origin=(1.0, 2.0, 0.5))
@@ -231,7 +233,7 @@ def test_an_image_with_a_resolution(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="threshold 0"):
         read_image(tmp_path / "plan.png", 0.2, threshold=0)
     with pytest.raises(UserError, match=r"resolution 0.* above 0"):
-        OccupancyGrid.load(tmp_path / "plan.png", resolution=0)
+        read_plan(tmp_path / "plan.png", resolution=0)
 
 
 def test_plain_and_binary_pgm_and_yaw(tmp_path: Path) -> None:
@@ -242,7 +244,7 @@ def test_plain_and_binary_pgm_and_yaw(tmp_path: Path) -> None:
         b"P5\n3 2\n255\n\x00\xcd\xfe\xfe\xfe\xff",
     ):
         (tmp_path / "m.pgm").write_bytes(content)
-        grid = OccupancyGrid.load(tmp_path / "m.yaml")
+        grid = read_plan(tmp_path / "m.yaml")
         assert grid.cells.tolist() == [[FREE] * 3, [OCCUPIED, UNKNOWN, FREE]]
         assert grid.origin == (1.0, 2.0, 0.3)
 
@@ -255,14 +257,14 @@ def test_files_of_no_known_kind(tmp_path: Path) -> None:
         "plan.yaml": "no map file",
     }.items():
         with pytest.raises(UserError, match=message):
-            OccupancyGrid.load(tmp_path / name)
+            read_plan(tmp_path / name)
     with pytest.raises(UserError, match="stands in the yaml"):
-        OccupancyGrid.load(tmp_path / "plan.yaml", resolution=0.1)
+        read_plan(tmp_path / "plan.yaml", resolution=0.1)
     (tmp_path / "broken.png").write_text("not a picture")
     with pytest.raises(UserError, match=r"broken.png' cannot be read"):
-        OccupancyGrid.load(tmp_path / "broken.png", resolution=0.1)
+        read_plan(tmp_path / "broken.png", resolution=0.1)
     (tmp_path / "bare.yaml").write_text(
         "resolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.6\nfree_thresh: 0.2\n"
     )
     with pytest.raises(UserError, match="lacks image"):
-        OccupancyGrid.load(tmp_path / "bare.yaml")
+        read_plan(tmp_path / "bare.yaml")

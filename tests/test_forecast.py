@@ -10,14 +10,14 @@ import pytest
 import torch
 from batches import random_weights
 
-from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.eval.forecast import forecast
 from pedzoo.metrics.displacement import displacement_error
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.zoo import save_weights
+from pedzoo.models.zoo.loading import save_weights
 
 SAMPLED = {"ade_sampled_m", "fde_sampled_m", "sample_distance_m"} | {
     f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")
@@ -113,7 +113,7 @@ def test_samples_count_and_repeat_with_their_seed(weights: dict[str, str]) -> No
 
 
 def test_mode_and_samples_are_those_of_the_model(weights: dict[str, str]) -> None:
-    from pedzoo.models.zoo import load
+    from pedzoo.models.zoo.loading import load
 
     data = make_data(batch_size=4096)
     metrics = forecast([weights["plain"]], data, 3, seed=2)["rows"][1]["metrics"]

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from pedzoo import geometry
+from pedzoo.core import geometry
 
 QUARTER = math.pi / 2
 

@@ -11,7 +11,7 @@ import torch
 from batches import make_batch
 
 import pedzoo
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster
 
 CHECKOUT = Path(__file__).parents[1]

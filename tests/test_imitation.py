@@ -14,25 +14,25 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from pedzoo.batch import agents_of
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.scenes import SceneSet
-from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.metrics import realism_features
+from pedzoo.metrics.realism import features as realism_features
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import true_displacements
-from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.discriminator import Discriminator
-from pedzoo.models.walker import Walker
+from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.train.imitation import Imitation, repeated
-from pedzoo.train.likeness import SPREADS, features, tail, wasserstein
-from pedzoo.train.plain import PlainModule
-from pedzoo.train.unroll import Unrolled, recorded, unroll
+from pedzoo.train.loop.imitation import Imitation, repeated
+from pedzoo.train.loop.likeness import SPREADS, features, tail, wasserstein
+from pedzoo.train.loop.unroll import Unrolled, recorded, unroll
+from pedzoo.train.modules.plain import PlainModule
 
 FAST, SLOW, STANDS, LEAVES, TURNS = 1, 2, 3, 4, 5
 

@@ -19,16 +19,16 @@ from torch import Tensor, nn
 
 import pedzoo
 from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.walker import Walker
+from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
-from pedzoo.train.imitation import Imitation
-from pedzoo.train.in_the_loop import LoopModule
-from pedzoo.train.loop_losses import LoopLosses
-from pedzoo.train.mixture import Course
-from pedzoo.train.segments import Segment, unrolled
+from pedzoo.train.loop.imitation import Imitation
+from pedzoo.train.loop.in_the_loop import LoopModule
+from pedzoo.train.loop.loop_losses import LoopLosses
+from pedzoo.train.loop.mixture import Course
+from pedzoo.train.loop.segments import Segment, unrolled
 
 CONFIG = "closed_loop/sgan_goal_map"
 COURSES = '[{"scenario": "door:width=0.9", "scenes": 3}, {"scenario": "circle:people=2", "scenes": 2}]'

@@ -12,9 +12,9 @@ import pytest
 from model_cards import make_card
 
 from pedzoo.cli.main import main
-from pedzoo.models.card import write_card
-from pedzoo.models.card_page import page
-from pedzoo.models.store import names
+from pedzoo.models.zoo.card import write_card
+from pedzoo.models.zoo.card_page import page
+from pedzoo.models.zoo.store import names
 
 
 @pytest.fixture(autouse=True)

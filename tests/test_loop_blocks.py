@@ -11,15 +11,15 @@ import torch
 from batches import agents_of, changed, make_batch, on_plan, random_weights
 from torch import Tensor, nn
 
-from pedzoo import geometry
-from pedzoo.errors import UserError
+from pedzoo.core import geometry
+from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.blocks import frame as frames
-from pedzoo.models.blocks.approach import ApproachPooling
-from pedzoo.models.blocks.crowd import Crowd
-from pedzoo.models.blocks.map_rings import CLIP, RADII, RAYS, RingEncoder
+from pedzoo.models.blocks.floor_plan.map_rings import CLIP, RADII, RAYS, RingEncoder
+from pedzoo.models.blocks.people import frame as frames
+from pedzoo.models.blocks.people.approach import ApproachPooling
+from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.trait import Trait
 
 GOAL: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end", "noise": "agent"}

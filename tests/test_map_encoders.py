@@ -11,14 +11,14 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.models.blocks import alexnet
-from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
-from pedzoo.models.blocks.map_encoder import MapEncoder
-from pedzoo.models.blocks.map_patch import PatchEncoder
+from pedzoo.models.blocks.floor_plan import alexnet
+from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
+from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder
+from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 
 WEIGHTS = "alexnet_imagenet_features_fp16.safetensors"
 

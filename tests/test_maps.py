@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 KEYS = {
@@ -49,7 +50,7 @@ def ask(bank: MapBank, grid: OccupancyGrid | None, *points: tuple[float, float])
 
 @pytest.mark.parametrize("image", ["m.png", "m.pgm", "below/m.png"])
 def test_ros_yaml_is_read_with_the_smallest_y_first(tmp_path: Path, image: str) -> None:
-    grid = OccupancyGrid.from_ros_yaml(write(tmp_path, image))
+    grid = read_ros(write(tmp_path, image))
     assert grid.cells.tolist() == [[FREE, FREE, FREE], [OCCUPIED, UNKNOWN, FREE]]
     assert (grid.resolution, grid.origin, grid.name) == (0.5, (1.0, 2.0, 0.0), "m")
     assert grid.occupied("wall").tolist() == [[False] * 3, [True, True, False]]
@@ -58,7 +59,7 @@ def test_ros_yaml_is_read_with_the_smallest_y_first(tmp_path: Path, image: str) 
 
 def test_negate_and_text_numbers(tmp_path: Path) -> None:
     path = write(tmp_path, pixels=255 - PIXELS, negate=1, resolution="5e-2")
-    grid = OccupancyGrid.from_ros_yaml(path)
+    grid = read_ros(path)
     assert grid.cells.tolist() == [[FREE, FREE, FREE], [OCCUPIED, UNKNOWN, FREE]]
     assert grid.resolution == 0.05
 
@@ -78,7 +79,7 @@ def test_negate_and_text_numbers(tmp_path: Path) -> None:
 )
 def test_bad_values_are_named(tmp_path: Path, keys: dict[str, object], message: str) -> None:
     with pytest.raises(UserError, match=message):
-        OccupancyGrid.from_ros_yaml(write(tmp_path, **keys))  # type: ignore[arg-type]
+        read_ros(write(tmp_path, **keys))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("image", ["/etc/m.png", "../m.png", "a/../../m.png", "C:\\m.png", "..\\m.png"])
@@ -86,23 +87,23 @@ def test_an_image_outside_the_folder_is_refused(tmp_path: Path, image: str) -> N
     path = write(tmp_path)
     path.write_text(path.read_text().replace("m.png", image))
     with pytest.raises(UserError, match="must lie in the yaml's folder"):
-        OccupancyGrid.from_ros_yaml(path)
+        read_ros(path)
 
 
 def test_missing_and_broken_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no map file"):
-        OccupancyGrid.from_ros_yaml(tmp_path / "none.yaml")
+        read_ros(tmp_path / "none.yaml")
     path = write(tmp_path)
     for content in (b"not a picture", b""):
         (tmp_path / "m.png").write_bytes(content)
         with pytest.raises(UserError, match="cannot be read"):
-            OccupancyGrid.from_ros_yaml(path)
+            read_ros(path)
     (tmp_path / "m.png").unlink()
     with pytest.raises(UserError, match="does not exist"):
-        OccupancyGrid.from_ros_yaml(path)
+        read_ros(path)
     path.write_text("just text")
     with pytest.raises(UserError, match="lacks image, resolution"):
-        OccupancyGrid.from_ros_yaml(path)
+        read_ros(path)
 
 
 def test_signed_distance_by_hand() -> None:
@@ -223,7 +224,7 @@ def test_recorded_people_walk_on_free_cells(shared: Path, name: str) -> None:
     recordings = {"eth": "biwi_eth", "hotel": "biwi_hotel", "univ": "students003"}
     recording = recordings.get(name, name.replace("zara", "crowds_zara0"))
     rows = np.loadtxt(shared / "data" / "eth_ucy" / "raw" / f"{recording}.txt")
-    grid = OccupancyGrid.from_ros_yaml(shared / "data" / "eth_ucy" / "maps" / f"{name}.yaml")
+    grid = read_ros(shared / "data" / "eth_ucy" / "maps" / f"{name}.yaml")
     points = torch.tensor(rows[:, 2:], dtype=torch.float32)
     ids = torch.full((len(points),), grid.map_id)
     distance = MapBank([grid]).signed_distance(points, ids, identity_pose(len(points)))

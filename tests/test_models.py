@@ -8,12 +8,12 @@ import pytest
 import torch
 from batches import changed, make_batch, random_weights
 
-from pedzoo.batch import agents_of, goals_of
-from pedzoo.errors import UserError
+from pedzoo.core.batch import agents_of, goals_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import MODELS
 from pedzoo.models.base import Forecaster
-from pedzoo.models.blocks import lines
-from pedzoo.models.zoo import build, config_of, load
-from pedzoo.registry import MODELS
+from pedzoo.models.blocks.people import lines
+from pedzoo.models.zoo.loading import build, config_of, load
 
 
 def made(name: str) -> Forecaster:

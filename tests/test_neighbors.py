@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim import neighbors
-from pedzoo.sim.neighbors import nearest
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.policies import neighbors
+from pedzoo.policies.neighbors import nearest
+from pedzoo.policies.orca.settings import OrcaSettings
+from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.sim.engine.base import People
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.worlds.base import People
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
 

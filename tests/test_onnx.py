@@ -12,18 +12,19 @@ import torch
 from batches import make_batch, on_plan, random_weights
 from tensordict import TensorDict
 
-from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
-from pedzoo.eval import onnx_export
-from pedzoo.eval.onnx_export import export_onnx
-from pedzoo.eval.onnx_parity import parity
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.graph import Graph
-from pedzoo.models.graph_plan import plan_inputs
-from pedzoo.models.zoo import load, save_weights
+from pedzoo.models.export import onnx_export
+from pedzoo.models.export.graph import Graph
+from pedzoo.models.export.graph_plan import plan_inputs
+from pedzoo.models.export.onnx_export import export_onnx
+from pedzoo.models.export.onnx_parity import parity
+from pedzoo.models.zoo.loading import load, save_weights
 
 STEPS = 12
 
@@ -72,7 +73,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     model = SGAN(frame="way", residual="bent_line", **options)
     weights = folder / "mine.safetensors"
     save_weights(random_weights(model), weights, protocol={"pred_len": STEPS})
-    furnished().save(folder / "room.yaml")
+    write_ros(furnished(), folder / "room.yaml")
     command = [
         "export",
         str(weights),

@@ -10,16 +10,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.segments import Segments, WallSegments
-from pedzoo.sim.orca.agent_lines import agent_lines
-from pedzoo.sim.orca.programs import solve, violation
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.velocity import orca_velocity
-from pedzoo.sim.orca.wall_lines import wall_lines
+from pedzoo.maps.walls.segments import Segments, WallSegments
+from pedzoo.policies.orca.agent_lines import agent_lines
+from pedzoo.policies.orca.programs import solve, violation
+from pedzoo.policies.orca.settings import OrcaSettings
+from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.policies.orca.wall_lines import wall_lines
 
 SETTINGS = OrcaSettings(time_step=0.4)
 

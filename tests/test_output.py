@@ -14,8 +14,9 @@ from pedzoo.cli import output, progress
 from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
 from pedzoo.cli.output import print_report, print_tables, write_and_print
-from pedzoo.eval.clock import Step
 from pedzoo.eval.results import Page
+from pedzoo.eval.workers.clock import Step
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import flat
 from tools.bench.tables import print_bench
 
@@ -26,7 +27,7 @@ WALK = ["--scenario", "circle:people=2", "--physics", "compiled", "--episodes", 
 
 
 def test_a_scenario_on_several_files_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    flat().save(tmp_path / "a.yaml")
+    write_ros(flat(), tmp_path / "a.yaml")
     scenario, file = f"goals:map=[{tmp_path}/a.yaml,apartment.1],people=2,goals=1,pool=4", tmp_path / "r.json"
     words = ["rollout", "go_to_goal", "--scenario", scenario, "--physics", "compiled", "--episodes", "1"]
     assert main([*words, "--json", str(file)]) == 0

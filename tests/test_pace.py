@@ -9,10 +9,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.core.geometry import rotate
 from pedzoo.eval.rollout import rollout
-from pedzoo.geometry import rotate
 from pedzoo.metrics.closed_loop import ClosedLoopScore
-from pedzoo.models.pace import paced
+from pedzoo.policies.learned.pace import paced
 
 
 def scene(goal: Tensor, desired: Tensor, position: Tensor) -> TensorDict:

@@ -14,15 +14,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.sim.engine.base import People, Physics
+from pedzoo.sim.engine.camera import FLOOR, WALL, Camera, person_color
 from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.worlds.base import People, Physics
-from pedzoo.sim.worlds.camera import FLOOR, WALL, Camera, person_color
 
 RADIUS = 0.15
 
@@ -203,7 +204,7 @@ def test_the_backends_agree_on_plain_geometry(yaw: float, mirror: float) -> None
 
 @pytest.mark.parametrize("name", ["aws_small_house", "fetch_hq", "igibson_rs", "nav2_depot", "willow_2010"])
 def test_the_backends_agree_on_a_shared_map(shared: Path, name: str) -> None:
-    grid = OccupancyGrid.from_ros_yaml(shared / "maps" / f"{name}.yaml")
+    grid = read_ros(shared / "maps" / f"{name}.yaml")
     walls = grid.signed_distance("wall")
     row, column = np.nonzero((walls > 0.05) & (walls < 0.6))
     rng = np.random.default_rng(0)
@@ -389,8 +390,8 @@ def test_backends_can_be_pickled_before_and_after_their_use() -> None:
 def test_pybullet_prints_nothing() -> None:
     pytest.importorskip("pybullet")
     code = (
-        "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.worlds.base import People; "
-        "from pedzoo.geometry import identity_pose; from pedzoo.sim.physics.bullet import Bullet; "
+        "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.engine.base import People; "
+        "from pedzoo.core.geometry import identity_pose; from pedzoo.sim.physics.bullet import Bullet; "
         "mask, map_id = torch.ones(1, 2).bool(), torch.full((1, 1), -1); "
         "people = People(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "
         "physics = Bullet(MapBank()); physics.distances(people); "

@@ -12,16 +12,17 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map
-from pedzoo.maps import corners
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.fields import build_fields
-from pedzoo.maps.graph import OpenGraph
+from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.guidance import Guidance, Look
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.maps.planner import Planner
+from pedzoo.maps.ways import corners
+from pedzoo.maps.ways.fields import build_fields
+from pedzoo.maps.ways.graph import OpenGraph
+from pedzoo.maps.ways.guidance import Guidance, Look
+from pedzoo.maps.ways.planner import Planner
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:
@@ -47,7 +48,7 @@ def flat() -> tuple[MapBank, Planner]:
 
 
 def apartment(shared: Path) -> tuple[MapBank, Planner]:
-    grid = OccupancyGrid.load(shared / "maps" / "igibson_rs.yaml")
+    grid = read_plan(shared / "maps" / "igibson_rs.yaml")
     bank = MapBank([grid], unknown="wall")
     return bank, Planner(bank)
 

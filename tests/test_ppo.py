@@ -16,20 +16,20 @@ from torch.distributions import Normal
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
-from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
-from pedzoo.geometry import rotate
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.walker import Walker
+from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.train.actor import Spread, actor
-from pedzoo.train.critic import Critic
-from pedzoo.train.experience import Gatherer, rated
-from pedzoo.train.objective import advantages, clipped
-from pedzoo.train.ppo import PPOModule
-from pedzoo.train.rewards import Reward
+from pedzoo.train.rl.actor import Spread, actor
+from pedzoo.train.rl.critic import Critic
+from pedzoo.train.rl.experience import Gatherer, rated
+from pedzoo.train.rl.objective import advantages, clipped
+from pedzoo.train.rl.ppo import PPOModule
+from pedzoo.train.rl.rewards import Reward
 
 CPU = torch.device("cpu")
 

@@ -13,11 +13,11 @@ from pretend import DEVICE, HostReadError, MixedDevicesError, There, pretended
 from test_safety_walks import ROOM, crowd
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.clearance import Steps
-from pedzoo.models.safety import kept_clear_in_torch
-from pedzoo.models.yielding import yielding
+from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.safety import kept_clear_in_torch
+from pedzoo.policies.learned.yielding import yielding
 from pedzoo.sim import kernel
 from pedzoo.sim.make import make_env
 

@@ -15,16 +15,18 @@ import pytest
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
 from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.graph import OpenGraph
+from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.maps.library import flat, load_plan
 from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate, is_connected
 from pedzoo.maps.procedural.shapes import UNIT, Rect
-from pedzoo.models.zoo import load
+from pedzoo.maps.ways.graph import OpenGraph
+from pedzoo.models.zoo.loading import load
 
 SEEDS = range(30)
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
@@ -242,7 +244,7 @@ def test_plans_by_name_and_file(tmp_path: Path) -> None:
     assert bare.digest == generate("office", 2, furnished=0.0).grid.digest != load_plan("office.2").digest
     for plan in (plans("apartment")[0], plans("office")[0]):
         file = tmp_path / f"{plan.grid.name}.yaml"
-        plan.grid.save(file)
+        write_ros(plan.grid, file)
         again = load_plan(file)
         assert (again.digest, again.name) == (plan.grid.digest, plan.grid.name)
         assert load_plan(str(file)).map_id == plan.grid.map_id
@@ -305,7 +307,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
     assert report["command"] == "plans" and report["seeds"] == [4, 5]
     assert [entry["name"] for entry in report["rows"]] == names
     for entry in report["rows"]:
-        grid = OccupancyGrid.load(entry["file"])
+        grid = read_plan(entry["file"])
         assert grid.digest == entry["digest"] == load_plan(entry["name"]).digest
         facts = entry["metrics"]
         size = f"{facts['width_m']:.2f} x {facts['height_m']:.2f} m"
@@ -319,10 +321,10 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
     assert main(words) == 2
     assert f"{out / 'apartment.4.yaml'} exists: give another --out" in capsys.readouterr().err
     assert main([*words, "--overwrite", "--doors", "0.8,0.9", "--size", "15,14"]) == 0
-    assert OccupancyGrid.load(out / "office.4.yaml").cells.shape == (280, 300)
+    assert read_plan(out / "office.4.yaml").cells.shape == (280, 300)
     assert "doors of 0.80 to 0.90 m" in capsys.readouterr().out
     assert main(["plans", "office", "--count", "1", "--furnished", "0", "--out", str(out)]) == 0
-    assert OccupancyGrid.load(out / "office.0.bare.yaml").digest == load_plan("office.0.bare").digest
+    assert read_plan(out / "office.0.bare.yaml").digest == load_plan("office.0.bare").digest
 
 
 @pytest.mark.parametrize(

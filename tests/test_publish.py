@@ -14,14 +14,14 @@ from batches import make_batch, random_weights
 from model_cards import make_card
 
 from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.provenance import provenance
-from pedzoo.errors import UserError
-from pedzoo.eval.publish import describe, publish, zoo_name
-from pedzoo.eval.run_record import options_of
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.card import read_card
-from pedzoo.models.zoo import config_of, load, save_weights
+from pedzoo.models.export.publish import describe, publish, zoo_name
+from pedzoo.models.export.run_record import options_of
+from pedzoo.models.zoo.card import read_card
+from pedzoo.models.zoo.loading import config_of, load, save_weights
 
 PROTOCOL = {"fold": "zara1", "obs_len": 8, "pred_len": 8, "goal": "window_end", "clock": "benchmark"}
 OPTIONS: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
@@ -149,7 +149,7 @@ def test_commands_on_cards_have_no_names_of_this_machine(
     """A checkpoint that was published is called by its zoo name, and a shipped config's file by its own."""
     began = make_run(tmp_path / "base", seed=1)
     weights = publish(began, tmp_path / "zoo").with_suffix(".safetensors")
-    monkeypatch.setattr("pedzoo.eval.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
+    monkeypatch.setattr("pedzoo.models.export.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
     checkpoint = make_run(tmp_path / "runs", weights=str(began))
     file = checkpoint.parents[1] / "versions.json"
     record = json.loads(file.read_text())

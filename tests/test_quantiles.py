@@ -8,7 +8,7 @@ import torch
 
 from pedzoo.metrics.intervals import bootstrap_quantile
 from pedzoo.metrics.quantiles import quantiles
-from pedzoo.metrics.realism import drawn_people
+from pedzoo.metrics.realism.distances import drawn_people
 
 AT = (0.05, 0.5, 0.95, 1.0)
 

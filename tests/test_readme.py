@@ -11,7 +11,7 @@ import pytest
 
 from pedzoo.cli.commands import demo
 from pedzoo.cli.main import main
-from pedzoo.paths import config_names, shipped
+from pedzoo.core.paths import config_names, shipped
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

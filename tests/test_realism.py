@@ -13,10 +13,11 @@ import torch
 from scipy.stats import wasserstein_distance
 from tensordict import TensorDictBase
 
+from pedzoo.core.geometry import identity_pose, rotate
 from pedzoo.eval.realism import reference_rows, replay_row
 from pedzoo.eval.rollout import prepare, walk
-from pedzoo.geometry import identity_pose, rotate
-from pedzoo.metrics.realism import (
+from pedzoo.metrics.realism.crowds import crowd, densities, density_speed, only, together
+from pedzoo.metrics.realism.distances import (
     Samples,
     counted,
     drawn_people,
@@ -25,13 +26,12 @@ from pedzoo.metrics.realism import (
     resampled,
     wasserstein,
 )
-from pedzoo.metrics.realism_crowds import crowd, densities, density_speed, only, together
-from pedzoo.metrics.realism_features import every_step, features, surroundings
-from pedzoo.metrics.realism_paths import closed_loop_error, dtw, padded
-from pedzoo.metrics.realism_walks import Tables, of_people, tracks_of, walks_of
-from pedzoo.metrics.rollout import Rollout, joined
+from pedzoo.metrics.realism.features import every_step, features, surroundings
+from pedzoo.metrics.realism.paths import closed_loop_error, dtw, padded
+from pedzoo.metrics.realism.walks import Tables, of_people, tracks_of, walks_of
 from pedzoo.metrics.safety import time_to_collision
-from pedzoo.sim.policies.go_to_goal import GoToGoal
+from pedzoo.policies.rule_based.go_to_goal import GoToGoal
+from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenarios.replay import Replay
 
 NAN = float("nan")
@@ -266,7 +266,7 @@ def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = [plain(first[i, : points[i]].numpy(), second[i, : others[i]].numpy()) for i in range(25)]
     found = dtw(first, points, second, others)
     assert found.tolist() == pytest.approx(expected, abs=1e-5, nan_ok=True)
-    monkeypatch.setattr("pedzoo.metrics.realism_paths._AT_ONCE", 500)
+    monkeypatch.setattr("pedzoo.metrics.realism.paths._AT_ONCE", 500)
     assert torch.equal(dtw(first, points, second, others).nan_to_num(), found.nan_to_num())
 
 

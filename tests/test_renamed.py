@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 import pedzoo
-from pedzoo import renamed
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
 from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.closed_loop import Comparison
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.suite import Request
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.train.closed_loop import ClosedLoopValidation
+from pedzoo.train.validation.closed_loop import ClosedLoopValidation
 
 
 @pytest.fixture(autouse=True)

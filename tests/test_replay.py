@@ -11,25 +11,26 @@ import torch
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from pedzoo.draws import Draws
-from pedzoo.errors import UserError
+from pedzoo.core.draws import Draws
+from pedzoo.core.errors import UserError
 from pedzoo.eval.realism import replay_row
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.rollout import run as walk_all
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.planner import Planner
-from pedzoo.metrics.realism_crowds import crowd
-from pedzoo.metrics.realism_features import every_step
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.models.walker import Walker
+from pedzoo.maps.ways.planner import Planner
+from pedzoo.metrics.realism.crowds import crowd
+from pedzoo.metrics.realism.features import every_step
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.people import REASONS
-from pedzoo.sim.policies.go_to_goal import GoToGoal
-from pedzoo.sim.policy import load_policy
+from pedzoo.sim.replay.people import REASONS
+from pedzoo.sim.replay.slots import pieces, slots, table
+from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.sim.slots import pieces, slots, table
 
 # a room of 12 m x 8 m with a wall from x = 8 to 10 that leaves a room of 2 m x 8 m behind it
 SIDE = 0.1
@@ -59,7 +60,7 @@ ROWS = [
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a recording, another one and their floor plan."""
     path = tmp_path_factory.mktemp("recordings")
-    OccupancyGrid(GRID, SIDE, name="rooms").save(path / "rooms.yaml")
+    write_ros(OccupancyGrid(GRID, SIDE, name="rooms"), path / "rooms.yaml")
     save(path / "first.txt", ROWS)
     save(path / "second.txt", [(f, a + 10, x, 8 - y) for f, a, x, y in ROWS if a in (ALICE, SHORT, LATE)])
     return path

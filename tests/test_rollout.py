@@ -10,17 +10,18 @@ import pytest
 import torch
 
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.eval.closed_loop import Comparison, row
 from pedzoo.eval.rollout import rollout
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import load_plan
-from pedzoo.metrics.rollout import OVER_TIME, Rollout
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.types import GOAL_RADIUS
+from pedzoo.sim.rollout import OVER_TIME, Rollout
 
 BROKEN = '''
-from pedzoo.sim.policy import Policy
+from pedzoo.policies.policy import Policy
 
 
 class Broken(Policy):
@@ -60,7 +61,7 @@ def test_paths_with_commas_are_written_in_quotes(tmp_path: Path, capsys: pytest.
     """Of a floor plan, alone and in a list; without quotes the error says how to write it."""
     file = tmp_path / "a,b" / "plan.yaml"
     file.parent.mkdir()
-    load_plan("flat").save(file)
+    write_ros(load_plan("flat"), file)
     how = ["--physics", "compiled", "--episodes", "1", "--scenario"]
     for plan in (f"'{file}'", f"['{file}',flat]"):
         assert main(["rollout", "go_to_goal", *how, f"goals:map={plan},people=2,goals=1,pool=4"]) == 0

@@ -10,19 +10,20 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.models.base import Forecaster
-from pedzoo.models.clearance import MARGIN, SHOULDERS, Steps
-from pedzoo.models.safety import kept_clear, safe
-from pedzoo.models.walker import Walker
-from pedzoo.models.zoo import load
+from pedzoo.models.zoo.loading import load
+from pedzoo.policies.learned.clearance import MARGIN, SHOULDERS, Steps
+from pedzoo.policies.learned.safety import kept_clear, safe
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.policy import Policy
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]

@@ -10,15 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose, limit_speed
+from pedzoo.core.geometry import identity_pose, limit_speed
+from pedzoo.core.kinematics import blended, limited
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.local_walls import LocalWalls
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.models.clearance import Steps
-from pedzoo.models.safety import kept_clear, kept_clear_in_torch, safe
-from pedzoo.sim.dynamics import blended, limited
+from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.safety import kept_clear, kept_clear_in_torch, safe
 from pedzoo.sim.make import make_env
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]

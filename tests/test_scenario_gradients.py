@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.envs import step_mdp
 
-from pedzoo.registry import SCENARIOS
+from pedzoo.core.registry import SCENARIOS
 from pedzoo.sim.make import make_env
 
 STEPS = 25

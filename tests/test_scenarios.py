@@ -9,19 +9,21 @@ import pytest
 import torch
 from torchrl.envs import check_env_specs
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import move_to_scene, turn_to_scene
+from pedzoo.core.registry import POLICIES, SCENARIOS
+from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.rollout import rollout
-from pedzoo.geometry import move_to_scene, turn_to_scene
+from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import flat
-from pedzoo.models.walker import Walker
-from pedzoo.models.zoo import baselines, list_models, load, save_weights
-from pedzoo.registry import POLICIES, SCENARIOS
+from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import load_policy
-from pedzoo.sim.scenario import LEAST_WAY
 from pedzoo.sim.scenarios.goals import Goals
-from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
+from pedzoo.sim.scenes.scenario import LEAST_WAY
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
 EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models("*.eth_ucy")])
@@ -117,7 +119,7 @@ def test_policies_walk(name: str, request: pytest.FixtureRequest) -> None:
 def test_policies_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "from pedzoo.models.architectures.constant_velocity import ConstantVelocity\n"
-        "from pedzoo.sim.policies.go_to_goal import GoToGoal\n\n\n"
+        "from pedzoo.policies.rule_based.go_to_goal import GoToGoal\n\n\n"
         "class Model(ConstantVelocity):\n    pass\n\n\n"
         "class Mine(GoToGoal):\n    def __init__(self, dt: float = 0.2):\n        super().__init__(dt)\n"
     )
@@ -193,9 +195,9 @@ def test_goals_are_new_ones_some_way_off() -> None:
 
 def test_a_scenario_on_several_floor_plans(tmp_path: Any) -> None:
     for name in ("a", "b"):
-        flat().save(tmp_path / f"{name}.yaml")
+        write_ros(flat(), tmp_path / f"{name}.yaml")
     grid = flat()
-    assert grid.map_id == type(grid).load(tmp_path / "a.yaml").map_id
+    assert grid.map_id == read_plan(tmp_path / "a.yaml").map_id
     with pytest.raises(UserError, match="no map"):
         make_env(f"goals:map={tmp_path}/c.yaml")
     env = make_env(f"goals:map=[{tmp_path}/a.yaml,{tmp_path}/b.yaml],pool=4,people=2", num_envs=2)

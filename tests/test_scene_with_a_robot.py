@@ -9,21 +9,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.batch import ROBOT
-from pedzoo.models.walker import Walker
-from pedzoo.models.zoo import load
+from pedzoo.core.batch import ROBOT
+from pedzoo.models.zoo.loading import load
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import load_policy
 
 SCENES = ("door:people=4,offset=[0,0.3]", "goals:map=apartment.7,people=3,goals=2,pool=8", "circle:people=5")
 
 WITH_ROBOT = '''
 import torch
 
-from pedzoo.batch import ROBOT
+from pedzoo.core.batch import ROBOT
 from pedzoo.sim.make import make_scenario
-from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.scenes.scenario import Scenario
 from pedzoo.sim.state import HOLONOMIC, UNICYCLE
 
 

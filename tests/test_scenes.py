@@ -18,7 +18,7 @@ from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
 from pedzoo.data.windows import People
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.files.ros import read_ros
 
 OBS, PRED = 3, 2
 PATHS = {  # position at each step, None where not seen
@@ -192,7 +192,7 @@ def augmented_pair(
 def test_augmented_and_plain_batches_sample_the_same_map_at_the_same_people(shared: Path, fold: str) -> None:
     (recording,) = EthUcy(fold, str(shared / "data")).recordings("test")
     assert recording.plan is not None
-    bank = MapBank([OccupancyGrid.from_ros_yaml(recording.plan)])
+    bank = MapBank([read_ros(recording.plan)])
     scenes = SceneSet([recording], [bank.id_of(fold)], bank, 8, 8)
     plain, turned = augmented_pair(scenes)
     assert not torch.allclose(key(plain, "history"), key(turned, "history"), atol=0.5)

@@ -11,13 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene
-from pedzoo.maps import segment_table
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.outlines import outlines, signed_area
-from pedzoo.maps.segments import Segments, WallSegments
+from pedzoo.maps.walls import segment_table
+from pedzoo.maps.walls.outlines import outlines, signed_area
+from pedzoo.maps.walls.segments import Segments, WallSegments
 
 
 def draw(*rows: str) -> NDArray[np.bool_]:

@@ -13,16 +13,16 @@ from tensordict import NonTensorData, TensorDict
 from test_blocks import plain_decoder, plain_encoder, plain_pooling
 from torch import Tensor
 
-from pedzoo import geometry
-from pedzoo.batch import agents_of
+from pedzoo.core import geometry
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import find_config
+from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.blocks import lines
-from pedzoo.models.blocks.crowd import Crowd
-from pedzoo.paths import find_config
-from pedzoo.types import GoalProtocol
+from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people.crowd import Crowd
 
 SMALL: dict[str, Any] = {
     "embedding_dim": 5,

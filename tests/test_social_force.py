@@ -13,26 +13,26 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.batch import scene_batch
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose, move_to_scene, turn_to_scene
-from pedzoo.maps import segment_table
+from pedzoo.core.batch import scene_batch
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.outlines import outlines
-from pedzoo.maps.segment_table import SegmentTable, edges
-from pedzoo.sim.policies.social_force import SocialForce
-from pedzoo.sim.policy import load_policy
-from pedzoo.sim.social_force.borders import WallPoints, wall_points
-from pedzoo.sim.social_force.forces import (
+from pedzoo.maps.walls import segment_table
+from pedzoo.maps.walls.outlines import outlines
+from pedzoo.maps.walls.segment_table import SegmentTable, edges
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.rule_based.social_force import SocialForce
+from pedzoo.policies.social_force.borders import WallPoints, wall_points
+from pedzoo.policies.social_force.forces import (
     driving_force,
     repulsion,
     smooth_weight,
     view_weight,
     wall_force,
 )
-from pedzoo.sim.social_force.settings import SocialForceSettings
-from pedzoo.sim.social_force.velocity import social_force_velocity
+from pedzoo.policies.social_force.settings import SocialForceSettings
+from pedzoo.policies.social_force.velocity import social_force_velocity
 
 PAPER = SocialForceSettings()
 NEAREST = 50.0  # U0 / R of the paper: what a wall does at distance 0, m/s^2

@@ -12,9 +12,9 @@ from tensordict import NonTensorData, TensorDict
 from torch import Tensor
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
-from pedzoo import geometry
-from pedzoo.batch import agents_of, maps_of
-from pedzoo.errors import UserError
+from pedzoo.core import geometry
+from pedzoo.core.batch import agents_of, maps_of
+from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
@@ -22,7 +22,7 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.architectures.social_vrnn import SocialVRNN
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.blocks.mixture import FutureMixture
-from pedzoo.models.zoo import save_weights
+from pedzoo.models.zoo.loading import save_weights
 from pedzoo.sim.make import make_env
 
 SMALL: dict[str, Any] = {

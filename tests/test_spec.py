@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 
-from pedzoo.errors import UserError
-from pedzoo.registry import POLICIES, SCENARIOS
-from pedzoo.sim.policies.orca import Orca
-from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.sim.scenario import Scenario
-from pedzoo.spec import Spec, build, parse, split
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import POLICIES, SCENARIOS
+from pedzoo.core.spec import Spec, build, parse, split
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.policy import Policy
+from pedzoo.policies.rule_based.orca import Orca
+from pedzoo.sim.scenes.scenario import Scenario
 
 
 def test_parts() -> None:

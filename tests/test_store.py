@@ -18,17 +18,17 @@ from batches import make_batch, random_weights
 from safetensors.torch import save_file
 from server import Site, serving
 
-from pedzoo import fetch
-from pedzoo.errors import UserError
-from pedzoo.eval.publish import describe
+from pedzoo.core import fetch
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import weight_files
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.card import ModelCard, read_card, write_card
-from pedzoo.models.saved import saved_config
-from pedzoo.models.store import find
-from pedzoo.models.zoo import list_models, load, obtain, save_weights
-from pedzoo.paths import weight_files
-from pedzoo.sim.policy import load_policy
+from pedzoo.models.export.publish import describe
+from pedzoo.models.zoo.card import ModelCard, read_card, write_card
+from pedzoo.models.zoo.loading import list_models, load, obtain, save_weights
+from pedzoo.models.zoo.saved import saved_config
+from pedzoo.models.zoo.store import find
+from pedzoo.policies.load import load_policy
 
 NAME = "sgan_goal.mall"
 OPTIONS: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
@@ -386,7 +386,7 @@ def test_a_page_in_place_of_a_card_is_not_kept(model: Forecaster, site: Site, tm
 def test_models_are_found_without_torch(model: Forecaster) -> None:
     made(model, Path("mine"))
     code = (
-        "import sys; from pedzoo.models.store import find, names, obtain; names(); obtain('mine');"
+        "import sys; from pedzoo.models.zoo.store import find, names, obtain; names(); obtain('mine');"
         "assert find('mine').card.architecture == 'sgan'; assert not {'torch', 'numpy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

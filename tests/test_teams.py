@@ -13,22 +13,23 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
-from pedzoo.batch import ROBOT, agents_of, ids_of, scene_batch
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.batch import ROBOT, agents_of, ids_of, scene_batch
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.kinematics import blended
 from pedzoo.eval.rollout import prepare, rollout, run
 from pedzoo.eval.suite import Case, Unit
 from pedzoo.eval.units import digest
 from pedzoo.eval.unseen import for_fold, has_seen
-from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.sim.controller import Controller
-from pedzoo.sim.crowd import Member, is_crowd, members, parts
-from pedzoo.sim.dynamics import blended
+from pedzoo.policies.crowd import Member, is_crowd, members, parts
+from pedzoo.policies.load import load_policy, teams
+from pedzoo.policies.policy import Policy, has_noise, walkers
+from pedzoo.policies.stepping.controller import Controller
+from pedzoo.policies.teams import Teams
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import Policy, has_noise, load_policy, walkers
-from pedzoo.sim.teams import Teams
+from pedzoo.sim.rollout import Rollout
 
 
 class Told(Policy):
@@ -182,7 +183,7 @@ def test_what_cannot_be_is_refused(crowd: str, told: str) -> None:
 
 
 def test_shares_come_true_over_many_people() -> None:
-    crowd = Teams("orca:share=0.5+go_to_goal:share=0.2+social_force")
+    crowd = teams("orca:share=0.5+go_to_goal:share=0.2+social_force")
     theirs = crowd.assigned(scene(keys=range(4000), people=5))
     assert torch.equal(torch.stack(theirs).long().sum(0), torch.ones(4000, 5).long())
     for team, share in zip(theirs, (0.5, 0.2, 0.3), strict=True):
@@ -192,7 +193,7 @@ def test_shares_come_true_over_many_people() -> None:
 
 
 def test_a_person_has_a_team_whatever_the_batch_and_the_slot() -> None:
-    crowd = Teams("orca+go_to_goal")
+    crowd = teams("orca+go_to_goal")
     whole = crowd.assigned(scene(keys=range(50), people=6))[0]
     alone = [crowd.assigned(scene(time=3.7, keys=[key], people=2))[0] for key in range(50)]
     assert torch.equal(torch.cat(alone), whole[:, :2])
@@ -202,7 +203,7 @@ def test_a_person_has_a_team_whatever_the_batch_and_the_slot() -> None:
 
 
 def test_every_agent_is_moved_by_exactly_one_team_which_sees_all_others() -> None:
-    crowd = Teams(f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1+{TOLD}:x=0.3,dt=0.1")
+    crowd = teams(f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1+{TOLD}:x=0.3,dt=0.1")
     batch = scene(keys=range(20), people=6)
     controlled = torch.rand(20, 6, generator=torch.Generator().manual_seed(1)) < 0.8
     agents_of(batch)["controlled"] = controlled
@@ -215,12 +216,12 @@ def test_every_agent_is_moved_by_exactly_one_team_which_sees_all_others() -> Non
 
 
 def test_robots_have_their_own_policy() -> None:
-    crowd = Teams(people=f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1", robots=Told(0.1, x=9.0))
+    crowd = teams(people=f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1", robots=Told(0.1, x=9.0))
     kind = torch.tensor([0, ROBOT, 0, ROBOT]).expand(3, 4)
     action = answer(crowd, scene(kind=kind))[..., 0]
     assert torch.equal(action == 9.0, kind == ROBOT)
     assert torch.equal(policies(crowd)[2].moved[0], kind == ROBOT)
-    mixed = answer(Teams(people=f"{TOLD}:x=0.1,dt=0.1"), scene(kind=kind))[..., 0]
+    mixed = answer(teams(people=f"{TOLD}:x=0.1,dt=0.1"), scene(kind=kind))[..., 0]
     assert torch.allclose(mixed, torch.tensor(0.1)), "else robots are moved as people"
 
 
@@ -228,7 +229,7 @@ def test_robots_have_their_own_policy() -> None:
 
 
 def test_each_team_decides_at_its_own_interval() -> None:
-    crowd = Teams(f"{TOLD}:dt=0.4+{TOLD}:dt=0.1+{TOLD}:dt=0.2")
+    crowd = teams(f"{TOLD}:dt=0.4+{TOLD}:dt=0.1+{TOLD}:dt=0.2")
     assert crowd.decision_dt == 0.1
     for step in range(9):
         answer(crowd, scene(time=0.1 * step, keys=range(30)))
@@ -239,7 +240,7 @@ def test_each_team_decides_at_its_own_interval() -> None:
 
 
 def test_a_team_without_agents_is_not_asked() -> None:
-    crowd = Teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
+    crowd = teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
     answer(crowd, scene())
     assert [len(policy.calls) for policy in policies(crowd)] == [1, 0]
     answer(crowd, scene(controlled=torch.zeros(3, 4, dtype=torch.bool), time=0.4))
@@ -247,7 +248,7 @@ def test_a_team_without_agents_is_not_asked() -> None:
 
 
 def test_people_who_come_or_are_taken_over_decide_at_once_and_then_with_their_team() -> None:
-    crowd = Teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1))
+    crowd = teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1))
     slow, person = policies(crowd)[0], torch.tensor([[0, 1, 2]])
     some = torch.tensor([[True, True, False]])
     told = {}
@@ -269,7 +270,7 @@ def test_people_who_come_or_are_taken_over_decide_at_once_and_then_with_their_te
 
 
 def test_scenes_in_which_nobody_decides_are_not_asked_about() -> None:
-    crowd = Teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
+    crowd = teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
     for step in range(6):
         answer(crowd, scene(time=[0.1 * step, 0.1 * step + 0.2, 0.1 * step + 4.0]))
     # the second scene is two steps ahead, but all begin with the first call
@@ -281,9 +282,9 @@ def test_scenes_in_which_nobody_decides_are_not_asked_about() -> None:
 def test_other_environments_parts_of_a_batch_and_changed_slots_do_not_mix_plans() -> None:
     """What a scene is told does not depend on what else the crowd is asked about in between."""
     times = [0.1 * step for step in range(12)]
-    alone = Teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
+    alone = teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
     wanted = [answer(alone, scene(time=time, keys=range(6))) for time in times]
-    crowd = Teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
+    crowd = teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
     order = torch.tensor([2, 0, 3, 1])
     for step, time in enumerate(times):
         if step % 3 == 2:
@@ -299,7 +300,7 @@ def test_other_environments_parts_of_a_batch_and_changed_slots_do_not_mix_plans(
 
 
 def test_a_crowd_asked_twice_says_the_same() -> None:
-    crowd = Teams(f"{CLOCK}:dt=0.4+{TOLD}:dt=0.1")
+    crowd = teams(f"{CLOCK}:dt=0.4+{TOLD}:dt=0.1")
     for step in range(6):
         batch = scene(time=0.1 * step)
         assert torch.equal(answer(crowd, batch), answer(crowd, batch))
@@ -308,7 +309,7 @@ def test_a_crowd_asked_twice_says_the_same() -> None:
 @pytest.mark.parametrize("fast", [0.1, 0.2])
 def test_blending_leads_where_the_command_leads(fast: float) -> None:
     before, command = torch.tensor([0.8, 0.0]), torch.tensor([1.0, 0.6])
-    crowd = Teams(people=f"{TOLD}:dt=0.4,x=1.0,y=0.6", robots=Told(fast))
+    crowd = teams(people=f"{TOLD}:dt=0.4,x=1.0,y=0.6", robots=Told(fast))
     moved = torch.zeros(2)
     for step in range(round(0.4 / fast)):
         told = answer(crowd, scene(time=fast * step))[0, 0]
@@ -320,7 +321,7 @@ def test_blending_leads_where_the_command_leads(fast: float) -> None:
 
 def test_the_commands_of_robots_are_held() -> None:
     """They may be the speeds of wheels, (v, omega), which are no velocity to blend."""
-    crowd = Teams(people=Told(0.1), robots=Told(0.4, x=0.5, y=-0.7))
+    crowd = teams(people=Told(0.1), robots=Told(0.4, x=0.5, y=-0.7))
     kind = torch.full((3, 4), ROBOT)
     for step in range(4):
         told = answer(crowd, scene(time=0.1 * step, kind=kind))
@@ -400,7 +401,7 @@ def test_a_team_that_fails_ends_its_scenes_alone(dt: float, value: str) -> None:
 
 def test_the_safety_layer_of_one_team_does_all_of_the_avoidance_of_another() -> None:
     """Two people meet head-on, a little aside: only the first has the layer, the second keeps its course."""
-    crowd = Teams("go_to_goal:safety=true,share=0.5+go_to_goal:dt=0.1")
+    crowd = teams("go_to_goal:safety=true,share=0.5+go_to_goal:dt=0.1")
     keys = [
         key for key in range(40) if crowd.assigned(scene(keys=[key], people=2))[0].tolist() == [[True, False]]
     ]

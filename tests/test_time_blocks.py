@@ -7,14 +7,14 @@ import math
 import pytest
 import torch
 
-from pedzoo.batch import agents_of
+from pedzoo.core.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.likelihood import NegativeLogLikelihood
 from pedzoo.models.base import known_displacements, true_displacements
-from pedzoo.models.zoo import load
+from pedzoo.models.zoo.loading import load
 from tools.paper.line_density import NATS, line_likelihood, log_density, strayed
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.tracks import Tracks
-from pedzoo.errors import UserError
 
 ROWS = [(0, 1, 0.0, 5.0), (10, 1, 0.5, 5.5), (0, 2, -1.0, 2.25), (10, 2, -1.5, 2e-3)]
 TABLE = np.array(ROWS)

@@ -17,16 +17,16 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 import pedzoo
-from pedzoo.batch import agents_of
 from pedzoo.cli.main import main
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks.discriminator import Discriminator
-from pedzoo.train.gan import GANModule
-from pedzoo.train.module import ForecastModule
-from pedzoo.train.plain import PlainModule
+from pedzoo.train.modules.gan import GANModule
+from pedzoo.train.modules.module import ForecastModule
+from pedzoo.train.modules.plain import PlainModule
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
@@ -176,7 +176,7 @@ def test_fit_twice_two_epochs_is_fit_four(config: str, tmp_path: Path) -> None:
 def _plain_config(folder: Path) -> Path:
     path = folder / "plain.yaml"
     path.write_text(
-        "model:\n  class_path: pedzoo.train.plain.PlainModule\n  init_args:\n    generator:\n"
+        "model:\n  class_path: pedzoo.train.modules.plain.PlainModule\n  init_args:\n    generator:\n"
         "      class_path: pedzoo.models.architectures.sgan.SGAN\n"
     )
     return path

@@ -14,12 +14,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import move_to_scene
 from pedzoo.eval.closed_loop import Walked
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.trajectories import _Episode, draw_episode, meeting, plot_rollouts
-from pedzoo.geometry import move_to_scene
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.rollout import Rollout
+from pedzoo.viz.trajectories import _Episode, draw_episode, meeting, plot_rollouts
 
 
 @pytest.fixture(scope="module")

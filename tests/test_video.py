@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.eval.closed_loop import Walked
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.video import GAP, HEADER, Image, film, read_video, write_video
-from pedzoo.sim.worlds.camera import person_color
+from pedzoo.sim.engine.camera import person_color
+from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
 
 SIZE = (160, 120)
 

@@ -10,12 +10,12 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import PRED_LEN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.walker import Walker, lasting
-from pedzoo.models.zoo import load
+from pedzoo.models.zoo.loading import load
+from pedzoo.policies.learned.walker import Walker, lasting
 from pedzoo.sim.make import make_env
-from pedzoo.types import PRED_LEN
 
 
 class Echo(Forecaster):

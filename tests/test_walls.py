@@ -10,10 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map, turn_to_scene
+from pedzoo.core.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.boxes import boxes, merge_cells
+from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
+from pedzoo.maps.walls.boxes import boxes, merge_cells
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:
@@ -86,7 +88,7 @@ def test_unknown_cells_are_boxes_where_they_are_walls() -> None:
 
 def test_boxes_of_the_shared_maps(shared: Path) -> None:
     for path in sorted((shared / "maps").glob("*.yaml")):
-        grid = OccupancyGrid.from_ros_yaml(path)
+        grid = read_ros(path)
         walls = grid.occupied("wall")
         parts = np.rint(boxes(grid, "wall") / grid.resolution).astype(int)
         assert (painted(parts, walls.shape) == walls).all()
@@ -239,7 +241,7 @@ def test_the_gradient_is_the_direction() -> None:
 
 
 def test_distances_on_a_real_map(shared: Path) -> None:
-    grid = OccupancyGrid.load(shared / "maps" / "igibson_rs.yaml")
+    grid = read_plan(shared / "maps" / "igibson_rs.yaml")
     points = np.random.default_rng(0).uniform(-1, 21, (20_000, 2))
     walls = np.pad(grid.occupied("wall"), 20)
     corner = points[:, None] / grid.resolution + 20

@@ -10,7 +10,7 @@ import torch
 from bodies import BACKENDS, Yard, yard
 from torch import Tensor
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.scenes import SceneSet
 from pedzoo.data.tracks import Tracks
 from pedzoo.data.windows import Counts, People, Windows, cut_windows
-from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 
 FRAMES = (0, 10, 20, 30, 40, 100)  # six steps; the hole before the last is not looked at

@@ -21,9 +21,9 @@ import torch
 from errands import answer, complain, fail, lock, pause, process_of
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from pedzoo.errors import UserError
-from pedzoo.eval import workers
-from pedzoo.eval.workers import Shares, finished, grouped
+from pedzoo.core.errors import UserError
+from pedzoo.eval.workers import pool
+from pedzoo.eval.workers.pool import Shares, finished, grouped
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
 BACKENDS = ["processes", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
@@ -164,7 +164,7 @@ EARLY = """
 import os, signal, threading
 from multiprocessing.context import SpawnProcess
 from errands import process_of
-from pedzoo.eval.workers import finished
+from pedzoo.eval.workers.pool import finished
 
 def start(self, real=SpawnProcess.start):
     real(self)  # which then imports torch for seconds
@@ -226,7 +226,7 @@ def test_what_other_processes_cannot_have_is_a_clear_mistake(monkeypatch: pytest
         finished([1], process_of, 0)
     with pytest.raises(UserError, match=r"unknown backend 'rat': did you mean 'ray'"):
         finished([1], process_of, 2, "rat")  # pyright: ignore[reportArgumentType]
-    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    monkeypatch.setattr(pool, "find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"pip install ray"):
         finished([1], process_of, 2, "ray")
 

@@ -12,14 +12,14 @@ import torch
 from test_batch import scene
 from torch import Tensor
 
-from pedzoo.batch import PERSON, ROBOT
-from pedzoo.geometry import move_to_scene, turn_to_scene
+from pedzoo.core.batch import PERSON, ROBOT
+from pedzoo.core.geometry import move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room
-from pedzoo.models.clearance import Steps
-from pedzoo.models.yielding import yielding
-from pedzoo.sim.controller import Controller
-from pedzoo.sim.policy import load_policy
+from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.yielding import yielding
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.stepping.controller import Controller
 
 CORRIDOR = rectangles(room((-8.0, -1.2), (8.0, 1.2), 0.2), resolution=0.05)
 

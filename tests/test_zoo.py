@@ -15,13 +15,14 @@ from batches import make_batch, random_weights
 from safetensors.torch import load_file, save_file
 
 import pedzoo
-from pedzoo.errors import UserError
-from pedzoo.eval.publish import describe
-from pedzoo.models import store, zoo
+from pedzoo.core.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.header import read_config
-from pedzoo.models.zoo import fill, list_models, load, save_weights
+from pedzoo.models.export.publish import describe
+from pedzoo.models.zoo import loading as zoo
+from pedzoo.models.zoo import store
+from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.loading import fill, list_models, load, save_weights
 
 OPTIONS: dict[str, Any] = {
     "bottleneck_dim": 8,

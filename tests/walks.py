@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.core.geometry import identity_pose
+from pedzoo.sim.rollout import Rollout
 
 
 def made(path: Tensor, present: Tensor | None = None, **more: Any) -> Rollout:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import NoReturn
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 
 
 class Arguments(argparse.ArgumentParser):

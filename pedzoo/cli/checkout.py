@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pedzoo.errors import UserError
-from pedzoo.registry import ROOT, folder_of, import_of_checkout
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import ROOT, folder_of, import_of_checkout
 
 
 def run_tool(command: str, package: str, argv: list[str]) -> int:

@@ -8,12 +8,12 @@ from typing import Any
 
 from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
+from pedzoo.core.versions import versions
 from pedzoo.eval.card_numbers import Again, Compared, again, compare
 from pedzoo.eval.card_reports import about
 from pedzoo.eval.results import Page
-from pedzoo.models.card import ModelCard
-from pedzoo.models.store import find, no_model
-from pedzoo.versions import versions
+from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.store import find, no_model
 
 _WORDS = {True: "yes", False: "NO", None: "no interval"}
 

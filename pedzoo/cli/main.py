@@ -9,10 +9,11 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from pedzoo import __version__, renamed
-from pedzoo.errors import UserError
-from pedzoo.paths import config_names, weight_files
-from pedzoo.registry import DATASETS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
+from pedzoo import __version__
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import config_names, weight_files
+from pedzoo.core.registry import DATASETS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
 

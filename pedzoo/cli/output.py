@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pedzoo.errors import UserError
-from pedzoo.paths import write_whole
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -16,9 +16,9 @@ from typing import Any, get_args, get_origin
 
 from jsonargparse import ArgumentParser, Namespace
 
-from pedzoo.errors import UserError
-from pedzoo.paths import config_names, find_config
-from pedzoo.spec import split, unquoted
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import config_names, find_config
+from pedzoo.core.spec import split, unquoted
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""

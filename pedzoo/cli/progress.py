@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from pedzoo.cli.console import plain_console
 
 if TYPE_CHECKING:
-    from pedzoo.eval.clock import Step
+    from pedzoo.eval.workers.clock import Step
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from pedzoo.cli.parsing import given
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.train.fine_tuning import architecture_options, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
 

@@ -22,14 +22,14 @@ from lightning.pytorch.trainer.states import TrainerStatus
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, parse
 from pedzoo.cli.starting import Command, expand
+from pedzoo.core.errors import UserError
+from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
-from pedzoo.models.zoo import read_checkpoint
-from pedzoo.train.closed_loop import ClosedLoopValidation
+from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.fine_tuning import start_from
-from pedzoo.train.module import ForecastModule
+from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
-from pedzoo.versions import versions
+from pedzoo.train.validation.closed_loop import ClosedLoopValidation
 
 _EXPECTED = (
     "LeafSpec.* is deprecated",  # Lightning 2.6 beside torch 2.13

@@ -12,16 +12,16 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import OBS_LEN, Clock, GoalProtocol
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import Recording, Split, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.windows import Counts, People
-from pedzoo.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
-from pedzoo.types import OBS_LEN, Clock, GoalProtocol
 
 STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
 """Lightning's name for the stage that needs a split."""
@@ -31,7 +31,7 @@ PROTOCOL = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_peopl
 
 
 class TrajectoryDataModule(L.LightningDataModule):
-    """Recorded people of one fold, as scene batches (see `pedzoo.batch`)."""
+    """Recorded people of one fold, as scene batches (see `pedzoo.core.batch`)."""
 
     def __init__(
         self,

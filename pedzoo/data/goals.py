@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.types import GoalProtocol
+from pedzoo.core.types import GoalProtocol
 
 TIMED = frozenset({"window_end"})
 """Protocols whose goal is reached exactly at the last predicted step."""

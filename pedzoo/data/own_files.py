@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pedzoo.core.errors import UserError
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
-from pedzoo.errors import UserError
 
 FARTHEST = 20_000.0
 """Metres from the origin at which float32 still tells 2 mm apart; map projections count in 100 km."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from pedzoo.core.errors import unknown
+from pedzoo.core.registry import DATASETS
+from pedzoo.core.types import Clock
 from pedzoo.data.tracks import Tracks
-from pedzoo.errors import unknown
-from pedzoo.registry import DATASETS
-from pedzoo.types import Clock
 
 Split = Literal["train", "val", "test"]
 

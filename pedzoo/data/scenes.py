@@ -9,13 +9,13 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo import geometry
-from pedzoo.batch import scene_batch
+from pedzoo.core import geometry
+from pedzoo.core.batch import scene_batch
+from pedzoo.core.types import STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import recorded_goals
 from pedzoo.data.recordings import Recording
 from pedzoo.data.windows import People, cut_windows, why_empty
 from pedzoo.maps.bank import MapBank
-from pedzoo.types import STEP_SECONDS, GoalProtocol
 
 POSITIONS, DIRECTIONS = {"history", "future", "goal"}, {"velocity", "desired_velocity"}
 """The keys that a scene pose moves, and those that it only turns."""
@@ -99,7 +99,7 @@ class SceneSet:
         pose: Tensor | None = None,
         generator: torch.Generator | None = None,
     ) -> TensorDict:
-        """Return the scene batch (see `pedzoo.batch`) of ``scenes`` (B,).
+        """Return the scene batch (see `pedzoo.core.batch`) of ``scenes`` (B,).
 
         Args:
             scenes: Numbers of the scenes.

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 
 COLUMNS = ("frame", "agent", "x", "y")
 ALIASES = {"agent": ("agent", "ped", "id", "track_id"), "frame": ("frame", "frame_id")}

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.text_form import COLUMNS, TextForm
-from pedzoo.errors import UserError
-from pedzoo.types import STEP_SECONDS
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from pedzoo.core.errors import UserError
 from pedzoo.data.tracks import Tracks
-from pedzoo.errors import UserError
 
 People = Literal["complete", "present"]
 

@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import OBS_LEN
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.data.datasets.eth_ucy import EVERYTHING
-from pedzoo.errors import UserError
 from pedzoo.eval.card_reports import Job, Progress, Report, about, only, report_of
-from pedzoo.models.card import ModelCard
-from pedzoo.models.saved import saved_config
-from pedzoo.models.zoo import load
-from pedzoo.types import OBS_LEN
+from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.loading import load
+from pedzoo.models.zoo.saved import saved_config
 
 WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "cards")]
 """Where a card's model has walked, with a tenth of the episodes: that needs no files and takes a minute."""

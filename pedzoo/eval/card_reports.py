@@ -7,18 +7,18 @@ from typing import Any, NamedTuple, NotRequired, get_args
 
 from typing_extensions import TypedDict
 
-from pedzoo import renamed
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.registry import SUITES
+from pedzoo.core.types import Clock, GoalProtocol
+from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
-from pedzoo.errors import UserError, unknown
-from pedzoo.eval.clock import Step
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row
 from pedzoo.eval.suite import Request
-from pedzoo.models.keys import check
-from pedzoo.models.zoo import load
-from pedzoo.registry import SUITES
-from pedzoo.types import Clock, GoalProtocol
-from pedzoo.versions import versions
+from pedzoo.eval.workers.clock import Step
+from pedzoo.models.zoo.keys import check
+from pedzoo.models.zoo.loading import load
 
 Progress = Callable[[str, int, int], None]
 Report = dict[str, Any]

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pedzoo import renamed
+from pedzoo.core import renamed
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.closed_loop import closed_loop, time_ratio_median
 from pedzoo.metrics.navigation import finish_seconds, success
 from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.rollout import Rollout, joined
 from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario
+from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.warm_start import WarmStart
 
 

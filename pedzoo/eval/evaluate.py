@@ -8,19 +8,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pedzoo import renamed
-from pedzoo.errors import UserError
-from pedzoo.eval.clock import Clock, Progress
-from pedzoo.eval.journal import Journal, Rows
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import SUITES
 from pedzoo.eval.results import Shown
 from pedzoo.eval.suite import Request, Suite, Unit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
-from pedzoo.eval.workers import Backend, finished
-from pedzoo.registry import SUITES
+from pedzoo.eval.workers.clock import Clock, Progress
+from pedzoo.eval.workers.journal import Journal, Rows
+from pedzoo.eval.workers.pool import Backend, finished
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import usable
 from pedzoo.sim.make import physics_class
-from pedzoo.sim.policy import load_policy
 
 SUITE_NAMES = ("door", "goals", "cards", "replay")
 """What is evaluated unless something else is asked for."""
@@ -47,7 +47,7 @@ def evaluate(
     """Evaluate policies in closed loop and return the report that ``pedzoo evaluate`` prints and writes.
 
     Args:
-        policies: Names with settings, or mixed crowds, as of `pedzoo.sim.policy.load_policy`.
+        policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`.
         suites: ``door``, ``goals``, ``cards`` and ``replay``, or ``file.py:Class``.
         episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.

@@ -7,14 +7,14 @@ from typing import Any, cast
 
 import torch
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import Split
-from pedzoo.errors import UserError
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
-from pedzoo.models.zoo import load
-from pedzoo.types import GoalProtocol
+from pedzoo.models.zoo.loading import load
 
 BASELINES = ("constant_velocity", "straight_line", "bent_line")
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from pedzoo.core.spec import Spec
 from pedzoo.sim.make import CLEARANCE, make_scenario
-from pedzoo.sim.scenario import Scenario
-from pedzoo.spec import Spec
+from pedzoo.sim.scenes.scenario import Scenario
 
 KEPT = 6
 """Scenarios that a process keeps; more than the cases that share a floor plan."""

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics.intervals import Interval, wilson
-from pedzoo.metrics.realism import drawn_people, halves
-from pedzoo.metrics.realism_crowds import (
+from pedzoo.metrics.realism.crowds import (
     Crowd,
     compared,
     crowd,
@@ -29,13 +29,13 @@ from pedzoo.metrics.realism_crowds import (
     spreads,
     together,
 )
-from pedzoo.metrics.realism_features import every_step
-from pedzoo.metrics.realism_walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.sim.people import People
+from pedzoo.metrics.realism.distances import drawn_people, halves
+from pedzoo.metrics.realism.features import every_step
+from pedzoo.metrics.realism.walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
+from pedzoo.sim.replay.people import People
+from pedzoo.sim.replay.script import Script
+from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.sim.script import Script
-from pedzoo.types import STEP_SECONDS
 
 REAL, HALVES = "real", "real halves"
 """Names of the rows of `reference_rows`."""
@@ -57,7 +57,7 @@ def replay_row(
     """Return the metrics of a policy in a replay with their 95 % intervals, and what each person did.
 
     ``n`` is the number of people, ``rounds`` is K. The numbers of the crowd are those of
-    `pedzoo.metrics.realism_crowds.compared`; ``realism`` is their headline, lower is better. Beside them:
+    `pedzoo.metrics.realism.crowds.compared`; ``realism`` is their headline, lower is better. Beside them:
 
     * ``success``: the share of people who came within 0.3 m of their real exit in twice the real time.
       ``deadlock``: of people who once moved less than 0.1 m in 5 s, away from their exit; real people do.

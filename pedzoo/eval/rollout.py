@@ -10,18 +10,19 @@ import torch
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from pedzoo import renamed
-from pedzoo.errors import UserError
-from pedzoo.metrics.rollout import Rollout, joined
-from pedzoo.models.walker import Walker
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
+from pedzoo.core.spec import Spec
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.policy import Policy
+from pedzoo.policies.teams import Teams
 from pedzoo.sim.env import PedestrianEnv, usable
 from pedzoo.sim.make import make_env, physics_class
-from pedzoo.sim.policy import Policy, load_policy
-from pedzoo.sim.scenario import Scenario
+from pedzoo.sim.rollout import Rollout, joined
+from pedzoo.sim.scenes.scenario import Scenario
 from pedzoo.sim.state import State
-from pedzoo.sim.teams import Teams
 from pedzoo.sim.traces import rollout_of
-from pedzoo.spec import Spec
 
 Progress = Callable[[str, int, int], None]
 
@@ -42,7 +43,7 @@ def rollout(
     Its physics, ``env.physics``, is still open: pictures are taken there.
 
     Args:
-        policy: Its name with settings, or a mixed crowd, as of `pedzoo.sim.policy.load_policy`.
+        policy: Its name with settings, or a mixed crowd, as of `pedzoo.policies.load.load_policy`.
         scenario: Its name with settings.
         physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
         episodes: E.

@@ -6,15 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.spec import Spec
 from pedzoo.eval.closed_loop import row
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
-from pedzoo.metrics.rollout import Rollout
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.scenario import Scenario
-from pedzoo.spec import Spec
+from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.scenes.scenario import Scenario
 
 QUICK = 10
 """A quick run has one in so many episodes."""

@@ -9,13 +9,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from pedzoo.core.fetch import sha256_of
+from pedzoo.core.registry import SUITES, folder_of
+from pedzoo.core.spec import Spec, parse
+from pedzoo.core.versions import versions
 from pedzoo.eval.suite import Tell, Unit
-from pedzoo.fetch import sha256_of
-from pedzoo.models.store import find
-from pedzoo.registry import SUITES, folder_of
-from pedzoo.sim.crowd import parts
-from pedzoo.spec import Spec, parse
-from pedzoo.versions import versions
+from pedzoo.models.zoo.store import find
+from pedzoo.policies.crowd import parts
 
 _MATTER = (".py", ".csv", ".yaml", ".png")
 _NO_MATTER = ("cli", "train", "configs")

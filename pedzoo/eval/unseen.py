@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from pedzoo.core.paths import weight_files
+from pedzoo.core.spec import parse
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
 from pedzoo.data.provenance import TESTED
-from pedzoo.models.header import read_config
-from pedzoo.models.store import find
-from pedzoo.models.zoo import read_checkpoint
-from pedzoo.paths import weight_files
-from pedzoo.sim.crowd import parts
-from pedzoo.spec import parse
+from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.loading import read_checkpoint
+from pedzoo.models.zoo.store import find
+from pedzoo.policies.crowd import parts
 
 
 def for_fold(policy: str, fold: str) -> str:

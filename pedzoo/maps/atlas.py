@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from pedzoo.geometry import move_to_map, turn_to_map
+from pedzoo.core.geometry import move_to_map, turn_to_map
 
 
 @dataclass(frozen=True, eq=False)

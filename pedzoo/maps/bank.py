@@ -10,11 +10,11 @@ from weakref import WeakValueDictionary
 import torch
 from torch import Tensor
 
-from pedzoo.errors import UserError, unknown
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.local_walls import LocalWalls
-from pedzoo.maps.walls import Walls
+from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls.walls import Walls
 
 MAX_DISTANCE = 5.0
 """Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
@@ -175,7 +175,7 @@ class MapBank:
 
         Distances are those to the cells as they are, not to a field read between them: what contacts and
         sliding along walls rest on. On real maps one place in 20,000 or fewer, none of them beside a wall,
-        gets a few hundredths of a cell too much (see `pedzoo.maps.contenders`).
+        gets a few hundredths of a cell too much (see `pedzoo.maps.walls.contenders`).
 
         The world outside a map is free, its walls are felt from there, and a position inside a wall at the
         map's edge may be nearest to the outside. Where no wall is within ``max_distance`` or a scene has no

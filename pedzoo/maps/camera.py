@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 _SAMPLES = (1 / 6, 3 / 6, 5 / 6)

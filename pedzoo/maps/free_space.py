@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 

@@ -6,14 +6,13 @@ import hashlib
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.errors import UserError
-from pedzoo.errors import unknown as unknown_name
+from pedzoo.core.errors import UserError
+from pedzoo.core.errors import unknown as unknown_name
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """The values of a cell."""
@@ -56,62 +55,6 @@ class OccupancyGrid:
             raise UserError(f"map {self.name!r}: origin {self.origin} must be x, y (metres), yaw (radians)")
         cells.flags.writeable = False
         object.__setattr__(self, "cells", cells)
-
-    @classmethod
-    def load(cls, path: str | Path, resolution: float | None = None) -> OccupancyGrid:
-        """Return the floor plan of a file: ROS yaml, iGibson's ``floor_trav*.png``, or an image.
-
-        `pedzoo.maps.ros`, `igibson` and `images` read these formats one by one, with their settings.
-
-        Args:
-            path: Its name says what it is.
-            resolution: Metres per cell: needed for an image, 0.1 by default for iGibson, not for a yaml.
-
-        Raises:
-            UserError: The file is of no known kind, missing or broken, or an image has no resolution.
-        """
-        from pedzoo.maps.igibson import read_igibson
-        from pedzoo.maps.images import read_image
-        from pedzoo.maps.ros import read_ros
-
-        path = Path(path)
-        kind = path.suffix.lower()
-        if kind in (".yaml", ".yml"):
-            if resolution is not None:
-                raise UserError(f"{path}: its resolution stands in the yaml, {resolution} was given besides")
-            return read_ros(path)
-        if kind not in (".png", ".pgm", ".jpg", ".jpeg"):
-            raise UserError(f"map file {str(path)!r}: expected a ROS map yaml or an image (png, pgm, jpg)")
-        if kind == ".png" and path.name.startswith("floor_trav"):
-            return read_igibson(path) if resolution is None else read_igibson(path, resolution=resolution)
-        if resolution is None:
-            raise UserError(
-                f"map file {str(path)!r}: an image needs a resolution: write a ROS map yaml beside it that "
-                "states it, or give OccupancyGrid.load(path, resolution=...) metres per pixel"
-            )
-        return read_image(path, resolution)
-
-    @classmethod
-    def from_ros_yaml(cls, path: str | Path) -> OccupancyGrid:
-        """Return the floor plan of a ROS map file, see `pedzoo.maps.ros.read_ros`."""
-        from pedzoo.maps.ros import read_ros
-
-        return read_ros(path)
-
-    def save(self, path: str | Path) -> None:
-        """Write the floor plan as a ROS map yaml with a png of the same name beside it.
-
-        Loaded again it has the same content, digest and ``map_id``. See `pedzoo.maps.ros.write_ros`.
-
-        Args:
-            path: Where the yaml goes; the folder is made where it is missing.
-
-        Raises:
-            UserError: The path does not end in ``.yaml`` or ``.yml``.
-        """
-        from pedzoo.maps.ros import write_ros
-
-        write_ros(self, Path(path))
 
     @cached_property
     def digest(self) -> str:

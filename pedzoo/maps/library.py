@@ -6,7 +6,8 @@ import re
 from difflib import get_close_matches
 from pathlib import Path
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
 
@@ -21,14 +22,14 @@ def load_plan(name: str | Path) -> OccupancyGrid:
 
     Args:
         name: ``flat``; a kind of `pedzoo.maps.procedural` and a seed, ``apartment.7`` or ``office.7``, with
-            ``.bare`` behind it without furniture; or a file, as `OccupancyGrid.load` takes it.
+            ``.bare`` behind it without furniture; or a file, as `pedzoo.maps.files.read.read_plan` takes it.
 
     Raises:
         UserError: There is no such plan; or the file is missing or broken.
     """
     text = str(name)
     if Path(text).suffix.lower() in FILES:
-        return OccupancyGrid.load(text)
+        return read_plan(text)
     if text == "flat":
         return flat()
     from pedzoo.maps.procedural.plan import KINDS, generate
@@ -36,7 +37,7 @@ def load_plan(name: str | Path) -> OccupancyGrid:
     if (drawn := _DRAWN.fullmatch(text)) and drawn["kind"] in KINDS:
         return generate(drawn["kind"], int(drawn["seed"]), furnished=0.0 if drawn["bare"] else 1.0).grid
     if "/" in text or "\\" in text or Path(text).exists():
-        return OccupancyGrid.load(text)  # which says what files it takes
+        return read_plan(text)  # which says what files it takes
     kind, _, rest = text.partition(".")
     near = get_close_matches(kind, ["flat", *KINDS], n=1)
     seed = rest if re.fullmatch(r"\d{1,18}(\.bare)?", rest) else "7"

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 
 Point = tuple[float, float]

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics import door, navigation, safety, smoothness
 from pedzoo.metrics.intervals import Interval, bootstrap_quantile
 from pedzoo.metrics.quantiles import quantiles
 from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
-from pedzoo.metrics.rollout import Rollout
 from pedzoo.metrics.runs import Runs
-from pedzoo.types import STEP_SECONDS
+from pedzoo.sim.rollout import Rollout
 
 NAMES = (
     *("success", "episode_success", "clean", "contact_free", "failed", "deadlock"),

@@ -13,7 +13,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.types import TRACE_SECONDS
+from pedzoo.core.types import TRACE_SECONDS
 
 
 def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """Whether and when people arrive: pure functions over the 0.1 s trace of closed-loop episodes.
 
 E episodes of A people (padded), T trace points; point t is the end of the t-th 0.1 s after the warm start.
-Functions take what `pedzoo.metrics.rollout.Rollout` holds under the same names.
+Functions take what `pedzoo.sim.rollout.Rollout` holds under the same names.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.types import TRACE_SECONDS
+from pedzoo.core.types import TRACE_SECONDS
 
 STILL_POINTS, STILL_METRES, AWAY = round(5.0 / TRACE_SECONDS), 0.1, 0.5
 """Trace points (5 s), metres in them, and metres to the goal: who moves less, farther away, is deadlocked."""

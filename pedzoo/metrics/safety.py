@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
+from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 
 PERSONAL_SPACE = 0.5
 """Metres between centres (iGibson's)."""

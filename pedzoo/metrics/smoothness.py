@@ -14,7 +14,7 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.types import STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 
 WINDOW = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in a window."""

@@ -10,19 +10,19 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.batch import agents_of
-from pedzoo.errors import UserError
-from pedzoo.types import GoalProtocol
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import GoalProtocol
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from pedzoo.maps.grid import OccupancyGrid
-    from pedzoo.models.walker import Walker
-    from pedzoo.sim.controller import Controller
+    from pedzoo.policies.learned.walker import Walker
+    from pedzoo.policies.stepping.controller import Controller
 
 Noise = Literal["episode", "step", "scene", "mixed"]
-"""How often noise is drawn for people who walk; see `pedzoo.models.walker.Walker`."""
+"""How often noise is drawn for people who walk; see `pedzoo.policies.learned.walker.Walker`."""
 
 
 class Forecaster(nn.Module):
@@ -34,8 +34,9 @@ class Forecaster(nn.Module):
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, if nobody says anything else.
         walking_safety: Whether its steps are kept clear of people and walls when it walks, if nobody says
-            anything else; see `pedzoo.models.safety`.
-        walking_pace: Whether nearer goals are moved out when it walks, likewise; see `pedzoo.models.pace`.
+            anything else; see `pedzoo.policies.learned.safety`.
+        walking_pace: Whether nearer goals are moved out when it walks, likewise; see
+            `pedzoo.policies.learned.pace`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
@@ -74,10 +75,8 @@ class Forecaster(nn.Module):
         return future[:, 0, :, :steps]
 
     def policy(self, noise: Noise | None = None, execute_steps: int = 1) -> Walker:
-        """Return the model as a TorchRL policy; arguments as `pedzoo.models.walker.Walker`."""
-        from pedzoo.models.walker import Walker
-
-        return Walker(self, noise, execute_steps)
+        """Return the model as a TorchRL policy; arguments as `pedzoo.policies.learned.walker.Walker`."""
+        return _above("pedzoo.policies.learned.walker").Walker(self, noise, execute_steps)
 
     def controller(
         self, map: OccupancyGrid | str | Path | None = None, noise: Noise | None = None, **settings: Any
@@ -87,13 +86,13 @@ class Forecaster(nn.Module):
         Args:
             map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
             noise: As of `policy`.
-            settings: As of `pedzoo.sim.controller.Controller`: ``dt``, ``pref_speed``, ``seed``, ...
+            settings: As of `pedzoo.policies.stepping.controller.Controller`: ``dt``, ``pref_speed``,
+                ``seed``, ...
 
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
         """
-        # sim is above models in the order of imports: this one name is looked up when it is called
-        controller = import_module("pedzoo.sim.controller").Controller
+        controller = _above("pedzoo.policies.stepping.controller").Controller
         return controller(self.policy(noise), map, **settings)
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
@@ -108,6 +107,11 @@ class Forecaster(nn.Module):
         density of the positions.
         """
         return None
+
+
+def _above(module: str) -> Any:
+    """Return a module of policies: that package is above models in the order of imports."""
+    return import_module(module)
 
 
 def true_displacements(batch: TensorDict) -> Tensor:

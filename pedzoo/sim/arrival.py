@@ -5,11 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.draws import Draws
-from pedzoo.geometry import nearest_part
+from pedzoo.core.draws import Draws
+from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.sim.motion import Walk
-from pedzoo.sim.scenario import Scenario
-from pedzoo.types import GOAL_RADIUS
+from pedzoo.sim.scenes.scenario import Scenario
 
 LEAST_SECONDS = 20.0
 """Everybody has at least so long for a goal."""
@@ -29,13 +28,6 @@ def arrived(path: Tensor, goal: Tensor, walk: Walk) -> Tensor:
     x, y = path.detach() - goal.detach().movedim(-1, 0).unsqueeze(1)
     near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & walk.wanted
     return (near.unflatten(0, (-1, walk.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
-
-
-def passes(begin: Tensor, end: Tensor, goal: Tensor) -> Tensor:
-    """Return whose straight move (..., 2) comes within 0.3 m of their goal (..., 2), (...,) bool; metres."""
-    away, move = begin - goal, end - begin
-    nearest = away + nearest_part(away, move).unsqueeze(-1) * move
-    return nearest.square().sum(-1) < GOAL_RADIUS**2
 
 
 def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:

@@ -11,9 +11,9 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.maps.local_walls import LocalWalls
+from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
+from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.sim.state import DIFF_DRIVE, HOLONOMIC, State
-from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
 
 SKIN = 0.01
 """Metres by which a body gives at a wall: an agent that presses against one touches it in every backend."""
@@ -37,36 +37,6 @@ def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
     unseen. A little less, because a body gives by `SKIN` at walls.
     """
     return STRIDE * max(1, math.ceil(fastest * TRACE_SECONDS / (body_radius - SKIN) - 1e-9))
-
-
-def blended(velocity: Tensor, command: Tensor, ticks: int) -> Tensor:
-    """Return velocities (2, S, ...) of the S trace steps of a decision, blended instead of switched.
-
-    The first step lies half-way between old and new velocity. The last one has the new velocity, from three
-    steps on. The others make up for the first one: the decision ends where the command alone would lead. At
-    most half of the commanded velocity is made up, so an agent that brakes does not walk backwards. Where
-    half-way asks for more, the first step lies nearer to the command: a commanded stop comes at once.
-
-    Args:
-        velocity: Of the last 0.1 s (2, ...), m/s.
-        command: What is wanted now (2, ...), m/s.
-        ticks: S.
-    """
-    if ticks == 1:
-        return command.unsqueeze(1)
-    between = max(1, ticks - 2)
-    half = 0.5 * (velocity - command)
-    size = (half.square().sum(0) + 1e-12).sqrt()
-    speed = (command.square().sum(0) + 1e-12).sqrt()
-    half = half * (0.5 * between * speed / size).clamp_max(1.0)
-    rest = [command - half / between] * between + [command] * (ticks - 1 - between)
-    return torch.stack([command + half, *rest], dim=1)
-
-
-def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
-    """Return velocities (2, ..., B, A) shortened to top speeds (B, A)."""
-    speed = velocity.square().sum(0).clamp_min(1e-12).sqrt()
-    return velocity * (top_speed / speed).clamp_max(1.0)
 
 
 def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:

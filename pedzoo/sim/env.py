@@ -10,21 +10,21 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from pedzoo.batch import agents_of
-from pedzoo.draws import Draws
-from pedzoo.errors import UserError
+from pedzoo.core.batch import agents_of
+from pedzoo.core.draws import Draws
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.guidance import Guidance
+from pedzoo.maps.ways.guidance import Guidance
 from pedzoo.sim import kernel, specs
 from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import observed
-from pedzoo.sim.scenario import WARM_SECONDS, Scenario
+from pedzoo.sim.scenes.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
-from pedzoo.sim.worlds.base import Physics
-from pedzoo.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 
 _MADE, _AGENTS_MADE = 128, 640
 """Episodes, and their agents, that are begun together once scenes end one by one: at most, but one a row."""
@@ -73,9 +73,9 @@ def usable(device: torch.device | str) -> torch.device:
 class PedestrianEnv(EnvBase):
     """A policy decides all velocities, agents move, and physics says what they touch.
 
-    Keys as in `pedzoo.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info`` has what
-    closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are those
-    of every 0.1 s since the last decision (see `Events`); for ``late`` and ``way`` see `State`.
+    Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info``
+    has what closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached``
+    are those of every 0.1 s since the last decision (see `Events`); for ``late`` and ``way`` see `State`.
 
     The reward is the way that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.

@@ -15,20 +15,21 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import heading_of
-from pedzoo.maps.guidance import Guidance
+from pedzoo.core.geometry import heading_of
+from pedzoo.core.kinematics import TURNS_FROM, blended, limited
+from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
+from pedzoo.maps.ways.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned
-from pedzoo.sim.dynamics import blended, driven, limited
+from pedzoo.sim.dynamics import driven
+from pedzoo.sim.engine.base import Physics
+from pedzoo.sim.engine.compiled_step import step_compiled, step_compiles
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
-from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.state import HOLONOMIC, TURNS_FROM, State
-from pedzoo.sim.worlds.base import Physics
-from pedzoo.sim.worlds.compiled_step import step_compiled, step_compiles
-from pedzoo.types import AHEAD_SECONDS, TRACE_SECONDS
+from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.state import HOLONOMIC, State
 
 
 class Playback(Protocol):
-    """Agents that come, go and are played back; see `pedzoo.sim.script.Script`."""
+    """Agents that come, go and are played back; see `pedzoo.sim.replay.script.Script`."""
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
         """Return the paths (B, A, S, M, 2) of agents that no policy moves."""

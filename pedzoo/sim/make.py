@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from pedzoo import renamed
-from pedzoo.errors import UserError
-from pedzoo.registry import PHYSICS, SCENARIOS
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import PHYSICS, SCENARIOS
+from pedzoo.core.spec import Spec, build, parse
+from pedzoo.core.types import BODY_RADIUS
+from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.worlds.base import Physics
-from pedzoo.spec import Spec, build, parse
-from pedzoo.types import BODY_RADIUS
+from pedzoo.sim.scenes.scenario import Scenario
 
 CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""
@@ -49,7 +49,7 @@ def make_env(
 
 
 def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
-    """Return the scenario of a name with settings; errors as of `pedzoo.spec.build`."""
+    """Return the scenario of a name with settings; errors as of `pedzoo.core.spec.build`."""
     return scenario if isinstance(scenario, Scenario) else build(SCENARIOS, scenario, Scenario)
 
 

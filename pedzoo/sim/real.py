@@ -7,20 +7,20 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from pedzoo.draws import Draws
-from pedzoo.maps.guidance import Guidance
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.core.draws import Draws
+from pedzoo.core.kinematics import passes
+from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
+from pedzoo.maps.ways.guidance import Guidance
 from pedzoo.sim import kernel
-from pedzoo.sim.arrival import passes
 from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.script import Script
+from pedzoo.sim.replay.script import Script
+from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.scenes.scenario import Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
-from pedzoo.sim.worlds.base import Physics
-from pedzoo.types import GOAL_RADIUS, TOP_SPEED_RATIO
 
 _AT_ONCE = 64
 """Scenes: as many as are walked together."""

@@ -6,8 +6,8 @@ import torch
 from torchrl.data import Categorical, Composite, NonTensor, Unbounded
 from torchrl.data.tensor_specs import TensorSpec
 
+from pedzoo.core.types import OBS_LEN
 from pedzoo.maps.bank import MapBank
-from pedzoo.types import OBS_LEN
 
 
 def observation(scenes: int, agents: int, trace_points: int, maps: MapBank) -> Composite:

@@ -7,16 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in one step of the networks' clock."""
 
 PAST_LEN = (OBS_LEN - 1) * TRACE_PER_STEP + 1
 """Trace points that 8 observed steps span."""
-
-TURNS_FROM = 0.05
-"""m/s: the body faces where it moves if it is faster; else it keeps its heading."""
 
 HOLONOMIC, UNICYCLE, DIFF_DRIVE = range(3)
 """How a body moves: in any direction, along its heading, or on two wheels; see `pedzoo.sim.dynamics`."""

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from pedzoo.draws import Draws
-from pedzoo.metrics.rollout import OVER_TIME, Rollout
-from pedzoo.sim.scenario import Scenario
+from pedzoo.core.draws import Draws
+from pedzoo.sim.rollout import OVER_TIME, Rollout
+from pedzoo.sim.scenes.scenario import Scenario
 from pedzoo.sim.state import State
 
 

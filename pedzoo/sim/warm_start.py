@@ -8,17 +8,17 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from pedzoo.batch import ROBOT
-from pedzoo.errors import UserError
-from pedzoo.maps.segments import WallSegments
+from pedzoo.core.batch import ROBOT
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.policies.orca.settings import OrcaSettings
+from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.sim import kernel
+from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.observation import dense
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.velocity import orca_velocity
-from pedzoo.sim.scenario import Layout
+from pedzoo.sim.scenes.scenario import Layout
 from pedzoo.sim.state import HOLONOMIC, PAST_LEN, TRACE_PER_STEP, State
-from pedzoo.sim.worlds.base import Physics
-from pedzoo.types import OBS_LEN, STEP_SECONDS
 
 WarmStart = Literal["orca", "static", "recorded"]
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import yaml
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import config_names, find_config
+from pedzoo.core.registry import MODELS
 from pedzoo.data.datamodule import PROTOCOL
-from pedzoo.errors import UserError
-from pedzoo.models.saved import saved_config
-from pedzoo.models.zoo import build, config_of, load, read_checkpoint
-from pedzoo.paths import config_names, find_config
-from pedzoo.registry import MODELS
-from pedzoo.train.module import LOSSES, ForecastModule, copied_keys, differences
+from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint
+from pedzoo.models.zoo.saved import saved_config
+from pedzoo.train.modules.module import LOSSES, ForecastModule, copied_keys, differences
 from pedzoo.train.run import RunFolder
 
 OF_CONFIG = ("safety", "pace", "map_dropout")

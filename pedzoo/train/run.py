@@ -14,9 +14,9 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
-from pedzoo.errors import UserError
-from pedzoo.paths import shipped
-from pedzoo.versions import versions
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import shipped
+from pedzoo.core.versions import versions
 
 Wandb = Literal["off", "offline", "online"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench import comparison
 from tools.bench.peer import Peer, PeerCase, Scenes
 from tools.bench.tables import print_bench

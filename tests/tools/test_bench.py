@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.library import load_plan
 from tools.bench import BENCHMARKS
 from tools.bench.compare import compare, read_report

@@ -8,10 +8,10 @@ import pytest
 
 from pedzoo.cli import checkout
 from pedzoo.cli.main import main, overview
+from pedzoo.core.paths import shipped, weight_files
+from pedzoo.core.registry import SUITES, Registry, folder_of
 from pedzoo.eval.card_reports import about
-from pedzoo.models.card import read_card
-from pedzoo.paths import shipped, weight_files
-from pedzoo.registry import SUITES, Registry, folder_of
+from pedzoo.models.zoo.card import read_card
 
 
 @pytest.mark.parametrize("words", [["bench", "loop"], ["bench", "--help"], ["reproduce", "table1"]])

@@ -11,7 +11,7 @@ import pytest
 
 from pedzoo.data.datasets.embedded import Embedded
 from pedzoo.data.recordings import Split, open_fold
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.files.ros import read_ros
 
 FOLDER = Embedded().folder
 PEOPLE: dict[Split, int] = {"train": 360, "val": 80, "test": 80}
@@ -60,7 +60,7 @@ def test_people_walk_at_human_speeds_without_holes_or_heavy_overlaps(split: Spli
 def test_nobody_is_inside_a_wall(split: Split) -> None:
     (recording,) = Embedded().recordings(split)
     assert recording.plan is not None
-    grid = OccupancyGrid.from_ros_yaml(recording.plan)
+    grid = read_ros(recording.plan)
     affine = grid.map_to_cell()
     column, row = np.rint(affine[:, :2] @ recording.tracks.xy.T + affine[:, 2:]).astype(int)
     # Positions between the outermost cell's centre and the border belong to that cell.

@@ -14,11 +14,11 @@ import torch
 from walks import made, straight
 
 from pedzoo.cli.main import main
+from pedzoo.core.paths import shipped
 from pedzoo.eval.suite import Request
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.ratios import summarised
-from pedzoo.models.card import ModelCard, read_card, write_card
-from pedzoo.paths import shipped
+from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.sim.make import make_scenario
 from tools.paper.choices import first_through, passing_side, varied
 from tools.paper.loop import BASELINES, FORCE, ORCA, Loop, _plans, targets

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from pedzoo.cli.main import main
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.spec import Spec
 from pedzoo.eval.results import Page
 from pedzoo.eval.suite import Request
-from pedzoo.models.zoo import list_models
-from pedzoo.spec import Spec
+from pedzoo.models.zoo.loading import list_models
 from tools.paper import table1 as module
 from tools.paper.base import Reproduction, markdown
 from tools.paper.figure4 import Figure4, outcome

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.pages.plot_training import plot_training
 
 

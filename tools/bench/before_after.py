@@ -23,7 +23,7 @@ import torch
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, write_json
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench.command import add_timing, timed
 from tools.bench.comparison import SIDES, measure, rows
 from tools.bench.peer import Peer, PeerCase, Scenes, check

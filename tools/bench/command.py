@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.commands.bench import EXAMPLE, HELP
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench import BENCHMARKS
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench.figures import Measured, Row, is_ratio, more_is_better
 
 LEAST = 1.05

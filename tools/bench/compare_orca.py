@@ -29,15 +29,16 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.segment_table import NOWHERE, SegmentTable, edges
-from pedzoo.maps.segments import WallSegments
-from pedzoo.sim.orca.programs import nearest
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.velocity import orca_velocity
-from pedzoo.sim.orca.wall_lines import wall_lines
+from pedzoo.maps.walls.segment_table import NOWHERE, SegmentTable, edges
+from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.policies.orca.programs import nearest
+from pedzoo.policies.orca.settings import OrcaSettings
+from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.policies.orca.wall_lines import wall_lines
 from tools.bench.rvo2_peer import Rvo2
 from tools.bench.scenes import plan
 
@@ -226,7 +227,7 @@ def main() -> None:
         ("walls, dense", [plan(80, 8, seed) for seed in range(6)], True, 20),
     ]
     for path in options.map:
-        grid = OccupancyGrid.load(path)
+        grid = read_plan(path)
         cases += [(f"{grid.name}, {agents} people", [grid], True, agents) for agents in (5, 20)]
     for case in cases:
         table.add_row(*agreement(*case, options.steps))

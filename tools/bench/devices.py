@@ -19,9 +19,9 @@ from typing import Any
 import torch
 from tensordict.nn import TensorDictModuleBase
 
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import load_policy
 from tools.bench.turns import repeated
 
 SIZES = ((1, 5), (64, 5), (1024, 5), (8192, 5))

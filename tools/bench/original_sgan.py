@@ -19,7 +19,7 @@ from unittest.mock import patch
 import torch
 from torch import Tensor, nn
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 
 Batch = tuple[Tensor, ...]
 

@@ -21,8 +21,8 @@ def main(file: str, scenes: int, steps: int, goals: int) -> None:
     found = {"python alone": peak()}
     import torch
 
+    from pedzoo.policies.load import load_policy
     from pedzoo.sim.make import make_env
-    from pedzoo.sim.policy import load_policy
 
     torch.set_num_threads(1)
     found["pedzoo and torch imported"] = peak()

@@ -28,7 +28,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench.section import Settings
 from tools.bench.turns import Side
 

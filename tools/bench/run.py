@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.versions import versions
 from pedzoo.maps.library import load_plan
-from pedzoo.versions import versions
 from tools.bench import BENCHMARKS, original_sgan, peer
 from tools.bench.figures import Row
 from tools.bench.section import NotGivenError, Section, Settings

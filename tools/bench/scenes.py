@@ -13,11 +13,11 @@ from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.maps.segments import WallSegments
+from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.make import CLEARANCE
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.scenarios.goals import SPACING, Goals
+from pedzoo.sim.scenes.scenario import Scenario
 from tools.bench.peer import Scenes
 from tools.bench.section import Settings
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench.figures import Row
 from tools.bench.turns import Clock, clock
 

@@ -29,8 +29,8 @@ from answering import Case, Step, serve  # pyright: ignore[reportMissingImports]
 import pedzoo
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.library import load_plan
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import load_policy
 
 SCENARIO = "goals:map=apartment.7,people={people}"
 MODEL = "sgan_goal_map.indoor"
@@ -88,7 +88,7 @@ def variants() -> tuple[str, ...]:
     """Return the physics that the bare environment is measured with in this checkout."""
     if "physics" not in inspect.signature(make_env).parameters:
         return ("grid",)
-    registry = getattr(import_module("pedzoo.registry"), "PHYSICS", None)
+    registry = getattr(import_module("pedzoo.core.registry"), "PHYSICS", None)
     names = registry.names() if registry is not None else ("torch", "compiled")
     plain = ("kernel.step",) if kernel() else ()
     return (*(name for name in names if name not in UNBATCHED), *plain)

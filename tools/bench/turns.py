@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from tools.bench.figures import Measured
 
 Side = Callable[[float], float]

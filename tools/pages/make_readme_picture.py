@@ -15,11 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
-from pedzoo.eval.plots import draw_floor_plan
+from pedzoo.core.geometry import move_to_map
+from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.eval.rollout import rollout
-from pedzoo.geometry import move_to_map
 from pedzoo.metrics.safety import begins
-from pedzoo.types import BODY_RADIUS, TRACE_SECONDS
+from pedzoo.viz.plots import draw_floor_plan
 
 POLICIES = {
     "sgan_goal_map.eth_ucy_way": "trained to forecast",

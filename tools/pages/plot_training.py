@@ -9,8 +9,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pedzoo.errors import UserError
-from pedzoo.eval.run_record import monitored
+from pedzoo.core.errors import UserError
+from pedzoo.models.export.run_record import monitored
 
 ERROR, SUCCESS, CLEAN, IN_TIME = "val/ade", "rollout/success", "rollout/clean", "rollout/stl"
 """What is drawn of the metrics that `pedzoo fit` logs."""

@@ -23,13 +23,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.core.versions import versions
 from pedzoo.eval.results import markdown_table
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room
-from pedzoo.sim.controller import Controller
-from pedzoo.sim.policy import load_policy
-from pedzoo.types import BODY_RADIUS, GOAL_RADIUS, TRACE_SECONDS
-from pedzoo.versions import versions
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.stepping.controller import Controller
 
 POLICIES = ("sgan_goal_map.indoor", "sgan_goal.indoor", "orca", "social_force:preset=indoor")
 ROBOT_RADIUS = 0.5

@@ -23,18 +23,18 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import Affine2D
 
-from pedzoo.eval.plots import draw_floor_plan
-from pedzoo.geometry import move_to_map
+from pedzoo.core.geometry import move_to_map
+from pedzoo.core.paths import write_whole
+from pedzoo.core.registry import SCENARIOS
+from pedzoo.core.spec import parse
+from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.outlines import outlines
-from pedzoo.paths import write_whole
-from pedzoo.registry import SCENARIOS
-from pedzoo.sim.encounter import Encounter
+from pedzoo.maps.walls.outlines import outlines
+from pedzoo.sim.engine.camera import person_color
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.worlds.camera import person_color
-from pedzoo.spec import parse
-from pedzoo.types import BODY_RADIUS, GOAL_RADIUS
+from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.viz.plots import draw_floor_plan
 
 WINDOW = (14.6, 10.8)
 """Metres that a panel shows, unless a scene is larger."""

@@ -28,19 +28,19 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pedzoo.cli.progress import progress_bar
+from pedzoo.core.paths import shipped, write_whole
+from pedzoo.core.registry import SCENARIOS
+from pedzoo.core.spec import parse
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.core.versions import versions
 from pedzoo.eval.closed_loop import Walked, row
 from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.trajectories import draw_episode
 from pedzoo.metrics.intervals import wilson
 from pedzoo.metrics.navigation import deadlocked, success
-from pedzoo.paths import shipped, write_whole
-from pedzoo.registry import SCENARIOS
-from pedzoo.sim.encounter import Encounter
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.spec import parse
-from pedzoo.types import TRACE_SECONDS
-from pedzoo.versions import versions
+from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.viz.trajectories import draw_episode
 
 POLICIES = ("orca:radius=0.3", "social_force", "social_force:preset=indoor")
 CROWDS = (20, 50)

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pedzoo.eval.clock import Progress
 from pedzoo.eval.results import Page, markdown_table
+from pedzoo.eval.workers.clock import Progress
 
 
 class Reproduction(ABC):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.metrics import door
 from pedzoo.metrics.ratios import Ratio, finite, ratio, share
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.rollout import Rollout
 
 
 def first_through(rollout: Rollout) -> Tensor:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.commands.reproduce import EXAMPLE, HELP
-from pedzoo.errors import UserError, unknown
+from pedzoo.core.errors import UserError, unknown
 
 if TYPE_CHECKING:
     from tools.paper.base import Reproduction
@@ -55,7 +55,7 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP. What was interrupted goes on 
     from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
     from pedzoo.cli.parsing import whole_numbers
     from pedzoo.cli.progress import overall_bar
-    from pedzoo.versions import versions
+    from pedzoo.core.versions import versions
     from tools.paper.base import markdown
 
     for key, having in ONLY.items():

@@ -9,11 +9,11 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from pedzoo.core.paths import write_whole
 from pedzoo.eval.closed_loop import Walked as Ways
 from pedzoo.eval.results import Page, cell, pages
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.trajectories import draw_episode, legend
-from pedzoo.paths import write_whole
+from pedzoo.viz.trajectories import draw_episode, legend
 from tools.paper.outcome import OUTCOMES
 from tools.paper.paper import FIGURE_4
 from tools.paper.suites.figure4 import RATIO, SCENARIOS

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.batch import agents_of
+from pedzoo.core.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.metrics.intervals import Interval

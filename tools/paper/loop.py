@@ -6,13 +6,13 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from pedzoo.core.paths import weight_files
+from pedzoo.core.spec import parse
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.results import Page, cell
 from pedzoo.eval.suites.goals import DRAWN
-from pedzoo.metrics.realism_crowds import TAIL
-from pedzoo.models.header import read_config
-from pedzoo.paths import weight_files
-from pedzoo.spec import parse
+from pedzoo.metrics.realism.crowds import TAIL
+from pedzoo.models.zoo.header import read_config
 from tools.paper.loop_forecasts import forecasts
 from tools.paper.suites.loop_buildings import OFFICES
 from tools.paper.suites.loop_noise import DRAWS

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from pedzoo.core.spec import parse
 from pedzoo.eval.results import Page
-from pedzoo.models.card import ModelCard
-from pedzoo.models.store import find
-from pedzoo.spec import parse
+from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.store import find
 
 MOST = 1.15
 """How much larger ADE may become."""

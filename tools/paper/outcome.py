@@ -20,7 +20,7 @@ from torch import Tensor
 
 from pedzoo.metrics import door, navigation, safety
 from pedzoo.metrics.ratios import Ratio, finite, share
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.rollout import Rollout
 
 OUTCOMES = ("blocked", "lost", "through", "circle", "pass")
 

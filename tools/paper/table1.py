@@ -10,19 +10,19 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.errors import UserError
-from pedzoo.eval.clock import Progress, Step
 from pedzoo.eval.forecast import BASELINES, forecast_row
-from pedzoo.eval.journal import Journal
 from pedzoo.eval.results import Page
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.eval.units import fingerprint
-from pedzoo.eval.workers import finished
-from pedzoo.models.store import find
-from pedzoo.models.zoo import load
-from pedzoo.types import GoalProtocol
+from pedzoo.eval.workers.clock import Progress, Step
+from pedzoo.eval.workers.journal import Journal
+from pedzoo.eval.workers.pool import finished
+from pedzoo.models.zoo.loading import load
+from pedzoo.models.zoo.store import find
 from tools.paper.base import Reproduction
 from tools.paper.folds import means
 from tools.paper.line_density import NATS, line_likelihood

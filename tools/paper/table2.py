@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.results import Page, cell
 from pedzoo.eval.suites.goals import CELLS
-from pedzoo.types import STEP_SECONDS
 from tools.paper.base import interval_text
 from tools.paper.paper import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_GOALS, TABLE_2_STEPS
 from tools.paper.suites.table2 import SPEEDS

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pedzoo.eval.clock import Progress
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.results import INTERVALS, LEGEND, said
 from pedzoo.eval.suite import Request
-from pedzoo.models.zoo import list_models
+from pedzoo.eval.workers.clock import Progress
+from pedzoo.models.zoo.loading import list_models
 from tools.paper.base import Reproduction
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from zoo_recipes import RECIPES
 
+from pedzoo.core.paths import shipped, write_whole
+from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import BASELINES, forecast
-from pedzoo.paths import shipped, write_whole
-from pedzoo.versions import versions
 
 HEADER = """# Open-loop results of every seed
 

@@ -22,10 +22,10 @@ from pathlib import Path
 from forecast_table import table
 from zoo_recipes import RECIPES, Recipe
 
+from pedzoo.core.paths import shipped, weight_files
 from pedzoo.eval.card_numbers import measure
-from pedzoo.eval.publish import publish
-from pedzoo.models.card import read_card, write_card
-from pedzoo.paths import shipped, weight_files
+from pedzoo.models.export.publish import publish
+from pedzoo.models.zoo.card import read_card, write_card
 
 
 def train(recipes: list[Recipe], root: Path, jobs: int) -> None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pedzoo.core.types import PRED_LEN, Clock, GoalProtocol
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
-from pedzoo.eval.publish import zoo_name
-from pedzoo.eval.run_record import monitored
+from pedzoo.models.export.publish import zoo_name
+from pedzoo.models.export.run_record import monitored
 from pedzoo.train.run import RunFolder
-from pedzoo.types import PRED_LEN, Clock, GoalProtocol
 
 GOALS: dict[str, GoalProtocol] = {
     "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination"

@@ -73,7 +73,7 @@ def run(argv: list[str]) -> int:
 
     from pedzoo.cli.main import main
     from pedzoo.cli.output import check_outputs
-    from pedzoo.errors import UserError
+    from pedzoo.core.errors import UserError
 
     if options.epochs < 1:
         raise UserError(f"--epochs {options.epochs}: expected at least 1")
@@ -104,7 +104,7 @@ def _announce(number: int, total: int, title: str, command: str) -> None:
 def _in_python(tuned: Path, picture: Path) -> None:
     import pedzoo
     from pedzoo.data.datamodule import TrajectoryDataModule
-    from pedzoo.eval.plots import plot_forecasts
+    from pedzoo.viz.plots import plot_forecasts
 
     print(f'>>> walker = pedzoo.load("{CONTROLLER}").controller()')
     print('>>> walker.step({"anna": (0, 0), "ben": (4, 0.2)}, {"anna": (6, 0), "ben": (-2, 0)})')

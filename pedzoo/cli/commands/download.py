@@ -7,8 +7,8 @@ from importlib import import_module
 from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
-from pedzoo.errors import UserError
-from pedzoo.paths import data_home
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import data_home
 
 HELP = "download a dataset, AlexNet's weights or a model, checked, to where they are found"
 EXAMPLE = "pedzoo download eth_ucy"
@@ -50,13 +50,13 @@ def _dataset(name: str, to: str | None) -> None:
 
 
 def _alexnet() -> Path:
-    from pedzoo.models.blocks.alexnet import obtain
+    from pedzoo.models.blocks.floor_plan.alexnet import obtain
 
     return obtain()
 
 
 def _model(name: str, datasets: list[str]) -> Path:
-    from pedzoo.models.store import find, no_model, weights_of
+    from pedzoo.models.zoo.store import find, no_model, weights_of
 
     if entry := find(name):
         return weights_of(entry)

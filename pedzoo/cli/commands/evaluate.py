@@ -16,14 +16,14 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_pages, write_and_print, write_text
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse, whole_numbers
     from pedzoo.cli.progress import overall_bar
-    from pedzoo.errors import UserError
+    from pedzoo.core.errors import UserError
+    from pedzoo.core.registry import SUITES
+    from pedzoo.core.versions import versions
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
-    from pedzoo.eval.fundamental import plot_density_speed
     from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import Request
-    from pedzoo.eval.trajectories import check_plot_path
-    from pedzoo.registry import SUITES
-    from pedzoo.versions import versions
+    from pedzoo.viz.fundamental import plot_density_speed
+    from pedzoo.viz.trajectories import check_plot_path
 
     usage = (
         "pedzoo evaluate POLICY... [--suite SUITE,...] [--quick] [...]\n"
@@ -136,6 +136,6 @@ def run(argv: list[str]) -> int:
 
 
 def _listed(text: str) -> list[str]:
-    from pedzoo.spec import split, unquoted
+    from pedzoo.core.spec import split, unquoted
 
     return [unquoted(part.strip()) for part in split(text) if part.strip()]

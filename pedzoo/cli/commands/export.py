@@ -17,8 +17,8 @@ _GOES_WITH = {"to": "zoo", "name": "zoo", "no_evaluation": "zoo", "data.root": "
 def run(argv: list[str]) -> int:
     """Write what is asked for and say what it is; returns the exit code."""
     from pedzoo.cli.output import check_outputs, write_json
-    from pedzoo.errors import UserError
-    from pedzoo.versions import versions
+    from pedzoo.core.errors import UserError
+    from pedzoo.core.versions import versions
 
     options = _parser().parse_args(argv)
     for option, way in _GOES_WITH.items():
@@ -65,9 +65,9 @@ def _parser() -> Arguments:
 def _zoo(options: argparse.Namespace) -> dict[str, Any]:
     """Write weights and card, then measure the model, then write the card again with its numbers."""
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.errors import UserError
+    from pedzoo.core.errors import UserError
     from pedzoo.eval.card_numbers import measure
-    from pedzoo.eval.publish import publish
+    from pedzoo.models.export.publish import publish
 
     if not options.model.endswith(".ckpt"):
         raise UserError(
@@ -86,8 +86,8 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _hub(options: argparse.Namespace) -> dict[str, Any]:
-    from pedzoo.errors import UserError
-    from pedzoo.models.hub import write_hub
+    from pedzoo.core.errors import UserError
+    from pedzoo.models.zoo.hub import write_hub
 
     if options.model.endswith((".ckpt", ".safetensors")):
         raise UserError(
@@ -102,11 +102,11 @@ def _hub(options: argparse.Namespace) -> dict[str, Any]:
 def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     from pathlib import Path
 
-    from pedzoo.eval.onnx_export import check_packages, export_onnx, save_plan
+    from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN
     from pedzoo.maps.library import load_plan
-    from pedzoo.models.saved import saved_config
-    from pedzoo.models.zoo import load
-    from pedzoo.types import AHEAD_SECONDS, PRED_LEN
+    from pedzoo.models.export.onnx_export import check_packages, export_onnx, save_plan
+    from pedzoo.models.zoo.loading import load
+    from pedzoo.models.zoo.saved import saved_config
 
     check_packages()
     model = load(options.model)

@@ -13,10 +13,10 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
     from pedzoo.cli.progress import progress_bar
+    from pedzoo.core.versions import versions
     from pedzoo.data.datamodule import TrajectoryDataModule
     from pedzoo.eval.forecast import forecast
-    from pedzoo.models.zoo import load
-    from pedzoo.versions import versions
+    from pedzoo.models.zoo.loading import load
 
     usage = f"pedzoo forecast MODEL... [--data.fold FOLD] [--data.X ...] [--samples K]\nexample: {EXAMPLE}"
     parser = ArgumentParser(prog="pedzoo forecast", usage=usage, description=HELP, **PARSER_SETTINGS)

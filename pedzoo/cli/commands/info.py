@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
-from pedzoo.errors import UserError
-from pedzoo.models.card_page import page, results, sections
-from pedzoo.models.store import find, is_file, names, no_model
-from pedzoo.registry import MODELS
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import MODELS
+from pedzoo.models.zoo.card_page import page, results, sections
+from pedzoo.models.zoo.store import find, is_file, names, no_model
 
 if TYPE_CHECKING:
-    from pedzoo.models.card import ModelCard
+    from pedzoo.models.zoo.card import ModelCard
 
 HELP = "show a model's card: training, data and its terms, results, checksum"
 EXAMPLE = "pedzoo info sgan_goal_map.zara1"

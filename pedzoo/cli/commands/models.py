@@ -7,10 +7,10 @@ from typing import Any
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, print_tables, write_and_print
-from pedzoo.errors import UserError
-from pedzoo.models.card import ModelCard
-from pedzoo.models.store import find, names
-from pedzoo.registry import MODELS
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import MODELS
+from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.store import find, names
 
 HELP = "list architectures and pretrained models"
 EXAMPLE = "pedzoo models 'sgan*'"

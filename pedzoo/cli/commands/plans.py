@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pedzoo.maps.files.ros import write_ros
+
 HELP = "draw apartments and offices from seeds: ROS maps, and a picture of them"
 EXAMPLE = "pedzoo plans apartment office --count 6 --seed 0 --out plans --sheet plans.png"
 
@@ -16,10 +18,10 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, write_json
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.errors import UserError, unknown
-    from pedzoo.maps.procedural.picture import save_sheet
+    from pedzoo.core.errors import UserError, unknown
+    from pedzoo.core.versions import versions
     from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate
-    from pedzoo.versions import versions
+    from pedzoo.viz.plan_sheet import save_sheet
 
     usage = f"pedzoo plans KIND... [--count N] [--seed S] [--out FOLDER] [...]\nexample: {EXAMPLE}"
     parser = ArgumentParser(prog="pedzoo plans", usage=usage, description=HELP, **PARSER_SETTINGS)
@@ -56,7 +58,7 @@ def run(argv: list[str]) -> int:
     with progress_bar() as progress:
         for (kind, seed), file in files.items():
             plan = generate(kind, seed, **settings)
-            plan.grid.save(file)
+            write_ros(plan.grid, file)
             plans.append(plan)
             progress("plans", len(plans), len(files))
     rows = [{"name": plan.grid.name, "case": {}, "n": 1, "metrics": plan.facts()} for plan in plans]

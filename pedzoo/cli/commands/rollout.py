@@ -16,13 +16,13 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.errors import UserError, unknown
+    from pedzoo.core.errors import UserError, unknown
+    from pedzoo.core.registry import SCENARIOS
+    from pedzoo.core.versions import versions
     from pedzoo.eval.closed_loop import Comparison
-    from pedzoo.eval.trajectories import check_plot_path, plot_rollouts
-    from pedzoo.eval.video import check_video_path, film
     from pedzoo.metrics.closed_loop import NAMES
-    from pedzoo.registry import SCENARIOS
-    from pedzoo.versions import versions
+    from pedzoo.viz.trajectories import check_plot_path, plot_rollouts
+    from pedzoo.viz.video import check_video_path, film
 
     usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--physics PHYSICS] [...]\nexample: {EXAMPLE}"
     parser = ArgumentParser(prog="pedzoo rollout", usage=usage, description=HELP, **PARSER_SETTINGS)

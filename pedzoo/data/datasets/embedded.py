@@ -5,9 +5,9 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
+from pedzoo.core.types import Clock
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
-from pedzoo.types import Clock
 
 FOLDS = ["embedded"]
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import data_root
+from pedzoo.core.types import STEP_SECONDS, Clock
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
-from pedzoo.errors import UserError
-from pedzoo.paths import data_root
-from pedzoo.types import STEP_SECONDS, Clock
 
 FOLDS = ["eth", "hotel", "univ", "zara1", "zara2", "eth_ucy"]
 

@@ -7,13 +7,14 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import write_whole
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datasets.eth_ucy import TRUE_SECONDS
 from pedzoo.data.provenance import ETH_UCY, FLOOR_PLANS, TESTED
 from pedzoo.data.published.files import PublishedFile, bring, files_of
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan, plan_of_recording
-from pedzoo.errors import UserError
-from pedzoo.paths import write_whole
-from pedzoo.types import STEP_SECONDS
+from pedzoo.maps.files.ros import write_ros
 
 TERMS = f"{ETH_UCY['terms']}{FLOOR_PLANS}. For research; do not pass the files on inside a package."
 CITATION = f"{ETH_UCY['citation']}; for the split: A. Gupta et al., Social GAN, CVPR 2018"
@@ -31,7 +32,7 @@ def download(folder: Path) -> list[PublishedFile]:
     bring(files, folder, "eth_ucy")
     try:
         for scene in FRAMES:
-            floor_plan(scene, folder).save(folder / "maps" / f"{scene}.yaml")
+            write_ros(floor_plan(scene, folder), folder / "maps" / f"{scene}.yaml")
         sums = "".join(f"{file.sha256}  {file.path}\n" for file in files)
         write_whole(folder / "SHA256SUMS", sums.encode())
         write_whole(folder / "README.md", _readme(files).encode())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pedzoo.fetch import fetch
+from pedzoo.core.fetch import fetch
 
 HOSTS = (
     "https://raw.githubusercontent.com/{repository}/{commit}/{path}",

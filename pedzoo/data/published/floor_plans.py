@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.camera import seen_from_above
+from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.images import read_pixels
 
 FRAMES = {
     "eth": ["biwi_eth"],

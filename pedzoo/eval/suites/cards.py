@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from pedzoo.core.registry import SCENARIOS
 from pedzoo.eval.suite import Case, Request, Suite
-from pedzoo.registry import SCENARIOS
-from pedzoo.sim.encounter import Encounter
+from pedzoo.sim.scenes.encounter import Encounter
 
 EPISODES = 20
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
+from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import Case, Request, Suite
 from pedzoo.maps.library import load_plan
-from pedzoo.spec import Spec
 
 CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
 """People and goals of Table II."""

@@ -6,19 +6,20 @@ import hashlib
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.spec import Spec
 from pedzoo.data.datasets.eth_ucy import SCENES, EthUcy
-from pedzoo.errors import UserError
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit, walked
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.library import load_plan
-from pedzoo.metrics.realism_crowds import TAIL
-from pedzoo.metrics.realism_features import FEATURES
-from pedzoo.sim.policy import has_noise, load_policy
+from pedzoo.metrics.realism.crowds import TAIL
+from pedzoo.metrics.realism.features import FEATURES
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.policy import has_noise
 from pedzoo.sim.scenarios.replay import Replay as Recorded
-from pedzoo.spec import Spec
 
 EMBEDDED = "embedded"
 """The fold that needs no recordings."""

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import numpy as np
 
-from pedzoo.errors import UserError, unknown
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.maps.procedural import apartment, office
 from pedzoo.maps.procedural.dice import Dice

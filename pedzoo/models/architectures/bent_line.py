@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pedzoo.models.architectures.straight_line import StraightLine
-from pedzoo.models.blocks import lines
+from pedzoo.models.blocks.people import lines
 
 
 class BentLine(StraightLine):

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.models.base import Forecaster, for_all_samples
-from pedzoo.models.blocks import lines
+from pedzoo.models.blocks.people import lines
 
 
 class ConstantVelocity(Forecaster):

@@ -13,26 +13,26 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from pedzoo.batch import agents_of, goals_of, maps_of
+from pedzoo.core.batch import agents_of, goals_of, maps_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import GoalProtocol
 from pedzoo.data.goals import TIMED
-from pedzoo.errors import UserError
 from pedzoo.models.base import Forecaster, arguments
-from pedzoo.models.blocks import frame as frames
-from pedzoo.models.blocks import lines
-from pedzoo.models.blocks.approach import ApproachPooling
-from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
+from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
+from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
 from pedzoo.models.blocks.folded import NOTHING, Folded, fold
 from pedzoo.models.blocks.kept import Kept
-from pedzoo.models.blocks.map_alexnet import AlexNetEncoder
-from pedzoo.models.blocks.map_patch import PatchEncoder
-from pedzoo.models.blocks.map_rings import RingEncoder
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
-from pedzoo.models.blocks.pooling import SocialPooling
+from pedzoo.models.blocks.people import frame as frames
+from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people.approach import ApproachPooling
+from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
 from pedzoo.models.blocks.scene_error import Kind
 from pedzoo.models.blocks.trait import Trait
 from pedzoo.models.blocks.variety import VarietyLoss
-from pedzoo.types import GoalProtocol
 
 
 class Encoded(NamedTuple):
@@ -113,8 +113,10 @@ class SGAN(Forecaster):
             mode_weight: Weight of the same loss on the noise-free prediction.
             energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
                 minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
-            safety: Whether those who walk are kept clear of others and walls: see `pedzoo.models.safety`.
-            pace: Whether those who walk do not slow down for goals round a corner: see `pedzoo.models.pace`.
+            safety: Whether those who walk are kept clear of others and walls: see
+                `pedzoo.policies.learned.safety`.
+            pace: Whether those who walk do not slow down for goals round a corner: see
+                `pedzoo.policies.learned.pace`.
 
         Raises:
             UserError: Options that do not go together.

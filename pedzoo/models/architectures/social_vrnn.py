@@ -23,16 +23,16 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal, kl_divergence
 
-from pedzoo.batch import agents_of, maps_of
-from pedzoo.errors import UserError
+from pedzoo.core.batch import agents_of, maps_of
+from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster, arguments, known_displacements, true_displacements
-from pedzoo.models.blocks import frame as frames
-from pedzoo.models.blocks import lines
-from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.latent import LatentHead
-from pedzoo.models.blocks.map_patch import PatchEncoder
 from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
-from pedzoo.models.blocks.neighbours import RelativePooling
+from pedzoo.models.blocks.people import frame as frames
+from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.neighbours import RelativePooling
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 

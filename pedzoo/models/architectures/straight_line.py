@@ -6,11 +6,11 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.batch import goals_of
+from pedzoo.core.batch import goals_of
+from pedzoo.core.types import GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, for_all_samples
-from pedzoo.models.blocks import lines
-from pedzoo.types import GoalProtocol
+from pedzoo.models.blocks.people import lines
 
 
 class StraightLine(Forecaster):

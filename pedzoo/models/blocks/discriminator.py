@@ -6,9 +6,9 @@ from typing import Literal
 
 from torch import Tensor, nn
 
-from pedzoo.models.blocks.crowd import Crowd
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
-from pedzoo.models.blocks.pooling import SocialPooling
+from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pedzoo.models.blocks.mlp import MLP, Layers
-from pedzoo.models.blocks.pooling import PoolingWeights, SocialPooling
+from pedzoo.models.blocks.people.pooling import PoolingWeights, SocialPooling
 from pedzoo.models.blocks.recurrent import (
     DecoderWeights,
     DisplacementDecoder,

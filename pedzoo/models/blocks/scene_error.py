@@ -7,9 +7,9 @@ from typing import Literal, cast
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.batch import agents_of
+from pedzoo.core.batch import agents_of
 from pedzoo.models.base import known_displacements, true_displacements
-from pedzoo.models.blocks.crowd import Crowd
+from pedzoo.models.blocks.people.crowd import Crowd
 
 Kind = Literal["squared_displacement", "distance"]
 

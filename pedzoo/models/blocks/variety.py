@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.models.blocks.scene_error import Kind, SceneError
 
 if TYPE_CHECKING:

@@ -11,15 +11,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
+from pedzoo.sim.engine.base import REACH, Distances, People, Physics
+from pedzoo.sim.engine.bullet_scene import BulletScene
+from pedzoo.sim.engine.camera import Camera
+from pedzoo.sim.engine.frames import Affine, scene_to_grid
+from pedzoo.sim.engine.pybullet_client import load_pybullet
 from pedzoo.sim.motion import Contacts
-from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
-from pedzoo.sim.worlds.bullet_scene import BulletScene
-from pedzoo.sim.worlds.camera import Camera
-from pedzoo.sim.worlds.frames import Affine, scene_to_grid
-from pedzoo.sim.worlds.pybullet_client import load_pybullet
-from pedzoo.types import BODY_RADIUS
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.compiled import advance_compiled, compiles, contacts_compiled
 from pedzoo.sim.motion import Contacts, Motion, Walk
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
-from pedzoo.sim.worlds.base import People
-from pedzoo.sim.worlds.compiled import advance_compiled, compiles, contacts_compiled
 
 
 class Compiled(Torch):

@@ -7,13 +7,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.types import GOAL_RADIUS
+from pedzoo.sim.engine.base import REACH, Distances, People, Physics
+from pedzoo.sim.engine.camera import Camera
+from pedzoo.sim.engine.near import agent_contacts
+from pedzoo.sim.engine.top_view import draw_top_view
 from pedzoo.sim.motion import Contacts, Motion, Walk
 from pedzoo.sim.state import State
-from pedzoo.sim.worlds.base import REACH, Distances, People, Physics
-from pedzoo.sim.worlds.camera import Camera
-from pedzoo.sim.worlds.near import agent_contacts
-from pedzoo.sim.worlds.top_view import draw_top_view
-from pedzoo.types import GOAL_RADIUS
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""

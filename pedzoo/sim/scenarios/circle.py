@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pedzoo.errors import UserError
-from pedzoo.sim.encounter import Encounter
-from pedzoo.sim.lanes import APART, Lane
-from pedzoo.sim.variants import Numbers, Variant
+from pedzoo.core.errors import UserError
+from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.sim.scenes.lanes import APART, Lane
+from pedzoo.sim.scenes.variants import Numbers, Variant
 
 CHORD = 1.0
 """Metres between neighbours, at least."""

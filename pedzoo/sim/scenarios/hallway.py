@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.plain import Rectangle, room
-from pedzoo.sim.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
-from pedzoo.sim.lanes import BEYOND, FREE, Lane, abreast, beside, lanes_in
-from pedzoo.sim.variants import Numbers, Variant
+from pedzoo.sim.scenes.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenes.lanes import BEYOND, FREE, Lane, abreast, beside, lanes_in
+from pedzoo.sim.scenes.variants import Numbers, Variant
 
 
 class Hallway(Encounter):

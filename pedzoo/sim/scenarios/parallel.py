@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pedzoo.errors import UserError
-from pedzoo.sim.encounter import Encounter
-from pedzoo.sim.lanes import ABREAST, APART, Lane, abreast, block
-from pedzoo.sim.variants import Numbers, Variant
+from pedzoo.core.errors import UserError
+from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.sim.scenes.lanes import ABREAST, APART, Lane, abreast, block
+from pedzoo.sim.scenes.variants import Numbers, Variant
 
 BEYOND = 6.0
 """Metres of the goals behind the line on which those in front are at the same time."""

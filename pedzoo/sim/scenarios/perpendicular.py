@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pedzoo.sim.encounter import Encounter
-from pedzoo.sim.lanes import ABREAST, BEYOND, Lane, abreast, block
-from pedzoo.sim.variants import Variant
+from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.sim.scenes.lanes import ABREAST, BEYOND, Lane, abreast, block
+from pedzoo.sim.scenes.variants import Variant
 
 
 class Perpendicular(Encounter):

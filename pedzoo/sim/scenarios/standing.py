@@ -7,12 +7,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from pedzoo.draws import Draws
-from pedzoo.errors import UserError
-from pedzoo.sim.ranges import Drawn, Range
-from pedzoo.sim.scenario import Layout
+from pedzoo.core.draws import Draws
+from pedzoo.core.errors import UserError
 from pedzoo.sim.scenarios.door import BEFORE, NEAREST, Door
-from pedzoo.sim.variants import Numbers
+from pedzoo.sim.scenes.ranges import Drawn, Range
+from pedzoo.sim.scenes.scenario import Layout
+from pedzoo.sim.scenes.variants import Numbers
 
 ROOM = 0.2
 """Metres between whoever stands in the door and its sides, at least."""

@@ -8,13 +8,13 @@ from dataclasses import replace
 import torch
 from tensordict import TensorDictBase
 
-from pedzoo.maps.segments import WallSegments
+from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.policy import load_policy
-from pedzoo.sim.scenario import Scenario
-from pedzoo.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.sim.scenes.scenario import Scenario
 from tools.bench.figures import Measured, Row, Verdict
 from tools.bench.peer import Scenes, running
 from tools.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario, sizes

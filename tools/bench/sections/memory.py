@@ -10,7 +10,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from pedzoo.errors import UserError
+from pedzoo.core.errors import UserError
 from pedzoo.maps.library import load_plan
 from tools.bench.figures import Measured, Row, Verdict
 from tools.bench.section import NotGivenError, Section

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.geometry import identity_pose
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.segments import WallSegments
-from pedzoo.sim.orca.settings import OrcaSettings
-from pedzoo.sim.orca.velocity import orca_velocity
+from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.policies.orca.settings import OrcaSettings
+from pedzoo.policies.orca.velocity import orca_velocity
 from tools.bench.figures import Measured, Row, Verdict
 from tools.bench.peer import running
 from tools.bench.scenes import LARGEST, Size, for_peers, plan, sizes

@@ -8,19 +8,19 @@ from collections.abc import Callable, Iterator
 import torch
 from torch import Tensor
 
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.registry import PHYSICS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.registry import PHYSICS
 from pedzoo.sim.dynamics import integrate
+from pedzoo.sim.engine import base
+from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.scenarios.goals import Goals
-from pedzoo.sim.worlds import base
-from pedzoo.sim.worlds.base import People
-from pedzoo.sim.worlds.camera import Camera
 from tools.bench.figures import Measured, Row
 from tools.bench.scenes import LARGEST, Size
 from tools.bench.section import Section

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pedzoo.geometry import identity_pose
-from pedzoo.maps import planner
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.ways import planner
 from tools.bench.figures import Measured, Row
 from tools.bench.section import Section
 from tools.bench.turns import seconds_of, versus

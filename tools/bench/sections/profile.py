@@ -11,10 +11,10 @@ from unittest.mock import patch
 import torch
 from tensordict import TensorDictBase
 
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.policy import load_policy
-from pedzoo.types import STEP_SECONDS
 from tools.bench.figures import Measured, Row
 from tools.bench.scenes import LARGEST, Size, scenario, sizes
 from tools.bench.section import Section

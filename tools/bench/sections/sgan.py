@@ -17,17 +17,17 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
-from pedzoo.batch import scene_batch
+from pedzoo.core.batch import scene_batch
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Split
-from pedzoo.errors import UserError
-from pedzoo.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.displacement import MinADEScene, MinFDEScene, displacement_error
 from pedzoo.models.architectures import sgan as architecture
 from pedzoo.models.blocks.discriminator import Discriminator
-from pedzoo.train.gan import GANModule
+from pedzoo.train.modules.gan import GANModule
 from tools.bench.figures import Measured, Row
 from tools.bench.original_sgan import Batch, Original, copy_weights, original
 from tools.bench.section import NotGivenError, Section

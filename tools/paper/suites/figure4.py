@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pedzoo.eval.suite import Case, Request, Suite
 from pedzoo.metrics.ratios import Ratio
-from pedzoo.metrics.rollout import Rollout
+from pedzoo.sim.rollout import Rollout
 from tools.paper.outcome import OUTCOMES, outcome_ratios
 
 EPISODES = 100

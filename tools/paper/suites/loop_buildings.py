@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import Case, Request
 from pedzoo.eval.suites.goals import Goals
 from pedzoo.metrics import safety
 from pedzoo.metrics.ratios import Ratio, ratio
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.spec import Spec
+from pedzoo.sim.rollout import Rollout
 
 CROWDS = {20: 6, 50: 4}
 """People in an office, and episodes of a whole run."""

@@ -16,8 +16,9 @@ from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.sim.policy import has_noise, load_policy, walkers
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.policy import has_noise, walkers
+from pedzoo.sim.rollout import Rollout
 from tools.paper.choices import first_through, passing_side, varied
 from tools.paper.suites.loop_doors import DOORWAYS
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
+from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import Case, Request, Suite
 from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics import navigation
 from pedzoo.metrics.ratios import Ratio, ratio
-from pedzoo.metrics.rollout import Rollout
-from pedzoo.spec import Spec
+from pedzoo.sim.rollout import Rollout
 
 DRAWN = tuple(f"apartment.{seed}" for seed in range(3))
 """Floor plans where none is given: every episode draws one of them."""

@@ -1,0 +1,210 @@
+"""The one scene batch that flows through pedzoo: its legend, its only constructor, and what reads it.
+
+B scenes, A agents (padded), T steps, K samples; P people (all agents of a batch that are really there,
+packed). World frame: x right, y up; metres, seconds, radians.
+
+A scene batch is a TensorDict of batch size (B,). Recordings, the environment, the stepping controller,
+imitation and ONNX export make theirs with `scene_batch`, so all of them have the same keys:
+
+=====================  =====================  ==========================================================
+key                    shape                  meaning
+=====================  =====================  ==========================================================
+maps                   (no tensor)            the MapBank that ``map_id`` speaks of; read it by `maps_of`
+agents/id              (B, A) long            number of the agent, for noise of its own; default: the slot
+agents/history         (B, A, 8, 2)           world positions, oldest first, every 0.4 s
+agents/valid           (B, A, 8) bool         which of them are known
+agents/velocity        (B, A, 2)              current velocity, m/s
+agents/heading         (B, A, 1)              direction in which the body faces, radians from the x axis
+agents/pref_speed      (B, A, 1)              the speed this agent likes, m/s
+agents/radius          (B, A, 1)              radius of the body, metres
+agents/kind            (B, A) long            `PERSON` or `ROBOT`
+agents/goal            (B, A, 2)              short-term goal; absent under the goal protocol ``none``
+agents/desired_velocity(B, A, 2)              pref_speed towards the goal; absent with it
+agents/mask            (B, A) bool            the agent is here
+agents/controlled      (B, A) bool            the policy at hand moves this agent
+agents/future          (B, A, T, 2)           recordings only: the true continuation
+agents/future_valid    (B, A, T) bool         which of it is known
+map_id                 (B, 1) long            floor plan in the MapBank, -1 for none
+scene_pose             (B, 4)                 rotation, mirror (+1 or -1) and shift of the scene against it
+prediction             (B, K, A, T, 2)        a model's answer: displacements per step, metres
+scene_key              (B, 1) long            simulated scenes only: names the scene, noise is drawn by it
+time                   (B, 1)                 simulated scenes only: seconds since the warm start
+agents/action          (B, A, 2)              a policy's answer: velocities, m/s
+agents/reward          (B, A, 1)              environment only, with agents/info, failed, done, terminated
+                                              and truncated: see `pedzoo.sim.env`
+=====================  =====================  ==========================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, cast
+
+import torch
+from tensordict import NonTensorData, NonTensorStack, TensorDict, TensorDictBase
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import heading_of
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+
+if TYPE_CHECKING:
+    from pedzoo.maps.bank import MapBank
+
+PERSON, ROBOT = 0, 1
+"""Values of ``agents/kind``."""
+
+
+def usual_body(radius: Tensor) -> Tensor:
+    """Return which bodies are as wide as a person's usual one (...) bool, for radii (...) in metres."""
+    return (radius - BODY_RADIUS).abs() < 1e-6
+
+
+def scene_batch(
+    *,
+    maps: MapBank,
+    map_id: Tensor,
+    pose: Tensor,
+    history: Tensor,
+    valid: Tensor,
+    mask: Tensor,
+    pref_speed: Tensor,
+    velocity: Tensor | None = None,
+    heading: Tensor | None = None,
+    radius: Tensor | None = None,
+    kind: Tensor | None = None,
+    goal: Tensor | None = None,
+    desired_velocity: Tensor | None = None,
+    controlled: Tensor | None = None,
+    id: Tensor | None = None,
+    key: Tensor | None = None,
+    time: Tensor | None = None,
+    future: Tensor | None = None,
+    future_valid: Tensor | None = None,
+) -> TensorDict:
+    """Return a scene batch (B,) on the device of ``mask``; shapes and units as in the legend above.
+
+    Args:
+        maps: The floor plans that ``map_id`` speaks of; ``MapBank()`` for scenes without any.
+        map_id: Floor plans.
+        pose: Scene poses, the key ``scene_pose``.
+        history: Positions.
+        valid: Which of them are known.
+        mask: Which agents are here.
+        pref_speed: Preferred speeds.
+        velocity: Current velocities; None for those of the last observed step.
+        heading: Directions of the bodies; None for those of ``velocity``.
+        radius: Radii of the bodies; None for `pedzoo.core.types.BODY_RADIUS`.
+        kind: Kinds of agents; None for persons.
+        goal: Short-term goals; None leaves the key out, as for all that follow but ``controlled`` and ``id``.
+        desired_velocity: The planner's velocities.
+        controlled: Which agents the policy moves; None for all that are here.
+        id: Numbers of the agents; None for their slots.
+        key: Keys of the scenes, the key ``scene_key``.
+        time: Seconds since the warm start.
+        future: The true continuation.
+        future_valid: Which of it is known.
+    """
+    device, size = mask.device, mask.shape
+    if velocity is None:
+        velocity = (history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS
+    if radius is None:
+        radius = torch.full((*size, 1), BODY_RADIUS, dtype=history.dtype, device=device)
+    agents = {
+        "id": torch.arange(size[1], device=device).expand(size) if id is None else id,
+        "history": history,
+        "valid": valid,
+        "velocity": velocity,
+        "heading": heading_of(velocity).unsqueeze(-1) if heading is None else heading,
+        "pref_speed": pref_speed,
+        "radius": radius,
+        "kind": torch.zeros_like(mask, dtype=torch.long) if kind is None else kind,
+        "goal": goal,
+        "desired_velocity": desired_velocity,
+        "mask": mask,
+        "controlled": mask if controlled is None else controlled,
+        "future": future,
+        "future_valid": future_valid,
+    }
+    known = {name: value for name, value in agents.items() if value is not None}
+    scenes: dict[str, Any] = {
+        # with the device given, neither TensorDict nor TorchRL casts the tensors again
+        "agents": TensorDict(known, size, device=device),
+        "map_id": map_id,
+        "scene_pose": pose,
+        "maps": NonTensorData(data=maps, batch_size=size[:1], device=device),
+    }
+    if key is not None:
+        scenes["scene_key"] = key
+    if time is not None:
+        scenes["time"] = time
+    return TensorDict(scenes, size[:1], device=device)
+
+
+def agents_of(batch: TensorDictBase) -> TensorDict:
+    """Return what a batch says about its agents."""
+    return cast("TensorDict", batch["agents"])
+
+
+def ids_of(batch: TensorDictBase) -> Tensor:
+    """Return the number of every agent (B, A) long, for draws of its own."""
+    return cast("Tensor", agents_of(batch)["id"])
+
+
+def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
+    """Return goal and desired velocity (B, A, 2) of a batch.
+
+    Args:
+        batch: The scenes.
+        who: Name of the part that needs them, for the message.
+
+    Raises:
+        UserError: The batch has none.
+    """
+    agents = agents_of(batch)
+    if "goal" not in agents.keys():
+        raise UserError(
+            f"{who} needs a goal, but the data have none: "
+            "set --data.goal to window_end, destination or random_future"
+        )
+    return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
+
+
+def maps_of(batch: TensorDictBase) -> MapBank:
+    """Return the floor plans that the ``map_id`` of a batch speaks of, on the device of the batch.
+
+    Batches that were stacked, joined or collected by TorchRL have many entries: equal ones count as one.
+
+    Raises:
+        UserError: The batch has no floor plans, or its scenes are of different banks.
+    """
+    found: list[MapBank] = []
+    for bank in _banks(batch.get("maps", None)):
+        if not any(bank is other or bank == other for other in found):
+            found.append(bank)
+    if not found:
+        raise UserError(
+            "this batch does not say which floor plans its map_id speaks of: make it with "
+            "pedzoo.core.batch.scene_batch(maps=...), with MapBank() for scenes without floor plans"
+        )
+    if len(found) > 1:
+        held = " and ".join(f"[{', '.join(bank.names[:3]) or 'no map'}]" for bank in found[:3])
+        raise UserError(
+            f"scenes of {len(found)} different banks of floor plans were combined: {held}. Combine scenes of "
+            "one environment or datamodule, or make all of them with one MapBank that holds all floor plans"
+        )
+    return found[0].to(cast("Tensor", batch["map_id"]).device)
+
+
+def _banks(entry: Any) -> Iterator[MapBank]:
+    """Yield the banks that stand under ``maps``, whatever TensorDict made of them."""
+    if isinstance(entry, NonTensorData):
+        yield from _banks(entry.data)
+    elif isinstance(entry, NonTensorStack):
+        for part in entry.tensordicts:
+            yield from _banks(part)
+    elif isinstance(entry, list | tuple):
+        for part in entry:
+            yield from _banks(part)
+    elif entry is not None:
+        yield entry

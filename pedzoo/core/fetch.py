@@ -1,0 +1,245 @@
+"""Downloads into the user's cache, checked and atomic: a file is there whole or not at all.
+
+What breaks off goes on where it was, today or tomorrow; what a mirror does not have comes from the next. With
+the environment variable ``PEDZOO_OFFLINE`` set, nothing asks the network.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from pedzoo import __version__
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import cache_home
+
+if TYPE_CHECKING:
+    import requests
+
+TIMEOUT = (10.0, 30.0)
+"""Seconds until a server must have taken the connection, and until more of the file must have come."""
+
+WAITS = (0.5, 1.0, 2.0)
+"""Seconds before each further try at an address, as long as the tries come no further than before."""
+
+LONGEST_WAIT = 30.0
+"""Seconds that a busy server may ask for."""
+
+BUSY = (408, 425, 429, 500, 502, 503, 504)
+"""Answers that another try may change."""
+
+_BLOCK = 1 << 13
+"""Bytes per piece: what of a piece has come when a download breaks off is lost."""
+
+_FAILED: set[str] = set()
+"""Hosts that no try reached in this process: asked last, so that many files do not wait for each."""
+
+
+class _RefusedError(Exception):
+    """This address does not give the file; another one may."""
+
+
+class _BrokeOffError(Exception):
+    """This try did not give the whole file; the next one may, after ``wait`` seconds."""
+
+    wait = 0.0
+
+
+def offline() -> bool:
+    """Return whether ``PEDZOO_OFFLINE`` forbids the network (set to anything but nothing, 0, false or no)."""
+    return os.environ.get("PEDZOO_OFFLINE", "").lower() not in ("", "0", "false", "no")
+
+
+def sha256_of(path: Path) -> str:
+    """Return a file's sha256 in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def fetch(
+    urls: str | Sequence[str],
+    sha256: str | None,
+    filename: str,
+    hint: str = "",
+    size: int | None = None,
+    *,
+    folder: Path | None = None,
+    token: str | None = None,
+) -> Path:
+    """Return the local copy of a file, downloading it first where there is none or another one.
+
+    Two processes that want one file download it once. A broken download is kept beside the file and
+    continued by the next call; without a ``sha256`` it starts again, for nobody could tell two files apart.
+
+    Args:
+        urls: The file's address, or those of its mirrors in the order in which they are tried.
+        sha256: Its checksum; None takes any content, and a file that is there (for what the caller checks).
+        filename: Path below the folder, which it may not leave.
+        hint: Another way to give the file, for the error message: "or give its path as weights=...".
+        size: Its length in bytes, where it is known; another one is refused without reading on.
+        folder: Where it goes; `pedzoo.core.paths.cache_home` by default.
+        token: Sent to the addresses' hosts as ``Authorization: Bearer``, and to no other.
+
+    Raises:
+        UserError: No mirror gave it, with what each of them did and the place for a file got otherwise;
+            offline; or the name leads out of the folder.
+    """
+    target = _below(folder or cache_home(), filename)
+    if _is_there(target, sha256):
+        return target
+    addresses = [urls] if isinstance(urls, str) else list(urls)
+    way_out = f"get the file elsewhere and save it as {target} {hint}".rstrip()
+    if offline():
+        state = "has other content than expected" if target.exists() else "is not there"
+        raise UserError(
+            f"{target} {state}, and PEDZOO_OFFLINE forbids the network: unset it, or {way_out} (from "
+            f"{' or '.join(addresses)})"
+        )
+    said = []
+    try:
+        with _alone(target):
+            if _is_there(target, sha256):  # another process may have brought it meanwhile
+                return target
+            target.parent.mkdir(parents=True, exist_ok=True)
+            for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
+                try:
+                    os.replace(_whole(url, target, sha256, size, token), target)
+                    return target
+                except _RefusedError as error:
+                    said.append(f"{url}: {error}")
+    except OSError as error:
+        raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+    raise UserError(f"cannot download {target.name}: {'; '.join(said)}: {way_out}")
+
+
+def _below(folder: Path, filename: str) -> Path:
+    plain = PurePosixPath(filename.replace("\\", "/"))
+    if plain.is_absolute() or not plain.name or ".." in plain.parts or set(filename) & {":", "\0"}:
+        raise UserError(f"file name {filename!r} may lead out of {folder}: expected a path below it")
+    return folder / plain
+
+
+def _is_there(target: Path, sha256: str | None) -> bool:
+    return target.is_file() and (sha256 is None or sha256_of(target) == sha256)
+
+
+@contextmanager
+def _alone(target: Path) -> Iterator[None]:
+    """Keep other processes from downloading the same file while the block runs."""
+    from filelock import FileLock, Timeout
+
+    name = hashlib.sha256(str(target.absolute()).encode()).hexdigest()[:16]
+    lock = FileLock(cache_home() / "locks" / f"{name}.lock")
+    Path(lock.lock_file).parent.mkdir(parents=True, exist_ok=True)
+    try:
+        lock.acquire(timeout=1.0)
+    except Timeout:
+        print(f"pedzoo: waiting for another process that downloads {target.name}", file=sys.stderr)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _whole(url: str, target: Path, sha256: str | None, size: int | None, token: str | None) -> Path:
+    """Try at one address until all of the file has come, and return where it is."""
+    part = target.with_name(f".{target.name}.part")
+    mixed, furthest, waits = part.exists(), 0, iter(WAITS)
+    while True:
+        if sha256 is None:
+            part.unlink(missing_ok=True)
+        try:
+            _stream(url, part, size, token)
+        except _BrokeOffError as error:
+            if (length := _length(part)) > furthest:
+                furthest, waits = length, iter(WAITS)
+            if (wait := next(waits, None)) is None:
+                _FAILED.add(_host(url))
+                raise _RefusedError(f"{error}, tried {len(WAITS) + 1} times") from error
+            time.sleep(max(wait, error.wait))
+            continue
+        found = sha256_of(part)
+        if sha256 in (None, found):
+            return part
+        part.unlink()
+        if not mixed:
+            raise _RefusedError(f"does not have the expected content: sha256 {found}, expected {sha256}")
+        mixed = False  # some of it was left by an earlier download: once more, all from here
+
+
+def _host(url: str) -> str:
+    return url.partition("://")[2].partition("/")[0]
+
+
+def _length(part: Path) -> int:
+    return part.stat().st_size if part.exists() else 0
+
+
+def _stream(url: str, part: Path, size: int | None, token: str | None) -> None:
+    """Ask once for what a file lacks, and append it to ``part`` or begin it anew."""
+    import requests  # takes 0.1 s: only downloads pay for it
+
+    def authorize(request: requests.PreparedRequest) -> requests.PreparedRequest:
+        request.headers["Authorization"] = f"Bearer {token}"  # requests drops it where another host answers
+        return request
+
+    # Compressed on the way, a file's parts and its length would be those of something else.
+    headers = {"Accept-Encoding": "identity", "User-Agent": f"pedzoo/{__version__}"}
+    if start := _length(part):
+        headers["Range"] = f"bytes={start}-"
+    auth = authorize if token else None
+    again = requests.ConnectionError, requests.Timeout, requests.exceptions.ChunkedEncodingError
+    try:
+        with requests.get(url, headers=headers, auth=auth, stream=True, timeout=TIMEOUT) as answer:
+            _read(answer, part, start, size)
+    except requests.RequestException as error:
+        final = isinstance(error, requests.exceptions.SSLError) or not isinstance(error, again)
+        raise (_RefusedError if final else _BrokeOffError)(_root(error)) from error
+
+
+def _read(answer: requests.Response, part: Path, start: int, size: int | None) -> None:
+    from tqdm import tqdm
+
+    said, where = f"{answer.status_code} {answer.reason}", answer.headers.get("Content-Range", "")
+    goes_on = answer.status_code == 206 and start > 0
+    if answer.status_code == 416 and where == f"bytes */{start}":
+        return  # nothing was missing
+    if answer.status_code == 416 or (goes_on and not where.startswith(f"bytes {start}-")):
+        part.unlink()
+        raise _BrokeOffError(f"cannot go on at byte {start}")
+    if answer.status_code in BUSY:
+        error, asked = _BrokeOffError(said), answer.headers.get("Retry-After", "")
+        error.wait = min(float(asked), LONGEST_WAIT) if asked.isdecimal() else 0.0
+        raise error
+    if not answer.ok:
+        raise _RefusedError(said)
+    done = start if goes_on else 0
+    length = answer.headers.get("Content-Length", "")
+    total = done + int(length) if length.isdecimal() else size
+    if size is not None and total != size:
+        raise _RefusedError(f"has {total} bytes, expected {size}")
+    look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
+    bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
+    with part.open("ab" if goes_on else "wb") as file, bar:
+        for block in answer.iter_content(_BLOCK):
+            done += file.write(block)
+            bar.update(len(block))
+            if size is not None and done > size:
+                raise _RefusedError(f"has more than the expected {size} bytes")
+    if size is not None and done < size:
+        raise _BrokeOffError(f"broke off after {done} of {size} bytes")
+
+
+def _root(error: BaseException) -> str:
+    """Return what an exception of requests' comes from, without the layers about it."""
+    for inner in (getattr(error, "reason", None), error.__cause__, *error.args):
+        if isinstance(inner, Exception):
+            return _root(inner)
+    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

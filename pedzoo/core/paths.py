@@ -1,0 +1,79 @@
+"""Where things are: shipped configs and checkpoints, the user's data and cache."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pedzoo.core.errors import UserError, unknown
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def shipped(folder: str) -> Path:
+    """Return ``configs`` or ``checkpoints``: beside the package in a checkout, inside it in a wheel."""
+    inside = _PACKAGE / folder
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def weight_files() -> dict[str, Path]:
+    """Return the files of all shipped weights by name, in alphabetical order."""
+    return {path.stem: path for path in sorted(shipped("checkpoints").glob("*.safetensors"))}
+
+
+def config_names() -> list[str]:
+    """Return the names that ``--config`` accepts without a path."""
+    folder = shipped("configs")
+    return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
+
+
+def find_config(name: str) -> Path:
+    """Return the file of a shipped config's name or of a path.
+
+    Raises:
+        UserError: Neither exists.
+    """
+    for path in (Path(name), shipped("configs") / f"{name}.yaml"):
+        if path.is_file():
+            return path
+    raise unknown("config", name, config_names())
+
+
+def data_root(root: str | None) -> Path:
+    """Return the folder with recordings: ``root``, the variable ``PEDZOO_DATA``, or what was downloaded.
+
+    Raises:
+        UserError: Neither is given and nothing was downloaded, or the folder does not exist.
+    """
+    given = root or os.environ.get("PEDZOO_DATA")
+    how = "give its folder as --data.root or in the environment variable PEDZOO_DATA"
+    if not given:
+        if (downloaded := data_home()).is_dir():
+            return downloaded
+        raise UserError(f"no recordings found: {how}; `--data.fold embedded` needs none")
+    path = Path(given).expanduser()
+    if not path.is_dir():
+        raise UserError(f"data root {given!r} is not a folder: {how}; `--data.fold embedded` needs none")
+    return path
+
+
+def cache_home() -> Path:
+    """Return the folder for downloads: ``PEDZOO_HOME``, or the user's cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo").expanduser()
+
+
+def data_home() -> Path:
+    """Return the folder that ``pedzoo download`` brings datasets to, one folder each."""
+    return cache_home() / "data"
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file, whole or not at all; its folder is made where it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)  # a full disk

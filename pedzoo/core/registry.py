@@ -1,0 +1,170 @@
+"""Finds drop-ins by walking their folder: a new model or dataset is one file, and there is no list to edit.
+
+A file ``constant_velocity.py`` holds a class ``ConstantVelocity`` (the file's name without underscores,
+any capitals). Names and one-line descriptions are read without importing anything, so that ``--help``
+never waits for torch. People who installed the wheel write ``path/to/file.py:Class`` wherever a name is
+accepted, or publish an entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from zlib import crc32
+
+from pedzoo.core.errors import UserError, unknown
+
+ROOT = Path(__file__).parents[2]
+"""The checkout, or where the wheel is installed."""
+
+
+class Registry:
+    """The drop-ins of a package's folder, by file name."""
+
+    def __init__(self, kind: str, package: str, more: str = "") -> None:
+        """Serve the files of a package.
+
+        Args:
+            kind: The word for one of them in messages.
+            package: ``pedzoo.*``, or ``tools.*``, which only a checkout has.
+            more: A second package, of which a checkout serves the files, too.
+        """
+        self.kind = kind
+        self.package = package
+        self.folder = folder_of(package)
+        self._more = more
+
+    def names(self) -> list[str]:
+        """Return all names in alphabetical order, without importing any of them."""
+        files = {path.stem for package in self._packages for path in folder_of(package).glob("[!_]*.py")}
+        return sorted(files | set(self._plugins()))
+
+    def describe(self, name: str) -> str:
+        """Return the first line of the drop-in's docstring, without importing it."""
+        package = self._package_of(name)
+        return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
+
+    def constant(self, name: str, variable: str) -> Any:
+        """Return a literal module-level ``variable`` of a drop-in without importing it, or None."""
+        package = self._package_of(name)
+        for node in _parsed(package, name).body if package else ():
+            if isinstance(node, ast.Assign) and any(
+                isinstance(target, ast.Name) and target.id == variable for target in node.targets
+            ):
+                return ast.literal_eval(node.value)
+        return None
+
+    def get(self, name: str) -> type:
+        """Return the class behind a name, a plugin or ``path/to/file.py:Class``.
+
+        Raises:
+            UserError: No such name, file or class; the message has the nearest spelling.
+        """
+        if ".py:" in name:
+            return _class_in_file(name)
+        if (plugins := self._plugins()).get(name):
+            return plugins[name].load()
+        package = self._package_of(name)
+        if package is None:
+            raise unknown(self.kind, name, self.names())
+        module = import_of_checkout(f"{package}.{name}")
+        wanted = name.replace("_", "")
+        for attribute, value in vars(module).items():
+            if isinstance(value, type) and attribute.lower() == wanted:
+                return value
+        raise UserError(f"{self.kind} file {name}.py has no class named like it (any capitals): {wanted}")
+
+    @property
+    def _packages(self) -> tuple[str, ...]:
+        return (self.package, self._more) if self._more else (self.package,)
+
+    def _package_of(self, name: str) -> str | None:
+        if not name.isidentifier() or name.startswith("_"):
+            return None
+        return next((one for one in self._packages if (folder_of(one) / f"{name}.py").is_file()), None)
+
+    def _plugins(self) -> dict[str, Any]:
+        prefix = f"{self.kind}."
+        return {
+            point.name.removeprefix(prefix): point
+            for point in _entry_points()
+            if point.name.startswith(prefix)
+        }
+
+
+def folder_of(package: str) -> Path:
+    """Return where a package of this checkout or wheel lies; ``tools.*`` is nowhere in a wheel."""
+    return ROOT.joinpath(*package.split("."))
+
+
+def import_of_checkout(module: str) -> ModuleType:
+    """Import a module of ``pedzoo`` or of ``tools`` beside it; another package's ``tools`` is not taken."""
+    if not module.startswith("pedzoo.") and "tools" not in sys.modules:
+        sys.path.insert(0, str(ROOT))
+    return importlib.import_module(module)
+
+
+def _parsed(package: str, name: str) -> ast.Module:
+    return ast.parse((folder_of(package) / f"{name}.py").read_text())
+
+
+@cache  # reading the metadata of everything installed takes 30 ms
+def _entry_points() -> list[Any]:
+    return list(entry_points(group="pedzoo.plugins"))
+
+
+def function_in_file(spec: str) -> Callable[..., Any]:
+    """Return the function behind ``path/to/file.py:name``.
+
+    Raises:
+        UserError: No such file or function.
+    """
+    file, _, name = spec.rpartition(":")
+    functions = {key: value for key, value in _in_file(file, spec).items() if inspect.isfunction(value)}
+    if name not in functions:
+        raise unknown(f"function in {file}", name, functions)
+    return functions[name]
+
+
+def _class_in_file(spec: str) -> type:
+    file, _, name = spec.rpartition(":")
+    classes = {key: value for key, value in _in_file(file, spec).items() if isinstance(value, type)}
+    if name not in classes:
+        raise unknown(f"class in {file}", name, classes)
+    return classes[name]
+
+
+def _in_file(file: str, spec: str) -> dict[str, Any]:
+    """Return all that a file defines; ``spec`` is what errors quote."""
+    path = Path(file).expanduser().resolve()
+    if not path.is_file():
+        raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:NAME")
+    return _executed(path)
+
+
+@cache
+def _executed(path: Path) -> dict[str, Any]:
+    module_name = f"pedzoo_user_{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
+    module_spec = importlib.util.spec_from_file_location(module_name, path)
+    assert module_spec and module_spec.loader
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules[module_name] = module
+    module_spec.loader.exec_module(module)
+    return vars(module)
+
+
+MODELS = Registry("model", "pedzoo.models.architectures")
+DATASETS = Registry("dataset", "pedzoo.data.datasets")
+SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios")
+POLICIES = Registry("policy", "pedzoo.policies.rule_based")
+SUITES = Registry("suite", "pedzoo.eval.suites", "tools.paper.suites")
+PHYSICS = Registry("physics", "pedzoo.sim.physics")

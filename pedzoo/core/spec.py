@@ -1,0 +1,164 @@
+"""Things that are named with their settings behind a colon: ``orca:radius=0.3,walls=true``.
+
+A value with commas is written in quotes: ``goals:map='/a,b/plan.yaml'``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.registry import Registry
+
+_ADDRESS = re.compile(r"(hf|https?)://[^/:]*(:\d+(?=/))?[^:]*")
+"""An address on the net: the colons of its scheme and its port are its own."""
+
+_QUOTES = "'\""
+_BEGINS = ("", *"=[,:+")
+
+
+class Spec(NamedTuple):
+    """A name and its settings as values, which may hold any sign: a path may have commas and colons."""
+
+    name: str
+    settings: Mapping[str, Any]
+
+
+class Written(NamedTuple):
+    """A name and the settings that were written behind it, as text: in quotes if they were written so."""
+
+    name: str
+    settings: Mapping[str, str]
+
+
+def name_of(text: str) -> str:
+    """Return the name in a text with settings: a word, a path, an address or ``path/to/file.py:Class``."""
+    address = _ADDRESS.match(text)
+    name = address[0] if address else text.partition(":")[0]
+    inside = text.removeprefix(name).removeprefix(":").partition(":")[0]
+    return f"{name}:{inside}" if name.endswith(".py") else name
+
+
+def parse(text: str) -> Written:
+    """Return the parts of ``name``, ``name:key=value,key=[a,b]`` or ``path/to/file.py:Class:key=value``.
+
+    A name may be an address: ``hf://owner/repo:key=value``.
+
+    Raises:
+        UserError: A setting without ``=``, or given twice.
+    """
+    name = name_of(text)
+    _, colon, rest = text.removeprefix(name).partition(":")
+    settings: dict[str, str] = {}
+    for part in split(rest) if colon else []:
+        key, equals, value = part.partition("=")
+        if not equals or not key.strip():
+            expected = f"expected {name}:key=value,key=value"
+            if settings:
+                before, value = settings.popitem()
+                value = quoted(f"{unquoted(value).lstrip(_QUOTES)},{part}")
+                expected += f"; a value with commas needs quotes: {before}={value}"
+            raise UserError(f"{text!r}: {part!r} is no setting: {expected}")
+        if key.strip() in settings:
+            raise UserError(f"{text!r}: {key.strip()!r} is given twice")
+        settings[key.strip()] = value.strip()
+    return Written(name, settings)
+
+
+def build(registry: Registry, what: str | Spec, base: type, **given: Any) -> Any:
+    """Return an instance of what is named, every setting checked for its type.
+
+    Args:
+        registry: Where the name is looked up.
+        what: A text as `parse` takes it, or a name with values.
+        base: The class that it must be a subclass of.
+        given: Arguments from elsewhere; the settings of ``what`` count more.
+
+    Raises:
+        UserError: An unknown name or setting, or a value of the wrong type.
+    """
+    spec = parse(what) if isinstance(what, str) else what
+    cls = registry.get(spec.name)
+    if not issubclass(cls, base):
+        raise UserError(f"{spec.name!r} is no {registry.kind}: expected a subclass of {base.__qualname__}")
+    return make(cls, registry.kind, spec, **given)
+
+
+def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
+    """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
+    name, settings = spec
+    known = [item for item in inspect.signature(cls).parameters]
+    written = isinstance(spec, Written)
+    hints = get_type_hints(cls.__init__)
+    arguments = {key: value for key, value in given.items() if key in known}
+    for key, value in settings.items():
+        if key not in known:
+            raise unknown(f"setting of {kind} {name}", key, known)
+        arguments[key] = _typed(f"{name}:{key}", value, hints.get(key, str), written)
+    try:
+        inspect.signature(cls).bind(**arguments)
+    except TypeError as error:
+        raise UserError(f"{kind} {name!r}: {error}; its settings: {', '.join(known) or 'none'}") from error
+    return cls(**arguments)
+
+
+def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
+    """Return a value of the type ``hint``: read from text if it was written, else checked as it is."""
+    from argparse import ArgumentError
+
+    from jsonargparse import ArgumentParser
+
+    if written:
+        plain = unquoted(value)
+        if hint is str:
+            return plain
+        # what stands in quotes is a text where one is expected, and is not read as YAML
+        written, value = plain == value or str not in get_args(hint), plain
+    parser = ArgumentParser(exit_on_error=False)
+    # a text that stands alone would be read as YAML
+    parser.add_argument("--value", type=hint if written else list[hint])
+    try:
+        if written:
+            return parser.parse_args([f"--value={value}"]).value
+        return parser.parse_object({"value": [value]}).value[0]
+    except ArgumentError as error:
+        raise UserError(f"{where}={value if written else repr(value)}: expected {_short(hint)}") from error
+
+
+def _short(hint: Any) -> str:
+    """Return a type as people write it: without the modules of its parts."""
+    name = hint.__name__ if isinstance(hint, type) else str(hint)
+    return name.replace("typing.", "").replace("collections.abc.", "")
+
+
+def split(text: str, at: str = ",") -> list[str]:
+    """Split at every letter ``at`` outside brackets and quotes.
+
+    A quote opens where a value begins; a pair of quotes inside a value, or one alone, are letters.
+    """
+    parts, depth, closing = [""], 0, -1
+    for place, letter in enumerate(text):
+        if place > closing:
+            if letter in _QUOTES and text[:place].rstrip()[-1:] in _BEGINS:
+                closing = text.find(letter, place + 1)
+            depth += (letter == "[") - (letter == "]")
+            if letter == at and depth == 0:
+                parts.append("")
+                continue
+        parts[-1] += letter
+    return parts
+
+
+def quoted(text: str) -> str:
+    """Return a value in quotes that it does not have itself."""
+    quote = _QUOTES[_QUOTES[0] in text]
+    return f"{quote}{text}{quote}"
+
+
+def unquoted(text: str) -> str:
+    """Return a value without the quotes around it, if there are any."""
+    inner = text[1:-1]
+    return inner if len(text) > 1 and text == f"{text[0]}{inner}{text[0]}" and text[0] in _QUOTES else text

@@ -1,0 +1,1 @@
+"""Floor plans in files: images, ROS, iGibson."""

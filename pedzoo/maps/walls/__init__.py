@@ -1,0 +1,1 @@
+"""Walls: exact distances, rays, outlines, look-ups for people."""

@@ -1,0 +1,221 @@
+"""Look-ups of walls and ways compiled by numba: what `LocalWalls` and `Planner` say, one agent at a time.
+
+For tensors on the CPU; callers add gradients. Every function has its equal in torch, and tests compare them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+
+from pedzoo.maps.walls.contenders import CONTENDERS
+
+
+def compiled(signature: str | None = None) -> Callable[[Any], Any]:
+    """Return a decorator that compiles a function: at once for a signature, else when it is first called.
+
+    What is compiled is kept beside the source, or in numba's own folder where that cannot be written.
+    """
+    njit: Any = numba.njit
+
+    def decorate(function: Any) -> Any:
+        try:
+            return njit(signature, cache=True, error_model="numpy")(function)
+        except RuntimeError:  # numba finds no folder at all to keep it in
+            return njit(signature, error_model="numpy")(function)
+
+    return decorate
+
+
+jit = compiled()
+
+_SPACING = 0.3
+_EPSILON = 1e-6
+
+
+@jit
+def _cell(x, y, frame):
+    """Return where a scene position is in half cells."""
+    return frame[4] + frame[0] * x + frame[2] * y, frame[5] + frame[1] * x + frame[3] * y
+
+
+@jit
+def _number(cell_x, cell_y, place):
+    """Return the number of the quarter of a cell that a place in half cells lies in."""
+    column = min(max(int(min(max(cell_x, -1.0), 2e9)), 0), place[0] - 1)
+    row = min(max(int(min(max(cell_y, -1.0), 2e9)), 0), place[1] - 1)
+    return place[2] + row * place[0] + column
+
+
+@jit
+def quarter(x, y, frame, place):
+    """Return where a scene position is in half cells, and the number of its quarter of a cell."""
+    cell_x, cell_y = _cell(x, y, frame)
+    return cell_x, cell_y, _number(cell_x, cell_y, place)
+
+
+@jit
+def wall_gap(x, y, frame, place, choice, option, limit):
+    """Return the distance to the nearest wall and the direction in which it grows (gap, x, y)."""
+    cell_x, cell_y, index = quarter(x, y, frame, place)
+    chosen = choice[index]
+    best, off_x, off_y = 1e300, 0.0, 0.0
+    for k in range(CONTENDERS):
+        dx = cell_x - min(max(cell_x, option[chosen, k]), option[chosen, 2 * CONTENDERS + k])
+        dy = cell_y - min(max(cell_y, option[chosen, CONTENDERS + k]), option[chosen, 3 * CONTENDERS + k])
+        squared = dx * dx + dy * dy
+        if squared < best:
+            best, off_x, off_y = squared, dx, dy
+    sign, depth, side = option[chosen, 4 * CONTENDERS], math.sqrt(best), frame[6]
+    distance = depth * side
+    if distance >= limit:
+        return limit * sign, 0.0, 0.0
+    if depth < 1e-9:
+        return distance * sign, 0.0, 0.0
+    scale = sign * side / depth
+    off_x, off_y = off_x * scale, off_y * scale
+    return distance * sign, frame[0] * off_x + frame[1] * off_y, frame[2] * off_x + frame[3] * off_y
+
+
+@jit
+def _sees(home, corner, end, part, frame, place, least, clearance):
+    """Return whether points 0.3 m apart of the line to a carrot keep a body's radius from walls."""
+    full = math.sqrt((end[0] - home[0]) ** 2 + (end[1] - home[1]) ** 2)
+    spacing = _SPACING / max(full, _SPACING)
+    to_x = corner[0] + part * (end[0] - corner[0]) - home[0]
+    to_y = corner[1] + part * (end[1] - corner[1]) - home[1]
+    steps = math.ceil(1 / spacing - 1e-6)
+    length = max(math.sqrt(to_x * to_x + to_y * to_y), _EPSILON)
+    stride = spacing * length
+    cell_x, cell_y = _cell(home[0], home[1], frame)
+    over, up = frame[0] * to_x + frame[2] * to_y, frame[1] * to_x + frame[3] * to_y
+    # what hides a carrot is the corner that the way goes round: look there first
+    before = math.sqrt((corner[0] - home[0]) ** 2 + (corner[1] - home[1]) ** 2)
+    middle = min(max(int(before / stride), 1), steps)
+    for way in (1, -1):
+        i = middle if way > 0 else middle - 1
+        while 1 <= i <= steps:
+            t = min(i * spacing, 1.0)
+            room = least[_number(cell_x + t * over, cell_y + t * up, place)] - clearance
+            if room < 0:
+                return False
+            # in the midst of much room the next points need no look
+            i += way * (1 + max(int((room - 3 * frame[6]) / stride), 0))
+    return True
+
+
+@compiled(
+    "void(f4[:,:,:], i8[:,:], i8[:], f4[:,:], f4[:,:], f8, f8,"
+    " f4[:,:], i8[:,:], i4[:], f4[:], f4[:], i8[:,:], i4[:], f4[:],"
+    " f8[:,:], i4[:,:], f8[:], f4[:],"
+    " f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:])"
+)
+def guide(
+    points, goals, rows, poses, speeds, seconds, clearance,
+    to_cell, begin, nearest, xs, ys, goal_table, waypoints, lengths,
+    affine, place, side, least,
+    carrot, desired, waypoint_out, goal_out, distance_out,
+):  # fmt: skip
+    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guide_scenes`.
+
+    Args are the arrays of the agents (B, A, ...), of `Tables`, of `Walls`, and the results.
+    """
+    scenes, agents = goals.shape
+    first_goal = len(xs) - goal_table.shape[1] + 1
+    frame, quarters = np.empty(7), np.empty(3, np.int64)
+    corner, end = np.empty(2), np.empty(2)
+    homes, entries = np.empty((scenes, agents, 2)), np.empty((2, scenes, agents), np.int64)
+    # one look-up after the other waits for memory: each is made for everybody before the next
+    for b in range(scenes):
+        number = rows[b] + 1
+        cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]
+        for a in range(agents):
+            x, y = points[b, a, 0] - poses[b, 2], points[b, a, 1] - poses[b, 3]
+            x, y = cos * x + sin * y, (cos * y - sin * x) * mirror
+            homes[b, a, 0], homes[b, a, 1] = x, y
+            column = math.ceil(to_cell[0, number] * x + to_cell[1, number] * y + to_cell[2, number] - 0.5)
+            line = math.ceil(to_cell[3, number] * x + to_cell[4, number] * y + to_cell[5, number] - 0.5)
+            column = min(max(column, 0.0), to_cell[6, number])
+            line = min(max(line, 0.0), to_cell[7, number])
+            entries[0, b, a] = nearest[begin[1, number] + int(line) * begin[0, number] + int(column)]
+    for b in range(scenes):
+        for a in range(agents):
+            goal = goals[b, a]
+            entry = goal_table[0, goal + 1] + (entries[0, b, a] if goal >= 0 else 0)
+            entries[1, b, a] = waypoints[entry]
+    for b in range(scenes):
+        row = rows[b]
+        number = row + 1
+        wall_row = row if row >= 0 else affine.shape[1] - 1
+        frame[0], frame[2], frame[4] = affine[0, wall_row], affine[1, wall_row], affine[4, wall_row]
+        frame[1], frame[3], frame[5] = affine[2, wall_row], affine[3, wall_row], affine[5, wall_row]
+        frame[6] = side[wall_row]
+        quarters[0], quarters[1], quarters[2] = place[0, wall_row], place[1, wall_row], place[2, wall_row]
+        cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]
+        shift_x, shift_y = poses[b, 2], poses[b, 3]
+        for a in range(agents):
+            home, cell, first = homes[b, a], entries[0, b, a], entries[1, b, a]
+            goal = goals[b, a]
+            start, count, of_map = goal_table[0, goal + 1], goal_table[1, goal + 1], goal_table[2, goal + 1]
+            second, onward = waypoints[start + first], lengths[start + first]
+            final = goal + first_goal
+            opens = begin[2, number]
+            is_last = second == count
+            k1 = final if first == count else first + opens
+            k2 = final if is_last else second + opens
+            way_x, way_y, after_x, after_y = xs[k1], ys[k1], xs[k2], ys[k2]
+            goal_x, goal_y = xs[final], ys[final]
+            near_x, near_y = xs[cell + opens], ys[cell + opens]
+            if of_map > 0 and (home[0] - near_x) ** 2 + (home[1] - near_y) ** 2 > to_cell[8, number]:
+                onward = onward + math.hypot(way_x - near_x, way_y - near_y)
+                is_last = first == count
+                after_x, after_y, way_x, way_y = way_x, way_y, near_x, near_y
+            if goal < 0:
+                goal_x, goal_y = home[0], home[1]
+            if goal < 0 or math.isinf(onward):
+                way_x, way_y, after_x, after_y, is_last = home[0], home[1], home[0], home[1], True
+            to_x, to_y = way_x - home[0], way_y - home[1]
+            length = math.sqrt(to_x * to_x + to_y * to_y)
+            next_x, next_y = after_x - way_x, after_y - way_y
+            second_length = math.sqrt(next_x * next_x + next_y * next_y)
+            if second_length < _EPSILON:
+                beyond_x, beyond_y = to_x / max(length, _EPSILON), to_y / max(length, _EPSILON)
+            else:
+                beyond_x, beyond_y = next_x / second_length, next_y / second_length
+            ahead = speeds[b, a] * seconds
+            rest = max(ahead - length, 0.0)
+            if not is_last:
+                rest = min(rest, second_length)
+            if rest > 0:
+                corner[0], corner[1] = way_x, way_y
+                end[0], end[1] = way_x + beyond_x * rest, way_y + beyond_y * rest
+                if not _sees(home, corner, end, 1.0, frame, quarters, least, clearance):
+                    if _sees(home, corner, end, 0.5, frame, quarters, least, clearance):
+                        rest *= 0.5
+                    elif _sees(home, corner, end, 0.25, frame, quarters, least, clearance):
+                        rest *= 0.25
+                    else:
+                        rest = 0.0
+            if length < _EPSILON:
+                unit_x, unit_y = beyond_x, beyond_y
+            else:
+                unit_x, unit_y = to_x / length, to_y / length
+            if length >= ahead:
+                carrot_x, carrot_y = home[0] + unit_x * ahead, home[1] + unit_y * ahead
+            else:
+                carrot_x, carrot_y = way_x + beyond_x * rest, way_y + beyond_y * rest
+            speed = speeds[b, a]
+            for out, px, py, moved in (
+                (carrot, carrot_x, carrot_y, 1.0),
+                (desired, unit_x * speed, unit_y * speed, 0.0),
+                (waypoint_out, way_x, way_y, 1.0),
+                (goal_out, goal_x, goal_y, 1.0),
+            ):
+                py = py * mirror
+                out[b, a, 0] = cos * px - sin * py + moved * shift_x
+                out[b, a, 1] = sin * px + cos * py + moved * shift_y
+            distance_out[b, a] = length + onward

@@ -1,0 +1,141 @@
+"""Loops over segments and cells of walls compiled by numba: buckets of segments, their look-up, and rays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pedzoo.maps.walls.compiled import compiled, jit
+from pedzoo.maps.walls.constants import BUCKET, HALF, INTO, ROUNDED, WALL
+
+
+@jit
+def _around(segments, s, x, y):
+    """Return the distance of a point to a segment, and how far left of its line the point is."""
+    dx, dy = segments[2, s], segments[3, s]
+    along = (x - segments[0, s]) * dx + (y - segments[1, s]) * dy
+    left = dx * (y - segments[1, s]) - dy * (x - segments[0, s])
+    beyond = along - min(max(along, 0.0), segments[4, s])
+    return math.hypot(beyond, left), left
+
+
+@compiled("Tuple((i4[:], i8[:]))(f8[:,:], f8[:], i8[:], f8, i8)")
+def bucket_lists(segments, low, size, reach, most):
+    """Return the numbers of segments that matter in each bucket of a map, and how many each bucket has.
+
+    Args are the segments (>= 5, S) of `SegmentTable`; smallest x and y of the buckets, metres; how many
+    buckets lie along x and y. Then the reach, metres, and how many segments a point asks for. The segments
+    nearest to a bucket's middle come first.
+    """
+    counts = np.zeros(size[0] * size[1], np.int64)
+    begin = np.zeros(len(counts) + 1, np.int64)
+    number, gap, left = np.zeros(0, np.int32), np.zeros(0), np.zeros(0)
+    for fill in (False, True):
+        if fill:
+            begin[1:] = np.cumsum(counts)
+            number, gap, left = np.zeros(begin[-1], np.int32), np.zeros(begin[-1]), np.zeros(begin[-1])
+            counts[:] = 0
+        for s in range(segments.shape[1]):
+            x, y = segments[0, s], segments[1, s]
+            end_x, end_y = x + segments[2, s] * segments[4, s], y + segments[3, s] * segments[4, s]
+            first = int((min(x, end_x) - reach - low[0]) / BUCKET)
+            last = int((max(x, end_x) + reach - low[0]) / BUCKET)
+            for row in range(
+                max(int((min(y, end_y) - reach - low[1]) / BUCKET), 0),
+                min(int((max(y, end_y) + reach - low[1]) / BUCKET) + 1, size[1]),
+            ):
+                for column in range(max(first, 0), min(last + 1, size[0])):
+                    apart, side = _around(
+                        segments, s, low[0] + (column + 0.5) * BUCKET, low[1] + (row + 0.5) * BUCKET
+                    )
+                    if apart <= reach + HALF and side < HALF:
+                        bucket = row * size[0] + column
+                        at = begin[bucket] + counts[bucket]
+                        counts[bucket] += 1
+                        if fill:
+                            number[at], gap[at], left[at] = s, apart, side
+    kept = 0
+    for bucket in range(len(counts)):
+        some = slice(begin[bucket], begin[bucket + 1])
+        numbers, gaps, lefts = number[some].copy(), gap[some].copy(), left[some].copy()
+        limit, sure, start = np.inf, 0, kept
+        for i in np.argsort(gaps, kind="mergesort"):
+            if gaps[i] > limit:
+                break
+            number[kept] = numbers[i]
+            kept += 1
+            # every point of the bucket has such a segment outside of it and as near as that
+            sure += lefts[i] < -HALF
+            if sure == most and limit == np.inf:
+                limit = gaps[i] + 2 * HALF
+        counts[bucket] = kept - start
+    return number[:kept].copy(), counts
+
+
+@compiled("i8(f4[:,:], i8[:], f4[:], f4[:,:], i4[:], i4[:], f4[:,:], i4[:,:], i8[:,:], f4[:,:])")
+def nearest(place, row, reach, segments, candidates, offset, corner, buckets, number, squared):
+    """Write the numbers of the nearest segments (K, N) and squared distances: see `SegmentTable.nearest`.
+
+    Returns how many the point with the most of them has.
+    """
+    most, used = number.shape[0], 0
+    distance2 = np.empty(1, np.float32)
+    bits = distance2.view(np.int32)
+    for i in range(len(row)):
+        x, y, r = place[0, i], place[1, i], row[i]
+        column, line = (x - corner[0, r]) / BUCKET, (y - corner[1, r]) / BUCKET
+        if not (0 <= column < buckets[1, r] and 0 <= line < buckets[2, r]):
+            continue
+        bucket = buckets[0, r] + int(line) * buckets[1, r] + int(column)
+        count = 0
+        for c in range(offset[bucket], offset[bucket + 1]):
+            s = candidates[c]
+            from_x, from_y = x - segments[0, s], y - segments[1, s]
+            along = from_x * segments[2, s] + from_y * segments[3, s]
+            apart = from_x * segments[3, s] - from_y * segments[2, s]
+            if not apart > 0:
+                continue
+            beyond = along - max(min(along, segments[4, s]), np.float32(0))
+            distance2[0] = beyond * beyond + apart * apart
+            bits[0] &= ROUNDED
+            if not distance2[0] < reach[i] * reach[i]:
+                continue
+            at = count
+            while at > 0 and (
+                squared[at - 1, i] > distance2[0]
+                or (squared[at - 1, i] == distance2[0] and number[at - 1, i] > s)
+            ):
+                at -= 1
+            if at == most:
+                continue
+            count = min(count + 1, most)
+            for k in range(count - 1, at, -1):
+                number[k, i], squared[k, i] = number[k - 1, i], squared[k - 1, i]
+            number[at, i], squared[at, i] = s, distance2[0]
+        used = max(used, count)
+    return used
+
+
+@compiled("void(f8[:,:,:], f8[:,:,:], f4[:], i4[:,:], f8[:], f8, f8[:,:])")
+def cast(origin, direction, least, place, side, reach, length):
+    """Write how far rays go (R, B), metres: see `LocalWalls.cast`; they are given in half cells."""
+    for b in range(length.shape[1]):
+        width, height, first = place[0, b], place[1, b], place[2, b]
+        for i in range(length.shape[0]):
+            x, y, dx, dy = origin[0, i, b], origin[1, i, b], direction[0, i, b], direction[1, i, b]
+            to_low_x, to_high_x, to_low_y, to_high_y = -x / dx, (width - x) / dx, -y / dy, (height - y) / dy
+            t = max(min(to_low_x, to_high_x), min(to_low_y, to_high_y), 0.0)
+            end = min(max(to_low_x, to_high_x), max(to_low_y, to_high_y), reach)
+            length[i, b] = reach
+            while t < end:
+                into = t + INTO * side[b]
+                column = min(max(math.floor(x + dx * into), 0), width - 1)
+                row = min(max(math.floor(y + dy * into), 0), height - 1)
+                free = least[first + row * width + column]
+                if free < WALL * side[b]:
+                    entry = max((column + (dx < 0) - x) / dx, (row + (dy < 0) - y) / dy)
+                    length[i, b] = max(entry, 0.0)
+                    break
+                leaving = min((column + (dx > 0) - x) / dx, (row + (dy > 0) - y) / dy)
+                t = max(leaving, into, t + free)

@@ -1,0 +1,21 @@
+"""Lengths and roundings that torch and the compiled loops share."""
+
+from __future__ import annotations
+
+import math
+
+INTO = 1e-5
+"""Half cells by which a position is taken to lie beyond the border that a ray has reached."""
+
+WALL = -0.2
+"""Half cells: lower bounds of distances are below it in walls only."""
+
+BUCKET = 0.5
+"""Metres: the side of a bucket."""
+
+HALF = BUCKET * math.sqrt(0.5) * (1 + 1e-4)
+"""Metres from the middle of a bucket to its corners, and some for rounding: it must not lose a candidate."""
+
+ROUNDED = -1 << 7
+"""The bits of a squared distance that count. Where the common corner of two segments is nearest, rounding
+does not choose between them: the first one comes first."""

@@ -1,0 +1,154 @@
+"""Which boxes can be the nearest wall of a place: few enough to compare, and none left out.
+
+Boxes and places are lattice-aligned: corners of boxes are corners of cells, places are quarters of cells. A
+place then lies wholly beside, above or at a corner of every box, and the difference of the squared distances
+to two boxes is a sum of a monotonic function of x and one of y over it. So it is largest and smallest at the
+place's corners, and a box that is no nearer than another at all four corners is no nearer anywhere between.
+
+* Where one box is the nearest of all four corners it is the nearest of the whole place.
+* Elsewhere the boxes contend that are nearest to one of the sixteen corners of the place and its neighbours,
+  less those that another beats at all four. A box whose region squeezes between corners of two places in a
+  row without holding any would be missed; tests count how rare that is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pedzoo.maps.walls.boxes import merge_cells
+
+CONTENDERS = 4
+"""Boxes that are compared. More than these contend in a few places of a million: the nearest are kept."""
+
+FAR = 1e9
+"""Where, in cells, the walls of a map without walls are."""
+
+_CHUNK = 1 << 16
+
+
+class Contenders(NamedTuple):
+    """What a map's cells (H, W) come to.
+
+    Attributes:
+        box: Boxes of wall and of free space (M, 4) float64: x0, y0, x1, y1 in cells.
+        sets: Boxes that contend with one another (S, CONTENDERS), repeated where they are fewer.
+        choice: For each quarter of a cell (2H, 2W) a box, or M plus a set; boxes are walls for free places
+            and free space for walls.
+        sign: Plus one for each box of wall and minus one for each of free space (M,).
+        least: What any position in a quarter is away from the nearest wall, at least; negative inside walls
+            (2H, 2W) float32, in cells.
+    """
+
+    box: NDArray[np.float64]
+    sets: NDArray[np.int64]
+    choice: NDArray[np.int64]
+    sign: NDArray[np.float64]
+    least: NDArray[np.float32]
+
+
+def contenders(walls: NDArray[np.bool_]) -> Contenders:
+    """Return the boxes of walls and free space, and which can be the nearest of the other kind where."""
+    parts, choices, sets = [], np.zeros([2 * size for size in walls.shape], dtype=np.int64), []
+    mixed_places, signs, least = [], [], np.empty(choices.shape, dtype=np.float32)
+    count = 0
+    for sign, side in ((1, walls), (-1, ~walls)):
+        box = merge_cells(side)
+        label = _nearest_box(box, side.shape)
+        corners = (label[:-1, :-1], label[:-1, 1:], label[1:, :-1], label[1:, 1:])
+        mine = np.repeat(np.repeat(~side, 2, axis=0), 2, axis=1)
+        mixed = mine & np.any([corner != corners[0] for corner in corners[1:]], axis=0)
+        choices[mine] = corners[0][mine] + count
+        places = np.nonzero(mixed)
+        mixed_places.append(places)
+        around = np.pad(label, 1, mode="edge")
+        for start in range(0, len(places[0]), _CHUNK):
+            row, column = (axis[start : start + _CHUNK] for axis in places)
+            near = np.stack([around[row + i, column + j] for i in range(4) for j in range(4)], axis=1)
+            sets.append(_unbeaten(near, box, row, column) + count)
+        parts.append(box if len(box) else np.full((1, 4), FAR))
+        signs.append(np.full(len(parts[-1]), float(sign)))
+        least[mine] = _least(_gaps(label, parts[-1]), sign)[mine]
+        count += len(parts[-1])
+    row, column = (np.concatenate(axis) for axis in zip(*mixed_places, strict=True))
+    choices[row, column] = count + np.arange(len(row))
+    return Contenders(
+        np.concatenate(parts).astype(np.float64),
+        np.concatenate([np.zeros((0, CONTENDERS), dtype=np.int64), *sets]),
+        choices,
+        np.concatenate(signs),
+        least,
+    )
+
+
+def _nearest_box(box: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return which box is nearest to each corner of the quarters of cells (2H + 1, 2W + 1)."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not len(box):
+        return np.zeros([2 * size + 1 for size in shape], dtype=np.int64)
+    label = np.full([2 * size + 1 for size in shape], -1)
+    for number, (x0, y0, x1, y1) in enumerate(2 * box):
+        label[y0 : y1 + 1, x0 : x1 + 1] = number  # closed boxes: the corners on their edges are theirs
+    row, column = np.asarray(distance_transform_edt(label < 0, return_distances=False, return_indices=True))
+    return label[row, column]
+
+
+def _gaps(label: NDArray[np.int64], box: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the distance from each corner of a quarter (2H + 1, 2W + 1) to its nearest box, in cells."""
+    row, column = (np.arange(size, dtype=np.float32) / 2 for size in label.shape)
+    x0, y0, x1, y1 = (values[label] for values in box.T.astype(np.float32))
+    x = np.maximum(x0 - column, column - x1)
+    y = np.maximum(y0 - row[:, None], row[:, None] - y1)
+    return np.hypot(np.maximum(x, 0), np.maximum(y, 0))
+
+
+def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
+    """Return the least signed distance in each quarter of those at its corners.
+
+    Distances to boxes are least at a corner. How deep somebody is inside a wall is not: nobody is deeper
+    than at the deepest corner and half a quarter's diagonal.
+    """
+    corners = np.stack((gap[:-1, :-1], gap[:-1, 1:], gap[1:, :-1], gap[1:, 1:]))
+    return corners.min(0) if sign > 0 else -corners.max(0) - np.float32(math.sqrt(0.125))
+
+
+def _unbeaten(
+    near: NDArray[np.int64], box: NDArray[np.int64], row: NDArray[np.int64], column: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the boxes (N, CONTENDERS) among ``near`` (N, 16) that no other beats all over each place."""
+    near = np.sort(near, axis=1)
+    again = np.diff(near, axis=1, prepend=-1) == 0
+    near = np.take_along_axis(near, np.argsort(again, axis=1, kind="stable"), axis=1)
+    number = near.shape[1] - again.sum(axis=1)
+    result = np.empty((len(near), CONTENDERS), dtype=np.int64)
+    done = 0
+    for width in (2, 4, 8, 16):  # most places have few different boxes around: no work for sixteen there
+        rows = np.nonzero((number > done) & (number <= width))[0]
+        done = width
+        some = near[rows, :width]
+        some = np.where(np.arange(width) < number[rows, None], some, some[:, :1])
+        # squared distances to the four corners, in half cells
+        edges = (2 * box)[some]
+        squared = []
+        for low, high, place in ((0, 2, column[rows]), (1, 3, row[rows])):
+            at = place[:, None, None] + np.arange(2)
+            gap = np.maximum(edges[..., low, None] - at, at - edges[..., high, None])
+            squared.append(np.maximum(gap, 0) ** 2)
+        corner = (squared[0][..., None] + squared[1][..., None, :]).reshape(len(rows), width, 4)
+        keep = np.arange(width) < number[rows, None]
+        for best in corner.argmin(axis=1).T:
+            rival = corner[np.arange(len(rows)), best][:, None]
+            as_near, equal = (rival <= corner).all(axis=2), (rival == corner).all(axis=2)
+            # of equal boxes the first stays
+            keep &= ~(as_near & (~equal | (best[:, None] < np.arange(width))))
+        order = np.argsort(np.where(keep, corner.sum(axis=2), np.iinfo(np.int64).max), axis=1)
+        order = order[:, :CONTENDERS]
+        kept = np.take_along_axis(keep, order, axis=1)
+        chosen = np.take_along_axis(some, order, axis=1)
+        chosen = np.where(kept, chosen, chosen[:, :1])
+        result[rows] = chosen[:, np.minimum(np.arange(CONTENDERS), width - 1)]
+    return result

@@ -1,0 +1,228 @@
+"""Outlines of walls as line segments in buckets: the one look-up of those that a position is outside of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.walls.constants import BUCKET, ROUNDED
+from pedzoo.maps.walls.outlines import outlines, without_hollows
+
+Floats = NDArray[np.float64]
+
+NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
+"""Stands for no segment; it could be one, so that sums with it stay finite."""
+
+_NUMBER = (1 << 31) - 1
+"""The bits of a key that tell which segment it is of."""
+
+_FAR = 1e30
+"""Squared metres, beyond any floor plan."""
+
+
+class Outlines:
+    """The outlines of the walls of floor plans, simplified by half a cell at most, and tables of them."""
+
+    def __init__(self, grids: Sequence[OccupancyGrid], unknown: Unknown) -> None:
+        """Take the floor plans; nothing is computed before the first question."""
+        self.grids = grids
+        self.unknown: Unknown = unknown
+        self._polygons: dict[bool, list[list[Floats]]] = {}
+        self._tables: dict[tuple[object, ...], SegmentTable] = {}
+
+    def polygons(self, hollows: bool = True) -> list[list[Floats]]:
+        """Return the outlines (V, 2) of each floor plan in its frame, metres, walls to the left.
+
+        Args:
+            hollows: Whether hollows that no body fits in have outlines, too.
+        """
+        if hollows not in self._polygons:
+            walls = [grid.occupied(self.unknown) for grid in self.grids]
+            if not hollows:
+                plain, walls = walls, [without_hollows(grid, self.unknown) for grid in self.grids]
+                if all(map(np.array_equal, plain, walls)):
+                    return self._polygons.setdefault(False, self.polygons())
+            self._polygons[hollows] = [
+                [grid.cells_to_map(polygon - 0.5) for polygon in outlines(cells)]
+                for grid, cells in zip(self.grids, walls, strict=True)
+            ]
+        return self._polygons[hollows]
+
+    def table(
+        self, reach: float, most: int | None, hollows: bool, device: torch.device, dtype: torch.dtype
+    ) -> SegmentTable:
+        """Return the table of the outlines; see `SegmentTable.build`."""
+        polygons = self.polygons(hollows)
+        exact = id(polygons), reach, most
+        if exact not in self._tables:
+            segments = [np.concatenate([NOWHERE[:0], *map(edges, own)]) for own in polygons]
+            self._tables[exact] = SegmentTable.build(segments, reach, most)
+        key = *exact, device, dtype
+        if key not in self._tables:
+            self._tables[key] = self._tables[exact].to(device, dtype)
+        return self._tables[key]
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentTable:
+    """All segments of R maps, and which of them can matter in each bucket; row -1 means "no map".
+
+    What is seen from a segment is in its own frame: x along it, y to its left, where the wall is.
+
+    Attributes:
+        segments: Of each (18, S + 1), rows in this order. In the map's frame, metres: start (2), unit
+            direction (2) and length (1). In its own frame: unit directions of the segment before, backwards,
+            and of the one after (2 each). Their x is turned round: both lead away from it to the left.
+            Whether its corners are convex, 1 or 0 (2). In the map's frame: end (2), unit directions of
+            the segments before and after (2 each), length of the one before (1). The last one stands for
+            none.
+        candidates: Numbers of segments, bucket after bucket, those nearest to its middle first (C,) int32.
+        offset: Where each bucket's candidates begin (buckets + 2,) int32; the last bucket is empty.
+        corner: Smallest x and y of each map's buckets (2, R + 1), metres.
+        buckets: Number of each map's first bucket, and how many lie along x and y (3, R + 1) int32.
+        reach: Metres up to which the candidates are complete.
+        width: Candidates of the bucket that has the most.
+        most: How many segments a position gets at most.
+    """
+
+    segments: Tensor
+    candidates: Tensor
+    offset: Tensor
+    corner: Tensor
+    buckets: Tensor
+    reach: float
+    width: int
+    most: int
+
+    @classmethod
+    def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
+        """Return the table of the segments of each map.
+
+        Args:
+            maps: For each map its segments (S, 13), in its frame; see `edges`.
+            reach: Metres up to which segments are asked for.
+            most: How many segments one position gets; None for all.
+        """
+        from pedzoo.maps.walls.compiled_walls import bucket_lists
+
+        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
+        lists, counts, lows, sizes, before = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [], [], 0
+        for own in maps:
+            low = own[:, :2].min(0, initial=math.inf) - reach if len(own) else np.zeros(2)
+            high = own[:, :2].max(0, initial=-math.inf) + reach if len(own) else np.zeros(2)
+            size = np.ceil((high - low) / BUCKET).astype(np.int64)
+            mine = segments[:, before : before + len(own)]
+            numbers, count = bucket_lists(mine, low, size, reach, -1 if most is None else most)
+            lists.append(numbers + np.int32(before))
+            before += len(own)
+            counts.append(count)
+            lows.append(low)
+            sizes.append(size)
+        count = np.concatenate(counts)
+        width = int(count.max(initial=0))
+        first = np.cumsum([0, *map(len, counts[1:])])
+        return cls(
+            segments=torch.as_tensor(segments),
+            candidates=torch.as_tensor(np.concatenate([*lists, np.full(width, before, np.int32)])),
+            offset=torch.as_tensor(np.cumsum(np.concatenate([[0], count, [0]]))).int(),
+            corner=torch.as_tensor(np.array([*lows, np.zeros(2)]).T.copy()),
+            buckets=torch.as_tensor(np.column_stack((first, [*sizes, np.zeros(2)])).T.copy()).int(),
+            reach=reach,
+            width=width,
+            most=width if most is None else min(most, width),
+        )
+
+    def to(self, device: torch.device, dtype: torch.dtype) -> SegmentTable:
+        """Return the table for positions of a dtype on a device."""
+        whole = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "buckets")}
+        return replace(
+            self, **whole, segments=self.segments.to(device, dtype), corner=self.corner.to(device, dtype)
+        )
+
+    @torch.no_grad()
+    def nearest(self, place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the nearest segments that positions are outside of and within reach of, nearest first.
+
+        Nothing is read back to the host. On the CPU single precision is looked up by compiled loops.
+
+        Args:
+            place: Positions in the maps' frames (2, N), metres.
+            row: Which map (N,) long, -1 for none.
+            reach: Metres (N,), at most the table's.
+
+        Returns:
+            The numbers of the segments (K, N) long, and which of the K there are (K, N), 1 or 0; the others
+            are `NOWHERE`.
+        """
+        if place.device.type == "cpu" and place.dtype == torch.float32:
+            from pedzoo.maps.walls.compiled_walls import nearest
+
+            number = torch.full((self.most, len(row)), self.segments.shape[1] - 1)
+            squared = torch.full((self.most, len(row)), math.inf)
+            tables = self.segments, self.candidates, self.offset, self.corner, self.buckets
+            arrays = [part.numpy() for part in (place.detach(), row, reach, *tables, number, squared)]
+            used = nearest(*arrays)
+            return number[:used], torch.lt(squared[:used], _FAR, out=torch.empty(0))
+        key = self._keys(place, row)
+        distance2 = (key >> 31).int().view(torch.float32)
+        valid = distance2 < (reach * reach).float()
+        return torch.where(valid, key & _NUMBER, self.segments.shape[1] - 1), valid.to(place.dtype)
+
+    def _keys(self, place: Tensor, row: Tensor) -> Tensor:
+        """Return numbers (K, N) in the order of the distances of the nearest candidates, ascending.
+
+        The lower bits tell the segment, the upper ones the squared distance: floats that are not negative are
+        ordered as their bits are.
+        """
+        first, columns, rows = self.buckets.index_select(1, row % self.buckets.shape[1])
+        cell = ((place - self.corner.index_select(1, row % self.buckets.shape[1])) / BUCKET).floor()
+        inside = (cell[0] >= 0) & (cell[1] >= 0) & (cell[0] < columns) & (cell[1] < rows)
+        x, y = torch.where(inside, cell, 0).int()
+        bucket = torch.where(inside, first + y * columns + x, len(self.offset) - 2)
+        begin = self.offset.index_select(0, bucket)
+        column = torch.arange(self.width, device=row.device).unsqueeze(1)
+        segment = self.candidates.index_select(0, (begin + column).flatten())
+        start_x, start_y, dx, dy, length = (
+            self.segments[:5].index_select(1, segment).unflatten(1, column.shape[:1] + row.shape)
+        )
+        from_x, from_y = place[0] - start_x, place[1] - start_y
+        along, apart = from_x * dx + from_y * dy, from_x * dy - from_y * dx
+        beyond = along - along.minimum(length).clamp_min(0)
+        counts = (column < self.offset.index_select(0, bucket + 1) - begin) & (apart > 0)
+        distance2 = torch.where(counts, beyond * beyond + apart * apart, _FAR).float()
+        bits = distance2.view(torch.int32).bitwise_and(ROUNDED).long().bitwise_left_shift(31)
+        return (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
+
+
+def edges(polygon: Floats) -> Floats:
+    """Return the segments (V, 13) of an outline (V, 2) as `SegmentTable.build` takes them.
+
+    Of each: start, end and unit direction; directions of the segments before and after. Then whether the
+    corners at start and end are convex, and the length of the segment before.
+    """
+    end = np.roll(polygon, -1, axis=0)
+    length = np.linalg.norm(end - polygon, axis=1)
+    direction = (end - polygon) / length[:, None]
+    before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
+    convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
+    return np.column_stack(
+        (polygon, end, direction, before, after, convex, np.roll(convex, -1), np.roll(length, 1))
+    )
+
+
+def _seen_from_themselves(segments: Floats) -> Floats:
+    """Return segments (S, 13) of `edges` in the form of the table (18, S)."""
+    start, end, direction, before, after = (segments[:, at : at + 2] for at in range(0, 10, 2))
+    left = np.column_stack((-direction[:, 1], direction[:, 0]))
+    legs = [(way * axis).sum(1) for way in (before, after) for axis in (direction, left)]
+    back_x, back_y, ahead_x, ahead_y = legs
+    length = np.linalg.norm(end - start, axis=1)
+    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:12])
+    return np.column_stack((*columns, end, before, after, segments[:, 12])).T.copy()

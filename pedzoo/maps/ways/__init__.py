@@ -1,0 +1,1 @@
+"""The global planner: ways to goals, next waypoints, carrots."""

@@ -1,0 +1,1 @@
+"""How near simulated people are to recorded ones."""

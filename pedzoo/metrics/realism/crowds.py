@@ -1,0 +1,231 @@
+"""Two crowds of the same people against each other: every number of realism, for many resamples at once.
+
+A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.metrics.quantiles import quantiles
+from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, wasserstein
+from pedzoo.metrics.realism.features import CLOSE, FEATURES, Steps, features, surroundings
+from pedzoo.metrics.safety import begins
+from pedzoo.sim.rollout import Rollout
+
+MOST_CLOSE = 20
+"""Places with more others close by count as if they had this many."""
+
+TAIL = {"p95": 0.95, "p99": 0.99}
+"""Quantiles of acceleration: means hide who brakes hard now and then."""
+
+MINUTES = TRACE_SECONDS / 60
+"""Of one trace point."""
+
+
+class Crowd(NamedTuple):
+    """What P people did in K rounds, as far as it can be added up.
+
+    Attributes:
+        samples: Of every feature, all rounds together.
+        minutes: For how long each person was on the way (P,), all rounds together.
+        agent_contact: For how long of it they touched somebody, minutes, and how often they began to (2, P).
+        wall_contact: Likewise a wall.
+        round: In which round each sample of speed was taken (N,) long.
+        speeds_at: Sums of speeds (P, C) by the number of others within `CLOSE`, m/s.
+        steps_at: How many steps these are (P, C).
+    """
+
+    samples: dict[str, Samples]
+    minutes: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    round: Tensor
+    speeds_at: Tensor
+    steps_at: Tensor
+
+
+def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor, goal: Tensor) -> Crowd:
+    """Return the crowd of a rollout.
+
+    Args:
+        rollout: Episodes ``first``, ``first + 1``, ... of a replay.
+        steps: The same every 0.4 s.
+        first: Number of the first one.
+        scenes: Episodes in a round.
+        start: Where everybody's line begins (P, 2), metres.
+        goal: Where it ends (P, 2), metres.
+    """
+    people, underway, around = len(start), rollout.underway, surroundings(steps)
+
+    def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
+        """Return sums (P, columns), or counts, by person and a number of columns."""
+        found = torch.bincount(around.person * columns + index, weights, people * columns)
+        return found.view(people, columns).double()
+
+    def points(when: Tensor) -> Tensor:
+        return torch.bincount(rollout.person[when], minlength=people).double()
+
+    def contact(when: Tensor) -> Tensor:
+        when = when & underway
+        return torch.stack((points(when) * MINUTES, points(begins(when))))
+
+    close = around.close.clamp(max=MOST_CLOSE)
+    return Crowd(
+        samples=features(steps, around, start, goal),
+        minutes=points(underway) * MINUTES,
+        agent_contact=contact(rollout.agent_contact),
+        wall_contact=contact(rollout.wall_contact),
+        round=(steps.scored.nonzero()[:, 0] + first) // scenes,
+        speeds_at=added(close, MOST_CLOSE + 1, around.speed.double()),
+        steps_at=added(close, MOST_CLOSE + 1),
+    )
+
+
+def together(crowds: Sequence[Crowd]) -> Crowd:
+    """Return one crowd of several of the same people, such as those of different rounds."""
+    samples = {
+        name: Samples(*(torch.cat(values) for values in zip(*(c.samples[name] for c in crowds), strict=True)))
+        for name in FEATURES
+    }
+    rest = zip(
+        *((c.minutes, c.agent_contact, c.wall_contact, c.speeds_at, c.steps_at) for c in crowds), strict=True
+    )
+    minutes, agents, walls, speeds, steps = (torch.stack(values).sum(0) for values in rest)
+    rounds = torch.cat([c.round for c in crowds])
+    return Crowd(samples, minutes, agents, walls, rounds, speeds, steps)
+
+
+def only(crowd: Crowd, seen: Tensor) -> Crowd:
+    """Return the crowd without the samples of people who were not ``seen`` (P,) bool."""
+    keep = {name: seen[samples.person] for name, samples in crowd.samples.items()}
+    samples = {name: Samples(*(value[keep[name]] for value in crowd.samples[name])) for name in keep}
+    return crowd._replace(samples=samples, round=crowd.round[keep["speed"]])
+
+
+def spreads(real: Crowd) -> dict[str, float]:
+    """Return the standard deviation of every feature in the real crowd: what distances are measured in."""
+    return {name: float(samples.value.double().std()) for name, samples in real.samples.items()}
+
+
+def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
+    """Return the exact Wasserstein-1 distance (1,) of every feature, everybody counting once."""
+    return {
+        name: first.minutes.new_tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
+        for name in FEATURES
+    }
+
+
+def resampled_distances(first: Crowd, second: Crowd, mine: Tensor, theirs: Tensor) -> dict[str, Tensor]:
+    """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples; weights are (R, P)."""
+    found = {}
+    for name in FEATURES:
+        one, other = first.samples[name], second.samples[name]
+        found[name] = torch.full((len(mine),), torch.nan, dtype=torch.float64)
+        if len(one.value) and len(other.value):
+            edges = grid(one.value, other.value)
+            ours, real = (counted(samples, edges, mine.shape[1]) for samples in (one, other))
+            found[name] = resampled(ours, real, edges, mine, theirs)
+    return found
+
+
+def compared(
+    crowd: Crowd,
+    real: Crowd,
+    mine: Tensor,
+    theirs: Tensor,
+    distance: dict[str, Tensor],
+    spread: dict[str, float],
+) -> dict[str, Tensor]:
+    """Return every number of a crowd beside the real one, of R resamples (R,) each, NaN for none.
+
+    * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances. ``w1_speed``, ...: divided by the real crowd's
+      standard deviation. ``realism``: the mean of the latter over the features that both crowds have: who
+      never walks has no heading. Lower is better in all.
+    * ``agent_contact_share``: of the time, in which a person touches somebody; ``agent_contacts_per_min``:
+      how often they begin to. ``agent_contact_excess``, ``agent_contact_excess_per_min``: less those of the
+      real crowd, which are not 0: friends touch, and people lean on walls. The same of ``wall_contact``.
+    * ``speed_std_m_per_s``: between people, of their mean speeds: pooled distributions hide whether everybody
+      walks at the same mixed speed.
+    * ``density_speed_rmse_m_per_s``: see `density_speed`.
+    * ``acceleration_p95_m_per_s2``, ``acceleration_p99_m_per_s2``: quantiles of all samples; with ``_ratio``
+      instead of the unit divided by those of the real crowd.
+
+    Args:
+        crowd: Somebody's.
+        real: The recorded one.
+        mine: How often each person counts in the first (R, P).
+        theirs: In the second.
+        distance: Of every feature (R,), of the same resamples.
+        spread: Of every feature, see `spreads`.
+    """
+    found: dict[str, Tensor] = {}
+    for name, unit in FEATURES.items():
+        found[f"w1_{name}_{unit}"] = distance[name]
+        found[f"w1_{name}"] = distance[name] / (spread[name] or math.nan)
+    normalised = torch.stack([found[f"w1_{name}"] for name in FEATURES])
+    found["realism"] = normalised.nanmean(0)
+    for kind in ("agent_contact", "wall_contact"):
+        own = mine @ getattr(crowd, kind).T / (mine @ crowd.minutes).unsqueeze(1)
+        excess = own - theirs @ getattr(real, kind).T / (theirs @ real.minutes).unsqueeze(1)
+        found[f"{kind}_share"], found[f"{kind}s_per_min"] = own.unbind(1)
+        found[f"{kind}_excess"], found[f"{kind}_excess_per_min"] = excess.unbind(1)
+    found["speed_std_m_per_s"] = _between(_mean_speeds(crowd), mine)
+    (speed, steps), (true, weight) = density_speed(crowd, mine), density_speed(real, theirs)
+    both = (steps > 0) & (weight > 0)
+    square = ((speed - true).square() * weight).where(both, 0.0).sum(1)
+    found["density_speed_rmse_m_per_s"] = (square / weight.where(both, 0.0).sum(1)).sqrt()
+    ours, recorded = (
+        quantiles(*side.samples["acceleration"], weights, tuple(TAIL.values()))
+        for side, weights in ((crowd, mine), (real, theirs))
+    )
+    for name, own, true in zip(TAIL, ours.T, recorded.T, strict=True):
+        found[f"acceleration_{name}_m_per_s2"] = own
+        found[f"acceleration_{name}_ratio"] = own / true
+    return found
+
+
+def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the mean speed (R, C) at every density, m/s, NaN where nobody is, and of how many steps.
+
+    The density is that of the circle of 2 m around a person, see `densities`, with a bin for every number of
+    others in it. Real and simulated people are counted alike, so that what a camera does not see lowers both.
+    In the RMSE of two curves a density weighs as much as it occurs in the real crowd; those at which either
+    has nobody do not count.
+
+    Args:
+        crowd: The crowd.
+        weights: How often each person counts (R, P).
+    """
+    steps = weights @ crowd.steps_at
+    return weights @ crowd.speeds_at / steps, steps
+
+
+def densities() -> Tensor:
+    """Return the density of every bin (C,), people per square metre, the person at its centre included."""
+    return torch.arange(1, MOST_CLOSE + 2) / (math.pi * CLOSE**2)
+
+
+def _mean_speeds(crowd: Crowd) -> Tensor:
+    """Return the mean speed of each person in each round (K, P), m/s, NaN where they were not scored."""
+    speed, people = crowd.samples["speed"], len(crowd.minutes)
+    rounds = int(crowd.round.max()) + 1 if len(crowd.round) else 1
+    place = crowd.round * people + speed.person
+    total = torch.bincount(place, speed.value.double(), rounds * people)
+    return (total / torch.bincount(place, minlength=rounds * people)).view(rounds, people)
+
+
+def _between(value: Tensor, weights: Tensor) -> Tensor:
+    """Return the standard deviation between people (R,) of values (K, P), the mean over rounds."""
+    there = (~value.isnan()).double()
+    value = value.nan_to_num()
+    count = weights @ there.T
+    mean = weights @ value.T / count
+    variance = weights @ value.square().T / count - mean.square()
+    return variance.clamp_min(0).sqrt().nanmean(1)

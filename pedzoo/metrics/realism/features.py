@@ -1,0 +1,188 @@
+"""What people's walks are compared by: speed, acceleration, heading, nearness and deviation, every 0.4 s.
+
+Recorded people are annotated every 0.4 s, so simulated ones are looked at every 0.4 s, too: differences at a
+shorter step would compare the interpolation of the one with the other. E episodes of A slots, S steps, P
+people numbered as in ``person``, N samples; every scored step of everybody is one sample, if it has the
+feature. How a policy takes a person over is part of its walk: the velocity before is the recorded one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.metrics.realism.distances import Samples
+from pedzoo.metrics.safety import HORIZON, collision_seconds
+from pedzoo.metrics.smoothness import WINDOW, acceleration, heading_rate
+from pedzoo.sim.rollout import Rollout
+
+FEATURES = {
+    "speed": "m_per_s",
+    "acceleration": "m_per_s2",
+    "heading_rate": "rad_per_s",
+    "nearest_distance": "m",
+    "time_to_collision": "s",
+    "lateral_deviation": "m",
+}
+"""Names and units, of which ``realism`` is the mean."""
+
+LINE = 1.0
+"""Metres: who begins nearer to their goal has no line from which to deviate."""
+
+CLOSE = 2.0
+"""Metres: how far those reach who make a place dense."""
+
+_AT_ONCE = 250_000
+"""Pairs of people that are compared at once: several such tensors fit a cache."""
+
+
+class Steps(NamedTuple):
+    """A rollout every 0.4 s, with its begin, and the step before it of who is controlled at once.
+
+    Attributes:
+        xy: Positions (E, A, S, 2), metres.
+        person: Who is there (E, A, S) long, -1 for nobody.
+        velocity: Over the 0.4 s until then (E, A, S, 2), m/s.
+        known: Whether the same person was there at their begin (E, A, S) bool.
+        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known. Not the step in
+            which they arrive: who decides every 0.1 s leaves in the middle of it.
+        radius: Radii of the bodies (E, A), metres.
+    """
+
+    xy: Tensor
+    person: Tensor
+    velocity: Tensor
+    known: Tensor
+    scored: Tensor
+    radius: Tensor
+
+
+class Surroundings(NamedTuple):
+    """What is around each of N scored steps.
+
+    Attributes:
+        person: Whose step it is (N,) long.
+        speed: Theirs (N,), m/s.
+        nearest: Distance to the nearest other (N,), metres between centres; infinite for who is alone.
+        collision: Least time to a collision (N,), seconds, see `pedzoo.metrics.safety.time_to_collision`.
+        close: Others within `CLOSE` (N,) long.
+    """
+
+    person: Tensor
+    speed: Tensor
+    nearest: Tensor
+    collision: Tensor
+    close: Tensor
+
+
+def every_step(rollout: Rollout) -> Steps:
+    """Return the steps of a rollout."""
+    last = WINDOW - 1
+    first, person = (
+        rollout.person[..., points].where(rollout.present[..., points], -1)
+        for points in (slice(1), slice(last, None, WINDOW))
+    )
+    before = first.where(rollout.controlled[..., :1], -1)
+    person = torch.cat((before, first, person), dim=2)
+    xy = torch.cat((rollout.past[:, :, -1 - WINDOW :: WINDOW], rollout.trace[:, :, last::WINDOW]), dim=2)
+    known = torch.zeros_like(person, dtype=torch.bool)
+    known[..., 1:] = (person[..., 1:] == person[..., :-1]) & (person[..., 1:] >= 0)
+    velocity = torch.zeros_like(xy)
+    velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
+    scored = torch.zeros_like(known)
+    walks = rollout.controlled & (rollout.reached < rollout.goals)
+    scored[..., 2:] = walks[..., last::WINDOW]
+    return Steps(xy, person, velocity, known, scored & known, rollout.radius)
+
+
+def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
+    """Return the samples of every feature of `FEATURES`.
+
+    * ``speed`` and ``acceleration``, the amount of the change of velocity since the step before.
+    * ``heading_rate``, to either side; of who walks faster than 0.1 m/s in both steps: who stands has no
+      heading.
+    * ``nearest_distance`` to the centre of anybody who is there, and ``time_to_collision``, at most 10 s; of
+      who is not alone.
+    * ``lateral_deviation`` from the straight line between start and goal, positive to the left of it; of
+      those for whom these are `LINE` or more apart.
+
+    Args:
+        steps: Every 0.4 s.
+        around: Their `surroundings`.
+        start: Where the line of each person begins (P, 2), metres.
+        goal: Where it ends (P, 2), metres.
+    """
+    change, has_change = acceleration(steps.velocity, steps.known)
+    turn, has_turn = heading_rate(steps.velocity, steps.known)
+    scored, person = steps.scored[..., 1:], steps.person[..., 1:]
+    company = around.nearest.isfinite()
+    line = goal - start
+    length = line.norm(dim=-1)
+    along = line / length.clamp_min(LINE).unsqueeze(-1)
+    who = steps.person.clamp_min(0)
+    offset = steps.xy - start[who]
+    aside = along[who][..., 0] * offset[..., 1] - along[who][..., 1] * offset[..., 0]
+    return {
+        "speed": Samples(around.speed, around.person),
+        "acceleration": _samples(change, scored & has_change, person),
+        "heading_rate": _samples(turn, scored & has_turn, person),
+        "nearest_distance": Samples(around.nearest[company], around.person[company]),
+        "time_to_collision": Samples(around.collision[company], around.person[company]),
+        "lateral_deviation": _samples(aside, steps.scored & (length[who] >= LINE), steps.person),
+    }
+
+
+def surroundings(steps: Steps) -> Surroundings:
+    """Return what is around every scored step; others count whether they are scored or played back."""
+    episode, slot, step = steps.scored.nonzero().unbind(1)
+    place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
+    place = (*place, steps.radius.unsqueeze(2).expand_as(steps.person))
+    rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): all who are there at once
+    moments = episode * steps.person.shape[2] + step
+    size = max(1, _AT_ONCE // steps.xy.shape[1])
+    found = []
+    for moment, own in zip(moments.split(size), slot.split(size), strict=True):
+        x, y, vx, vy, there, known, radius = (value[moment] for value in rows)
+        found.append(_around(x, y, vx, vy, there, known, radius, own))
+    nearest, collision, close = (torch.cat(values) for values in zip(*found, strict=True))
+    speed = steps.velocity[episode, slot, step].norm(dim=-1)
+    return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)
+
+
+def _around(
+    x: Tensor,
+    y: Tensor,
+    vx: Tensor,
+    vy: Tensor,
+    there: Tensor,
+    known: Tensor,
+    radius: Tensor,
+    slot: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return distance, time to collision and number of those close to whoever is in a ``slot`` (N,) each.
+
+    Args:
+        x: Where all A slots are (N, A), metres.
+        y: Likewise.
+        vx: Their velocities (N, A), m/s.
+        vy: Likewise.
+        there: Whether there is somebody (N, A) bool.
+        known: Whether they have a velocity (N, A) bool.
+        radius: Radii of the bodies (N, A), metres.
+        slot: Whose surroundings are wanted (N,) long.
+    """
+    own = slot.unsqueeze(1)
+    x, y, vx, vy = (value - value.gather(1, own) for value in (x, y, vx, vy))
+    others = there.scatter(1, own, False)
+    apart = x.square().addcmul_(y, y).sqrt_().masked_fill_(~others, math.inf)
+    reach = (radius + radius.gather(1, own)).to(x)
+    when = collision_seconds(x, y, vx, vy, reach).masked_fill_(~(others & known), HORIZON)
+    return apart.amin(1), when.amin(1), (apart < CLOSE).sum(1)
+
+
+def _samples(value: Tensor, there: Tensor, person: Tensor) -> Samples:
+    return Samples(value[there], person[there])

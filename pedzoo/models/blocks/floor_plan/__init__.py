@@ -1,0 +1,1 @@
+"""Blocks that look at the floor plan."""

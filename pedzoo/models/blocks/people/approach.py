@@ -1,0 +1,85 @@
+"""Whom a person will come close to, how close and how soon: what avoiding people rests on."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pedzoo.core import geometry
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.models.blocks.people.crowd import Crowd
+
+REACH = 2.0
+"""Metres: the scale on which distances are told apart. No one is cut off, but the far are all alike."""
+
+HORIZON = 4.0
+"""Seconds: closest approaches farther ahead count as so far ahead."""
+
+_FEATURES = 8
+
+
+class ApproachPooling(nn.Module):
+    """Max-pools an embedding of everybody else: where they are, how they move, how close they come.
+
+    Everything is in the frame of the person who looks, so neither turning the scene nor the order of people
+    changes anything. Closest approach is that of two people who both keep their velocities, as in
+    Olivier et al., "Minimal predicted distance", Gait & Posture 2012. Whoever is alone has features of zero.
+    """
+
+    def __init__(self, state_dim: int, dim: int, hidden_dim: int = 64) -> None:
+        """Create the parameters.
+
+        Args:
+            state_dim: Width of what is known about each person, such as an encoder's state.
+            dim: Features per person.
+            hidden_dim: Width inside.
+        """
+        super().__init__()
+        self.pair = nn.Linear(_FEATURES, hidden_dim)
+        self.other = nn.Linear(state_dim, hidden_dim, bias=False)
+        self.output = nn.Linear(hidden_dim, dim)
+        self.dim = dim
+
+    def forward(
+        self, position: Tensor, moved: Tensor, heading: Tensor, state: Tensor, crowd: Crowd
+    ) -> Tensor:
+        """Return the features (P, dim), never negative.
+
+        Args:
+            position: Where people are (P, 2), metres.
+            moved: Their last displacements (P, 2), metres.
+            heading: Directions of their frames (P, 2), unit vectors.
+            state: What is known about them (P, state_dim).
+            crowd: Who is in one scene.
+        """
+        other = self.other(state)
+
+        def seen(me: Tensor, them: Tensor) -> Tensor:
+            pair = _features(position[them] - position[me], moved[them] - moved[me], heading[me])
+            inner = functional.relu(self.pair(pair) + other[them])
+            return functional.relu(self.output(inner))
+
+        return crowd.most_of_others(seen, position.new_zeros(position.shape[0], self.dim))
+
+
+def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
+    """Return what is told of pairs (..., 8) from positions and displacements of others relative to oneself.
+
+    Args:
+        away: Relative positions (..., 2), metres.
+        moved: Relative displacements in a step (..., 2), metres.
+        heading: Direction of whoever looks (..., 2).
+    """
+    velocity = moved / STEP_SECONDS
+    distance = (away.square().sum(-1, keepdim=True) + 1e-6).sqrt()
+    near = REACH / (REACH + distance)
+    # standing still side by side is no approach: the small number keeps its time from mattering
+    time = -(away * velocity).sum(-1, keepdim=True) / (velocity.square().sum(-1, keepdim=True) + 0.01)
+    soon = time.clamp(0.0, HORIZON)
+    closest = away + soon * velocity
+    least = (closest.square().sum(-1, keepdim=True) + 1e-6).sqrt()
+    urgent = near * REACH / (REACH + least) * torch.exp(-soon / 2)
+    vectors = (near * away / REACH, near * velocity, near * closest / REACH)
+    turned = [geometry.unrotate(vector, heading.expand_as(vector)) for vector in vectors]
+    return torch.cat((*turned, near, urgent), -1)

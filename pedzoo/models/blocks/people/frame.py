@@ -1,0 +1,52 @@
+"""Everybody's own frame: directions relative to where a person is walking."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from pedzoo.core import geometry
+
+
+def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
+    """Return everybody's direction (P, 2), a unit vector that changes smoothly with its arguments.
+
+    The last displacement decides where there is one. For people who hardly move, all of the observed way
+    does, and for people who stand, the goal; without one it is the world's x.
+
+    Args:
+        moved: Observed displacements (P, T, 2), metres.
+        goal: Goal relative to the person (P, 2), metres.
+    """
+    towards = moved[:, -1] + 0.1 * moved.sum(1)
+    if goal is not None:
+        towards = towards + 0.05 * functional.normalize(goal, dim=-1)
+    towards = towards + torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
+    return functional.normalize(towards, dim=-1)
+
+
+def way(moved: Tensor, goal: Tensor) -> Tensor:
+    """Return everybody's direction (P, 2) as a unit vector that turns slowly, also of people who stop.
+
+    That of the goal, and a little of the last displacement. In `heading` the displacement decides, and that
+    of people who hardly move may turn by any angle in a step: what follows in a simulation is chaos.
+
+    Args:
+        moved: Observed displacements (P, T, 2), metres.
+        goal: Goal relative to the person (P, 2), metres.
+    """
+    nowhere = torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
+    return functional.normalize(functional.normalize(goal, dim=-1) + moved[:, -1] + nowhere, dim=-1)
+
+
+def into(frame: Tensor | None, vectors: Tensor) -> Tensor:
+    """Turn world vectors (P, 2) or (P, T, 2) into the ``frame`` (P, 2) of each person; None is the world."""
+    if frame is None:
+        return vectors
+    return geometry.unrotate(vectors, frame if vectors.dim() == 2 else frame.unsqueeze(1))
+
+
+def out_of(frame: Tensor | None, vectors: Tensor) -> Tensor:
+    """Turn vectors (K, P, T, 2) in everybody's ``frame`` (P, 2) back into the world."""
+    return vectors if frame is None else geometry.rotate(vectors, frame.unsqueeze(1))

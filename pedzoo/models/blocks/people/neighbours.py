@@ -1,0 +1,45 @@
+"""What the others around a person do, pooled: their states relative to that person, in their frame."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from pedzoo.core import geometry
+from pedzoo.models.blocks.people.crowd import Crowd
+
+REACH = 4.0
+"""Metres: the scale on which distances are told apart. No one is cut off, but the far are all alike."""
+
+
+class RelativePooling(nn.Module):
+    """Max-pools an embedding of everybody else's relative position and velocity.
+
+    Neither the order of people nor where the scene is or how it is turned changes anything. Whoever is
+    alone has features of zero.
+    """
+
+    def __init__(self, hidden_dim: int, dim: int) -> None:
+        """Create the parameters: ``hidden_dim`` wide inside, ``dim`` features per person."""
+        super().__init__()
+        self.net = nn.Sequential(nn.Linear(5, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, dim), nn.ReLU())
+        self.dim = dim
+
+    def forward(self, position: Tensor, moved: Tensor, heading: Tensor, crowd: Crowd) -> Tensor:
+        """Return the features (P, dim), never negative.
+
+        Args:
+            position: Where people are (P, 2), metres.
+            moved: Their last displacements (P, 2), metres.
+            heading: Directions of their frames (P, 2), unit vectors.
+            crowd: Who is in one scene.
+        """
+
+        def seen(me: Tensor, them: Tensor) -> Tensor:
+            away = geometry.unrotate(position[them] - position[me], heading[me])
+            relative = geometry.unrotate(moved[them] - moved[me], heading[me])
+            distance = (away.square().sum(-1, keepdim=True) + 1e-8).sqrt()
+            near = REACH / (REACH + distance)
+            return self.net(torch.cat((near * away / REACH, relative, near), -1))
+
+        return crowd.most_of_others(seen, position.new_zeros(position.shape[0], self.dim))

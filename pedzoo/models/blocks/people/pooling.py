@@ -1,0 +1,206 @@
+"""Social GAN's pooling module (Gupta et al., CVPR 2018, eq. 2), exact and without its n x n x 512 tensor.
+
+For person i, every j of the same scene (i too) gives an embedded relative position beside its hidden state:
+
+    pool_i = max_j ReLU(W_2 ReLU(W_1 [W_e (p_j - p_i) + b_e; h_j] + b_1) + b_2).
+
+No activation stands between W_e and W_1, so the inner vector is u_j - v_i with one u and one v per person.
+Then ReLU(u_j - v_i) = max(u_j, v_i) - v_i, which leaves one maximum and one product with W_2 per pair.
+Backwards, only the winning pair of each person and channel has a gradient.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, cast
+
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+from torch.nn import functional
+
+from pedzoo.models.blocks.mlp import mlp
+from pedzoo.models.blocks.people.crowd import Crowd
+
+_CPU_FLOATS = 2**20
+"""Size of the buffer of pairs on a CPU: 4 MB of float32, near enough to the cache (measured)."""
+
+_GPU_FLOATS = 2**26
+"""The same on an accelerator, where only memory limits it."""
+
+_AT_ONCE = 2**17
+"""Numbers in the pairs of scenes so small that only the number of calls counts."""
+
+
+class PoolingWeights(NamedTuple):
+    """The layers with W_e and b_e put into W_1 and b_1.
+
+    Attributes:
+        w_u: Weight (D, 2 + H) of u from [p; h].
+        b_u: Its bias (D,).
+        w_v: Weight (D, 2) of v from p.
+        w_2: W_2 (C, D).
+        b_2: b_2 (C,).
+        minus_w_2: - W_2.
+    """
+
+    w_u: Tensor
+    b_u: Tensor
+    w_v: Tensor
+    w_2: Tensor
+    b_2: Tensor
+    minus_w_2: Tensor
+
+
+class SocialPooling(nn.Module):
+    """Max-pools what everybody in the scene is to each person."""
+
+    def __init__(
+        self, hidden_dim: int, embedding_dim: int = 16, mlp_dim: int = 512, bottleneck_dim: int = 8
+    ) -> None:
+        """Create the parameters.
+
+        Args:
+            hidden_dim: Width of the hidden states that are pooled.
+            embedding_dim: Width of the embedded relative position.
+            mlp_dim: Width of the layer per pair.
+            bottleneck_dim: Width of the pooled vector.
+        """
+        super().__init__()
+        self.embedding = nn.Linear(2, embedding_dim)
+        self.mlp = mlp(embedding_dim + hidden_dim, mlp_dim, bottleneck_dim)
+
+    def forward(
+        self, hidden: Tensor, position: Tensor, crowd: Crowd, folded: PoolingWeights | None = None
+    ) -> Tensor:
+        """Return the pooled vectors (P, bottleneck_dim).
+
+        Args:
+            hidden: Hidden states (P, hidden_dim).
+            position: World positions (P, 2), metres.
+            crowd: Who shares a scene with whom.
+            folded: What `fold` returned for the same parameters.
+        """
+        folded = folded or self.fold()
+        # Differences of large coordinates lose digits: positions count from the first person of the scene.
+        origin = position[:1] if crowd.shape[0] == 1 else position[crowd.first]
+        away = position - origin
+        u = functional.linear(torch.cat((away, hidden), 1), folded.w_u, folded.b_u)
+        v = functional.linear(away, folded.w_v)
+        if crowd.absent is not None:
+            best = _max_over_slots(u, v, folded.w_2, crowd.absent)
+            return functional.linear(v, folded.minus_w_2, folded.b_2).add_(best).relu_()
+        if torch.is_grad_enabled():
+            return torch.relu(_MaxOverPairs.apply(u, v, folded.w_2, crowd.groups, crowd.first) + folded.b_2)
+        if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
+            best = _max_over_few_pairs(u, v, folded.w_2, crowd.shape[1])
+        else:
+            best = _max_over_pairs(u, v, folded.w_2, crowd.groups)[0]
+        return functional.linear(v, folded.minus_w_2, folded.b_2).add_(best).relu_()
+
+    def fold(self) -> PoolingWeights:
+        """Return what follows from the parameters alone."""
+        inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
+        w_e, b_e, w_1 = self.embedding.weight, self.embedding.bias, inner.weight
+        w_1e, w_1h = w_1[:, : len(w_e)], w_1[:, len(w_e) :]
+        w_v = w_1e @ w_e
+        w_u, b_u = torch.cat((w_v, w_1h), 1), torch.addmv(inner.bias, w_1e, b_e)
+        return PoolingWeights(w_u, b_u, w_v, outer.weight, outer.bias, -outer.weight)
+
+
+class _MaxOverPairs(torch.autograd.Function):
+    """max_j W ReLU(u_j - v_i) with a gradient that visits the winning pairs only."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...], first: Tensor
+    ) -> Tensor:
+        """Return the maxima (P, C); ``first`` (P,) is the first person of each person's scene."""
+        best, winner = _max_over_pairs(u, v, weight, groups)
+        ctx.save_for_backward(u, v, weight, winner.add_(first.unsqueeze(1)))
+        return best - v @ weight.t()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the gradients of ``u``, ``v`` and ``weight`` from that of the maxima (P, C)."""
+        u, v, weight, winner = ctx.saved_tensors
+        to_people = ctx.needs_input_grad[0] or ctx.needs_input_grad[1]
+        channels, width = weight.shape
+        grad_u, grad_v, grad_w = torch.zeros_like(u), torch.empty_like(v), torch.zeros_like(weight)
+        rows = max(1, _buffer_size(u) // (2 * channels * width))
+        buffer = u.new_empty(2, min(rows, len(u)), channels, width)
+        for start in range(0, len(u), rows):
+            part = slice(start, start + rows)
+            who, g = winner[part].flatten(), grads[0][part]
+            inner, back = buffer[:, : len(g)]
+            torch.index_select(u, 0, who, out=inner.view(-1, width))
+            inner.sub_(v[part].unsqueeze(1)).clamp_(min=0)
+            if ctx.needs_input_grad[2]:
+                grad_w += torch.bmm(g.t().unsqueeze(1), inner.transpose(0, 1)).squeeze(1)
+            if to_people:
+                torch.mul(g.unsqueeze(2), weight, out=back)
+                torch.ops.aten.threshold_backward.grad_input(back, inner, 0, grad_input=back)
+                grad_u.index_add_(0, who, back.view(-1, width))
+                torch.sum(back, 1, out=grad_v[part])
+        return grad_u, grad_v.neg_(), grad_w, None, None
+
+
+def _max_over_pairs(
+    u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...]
+) -> tuple[Tensor, Tensor]:
+    """Return max_j W max(u_j, v_i) over the scene of i (P, C), and which of its people won (P, C) long.
+
+    Args:
+        u: What each person is to others (P, D).
+        v: What will be subtracted from it for each person who looks (P, D).
+        weight: The last layer's W (C, D).
+        groups: The people (G, n) of the scenes of each size n.
+    """
+    if not groups:
+        return v.new_zeros(0, len(weight)), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
+    width, pairs = u.shape[1], max(1, _buffer_size(u) // u.shape[1])
+    pieces = [_piece(group, pairs) for group in groups]
+    buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
+    found = []
+    for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
+        # A single group is everybody, in order.
+        seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
+        for i in range(0, len(group), scenes):
+            for k in range(0, n, rows):
+                some = looking[i : i + scenes, k : k + rows].unsqueeze(2)
+                shape = (*some.shape[:2], n)
+                cells = buffer[: shape[0] * shape[1] * n]
+                torch.maximum(seen[i : i + scenes].unsqueeze(1), some, out=cells.view(*shape, width))
+                # With the few channels first this product is four times as fast: (C, G', rows, n).
+                best, winner = (weight @ cells.t()).view(-1, *shape).max(3)
+                found.append((best.flatten(1), winner.flatten(1)))
+    best, winner = found[0] if len(found) == 1 else (torch.cat(x, 1) for x in zip(*found, strict=True))
+    best, winner = best.t(), winner.t()
+    if len(groups) > 1:
+        back = torch.argsort(torch.cat([group.flatten() for group in groups]))
+        best, winner = best[back], winner[back]
+    return best, winner
+
+
+def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
+    """Return the maxima of `_max_over_pairs` for scenes of ``n`` people each, in as few calls as possible."""
+    pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1])).view(-1, u.shape[1])
+    return functional.linear(weight, pairs).view(-1, len(u), n).amax(2).t()
+
+
+def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor) -> Tensor:
+    """Return the maxima of `_max_over_pairs` over whoever is not ``absent`` (B, A), for all B * A slots."""
+    mine, others = v.view(*absent.shape, 1, -1), u.view(absent.shape[0], 1, absent.shape[1], -1)
+    pairs = functional.linear(torch.maximum(others, mine), weight)
+    return pairs.masked_fill(absent[:, None, :, None], -torch.inf).amax(2).flatten(0, 1)
+
+
+def _piece(group: Tensor, pairs: int) -> tuple[int, int, int]:
+    """Return how many scenes of a group (G, n), and how many rows of them, fit in ``pairs`` pairs; and n."""
+    scenes, n = group.shape
+    return min(scenes, max(1, pairs // (n * n))), min(n, max(1, pairs // n)), n
+
+
+def _buffer_size(like: Tensor) -> int:
+    """Return how many numbers of the pairs are held at once on the device of ``like``."""
+    return _CPU_FLOATS if like.device.type == "cpu" else _GPU_FLOATS

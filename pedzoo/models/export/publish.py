@@ -1,0 +1,193 @@
+"""Makes weights of the zoo and their model card, of a training run or of what weights say themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.fetch import sha256_of
+from pedzoo.core.paths import weight_files
+from pedzoo.core.types import PRED_LEN
+from pedzoo.data.datasets.eth_ucy import EVERYTHING
+from pedzoo.data.provenance import provenance, together
+from pedzoo.models.export.run_record import RunRecord, read_run
+from pedzoo.models.zoo.card import ModelCard, Training, check_name, read_card, write_card
+from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
+from pedzoo.models.zoo.store import find
+
+LICENCE = "MIT"
+"""Of weights, unless something else is said. The terms of the recordings are in the card, too."""
+
+IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
+"""What weights say themselves about their training; the rest is in the card."""
+
+
+def publish(
+    checkpoint: str | Path,
+    folder: str | Path,
+    name: str | None = None,
+    measured: list[dict[str, Any]] | None = None,
+    licence: str = LICENCE,
+    url: str | None = None,
+) -> Path:
+    """Write ``NAME.safetensors`` and ``NAME.yaml`` and return the path of the latter, the card.
+
+    The same checkpoint gives the same weights, byte for byte.
+
+    Args:
+        checkpoint: ``RUN/checkpoints/best.ckpt`` of ``pedzoo fit``, in its run folder.
+        folder: Where to write; made where it is missing.
+        name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
+        measured: Reports of what the model does, for the card; None keeps those of a card that is there, if
+            it is of the same weights.
+        licence: Of the weights.
+        url: Where the weights can be downloaded, if not beside the card.
+
+    Raises:
+        UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
+            in a file of one's own, or the name cannot be one.
+    """
+    checkpoint = Path(checkpoint)
+    content = read_checkpoint(checkpoint)
+    if ".py:" in (architecture := content["pedzoo"]["architecture"]):
+        raise UserError(
+            f"{str(checkpoint)!r} is of {architecture!r}, and weights never make a file of code run where "
+            "they are loaded: install the class as a plugin and train it by its name"
+        )
+    record = _with_zoo_names(read_run(checkpoint, content))
+    protocol = content["pedzoo"]["protocol"]
+    name = check_name(name or zoo_name(record.training["config"], protocol))
+    weights, model = Path(folder) / f"{name}.safetensors", load(checkpoint)
+    data = _trained_on(record, plans="map" in model.needs)
+    said = {key: record.training[key] for key in IN_WEIGHTS}
+    if measured is None and (there := weights.with_suffix(".yaml")).is_file():
+        read_card(there)  # a damaged one is told before its weights are others
+    save_weights(model, weights, protocol=protocol, training=said)
+    return _write(weights, record, data, measured, licence, url)
+
+
+def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
+    """Write the card of weights whose run is gone, from what they say themselves, and return its path.
+
+    Args:
+        weights: ``FOLDER/ARCHITECTURE.TAG.safetensors``.
+        measured: As of `publish`.
+
+    Raises:
+        UserError: There are none, they are damaged, or not named like weights of the zoo.
+    """
+    weights = Path(weights)
+    check_name(weights.stem)
+    config = read_config(weights)
+    known = config.get("protocol", {}) | config.get("training", {})
+    record = RunRecord({key: known.get(key) for key in Training.__annotations__})
+    data = _trained_on(record, plans="map" in load(weights).needs)
+    return _write(weights, record, data, measured)
+
+
+def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
+    """Return what weights of a config are called: after the scene that they did not see.
+
+    What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
+    clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those
+    have configs in folders: of ``open_loop/sgan_goal_map`` come ``sgan_goal_map.zara1_way`` and
+    ``sgan_goal_map.eth_ucy_way``, of ``closed_loop/sgan_goal_map`` ``sgan_goal_map.indoor_zara1`` and, of all
+    scenes, ``sgan_goal_map.indoor``; of ``ppo/sgan_goal`` ``sgan_goal.eth_ucy_ppo``.
+    """
+    folder, _, config = config.rpartition("/")
+    tag = protocol["fold"]
+    if folder == "closed_loop":
+        tag = "indoor" if tag == EVERYTHING else f"indoor_{tag}"
+    elif folder:
+        tag += "_way" if folder == "open_loop" else f"_{folder}"
+    if protocol["goal"] == "destination":
+        tag += "_destination"
+    if protocol["pred_len"] != PRED_LEN:
+        tag += f"_pred{protocol['pred_len']}"
+    if protocol["clock"] != ("true" if folder or protocol["fold"] == EVERYTHING else "benchmark"):
+        tag += f"_{protocol['clock']}"
+    return f"{config.removesuffix('_destination')}.{tag}"
+
+
+def _write(
+    weights: Path,
+    record: RunRecord,
+    data: dict[str, Any],
+    measured: list[dict[str, Any]] | None,
+    licence: str = LICENCE,
+    url: str | None = None,
+) -> Path:
+    """Write the card beside the weights."""
+    path, config, digest = weights.with_suffix(".yaml"), read_config(weights), sha256_of(weights)
+    if measured is None:
+        measured = _measured_before(path, digest)
+    card = ModelCard(
+        name=weights.stem,
+        architecture=config["architecture"],
+        sha256=digest,
+        size=weights.stat().st_size,
+        config=config,
+        training=record.training,
+        data=data,
+        evaluations=measured,
+        versions=record.versions or {},
+        licence=licence,
+        file=weights.name,
+        url=url,
+    )
+    write_card(card, path)
+    return path
+
+
+def _with_zoo_names(record: RunRecord) -> RunRecord:
+    """Return what a run recorded, with the zoo's name of a checkpoint that it began with, if it has one."""
+    began = record.began_with
+    if not began or not began.endswith(".ckpt") or not Path(began).is_file():
+        return record
+    model = load(began)
+    ours, state = config_of(model), model.state_dict()
+    for name, file in weight_files().items():
+        theirs = read_config(file)
+        if any(theirs.get(key) != ours[key] for key in ("architecture", "init")):
+            continue
+        published = load(file).state_dict()
+        if all(torch.equal(value, published[key]) for key, value in state.items()):
+            training = dict(record.training)
+            words = [word.replace(began, name) for word in training["command"]]
+            overrides = {key: value.replace(began, name) for key, value in training["overrides"].items()}
+            return record._replace(training=training | {"command": words, "overrides": overrides})
+    return record
+
+
+def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:
+    """Return what a model card says of the data, with those of the weights that the run began with."""
+    data = provenance(record.training["fold"], record.files, plans)
+    if not (weights := record.began_with):
+        return data
+    try:
+        return together(data, _seen_by(weights, plans))
+    except UserError as error:
+        raise UserError(
+            f"the run began with {weights!r}, and the card has to say what they saw: {error}"
+        ) from error
+
+
+def _seen_by(weights: str, plans: bool) -> dict[str, Any]:
+    if entry := find(weights):
+        return entry.card.data
+    if weights.endswith(".ckpt"):
+        return _trained_on(read_run(Path(weights), read_checkpoint(weights)), plans)
+    return provenance(read_config(weights).get("protocol", {}).get("fold"), plans=plans)
+
+
+def _measured_before(path: Path, digest: str) -> list[dict[str, Any]]:
+    """Return the evaluations of a card that is there, if it is of the same weights."""
+    if not path.is_file():
+        return []
+    card = read_card(path)
+    return card.evaluations if card.sha256 == digest else []

@@ -1,0 +1,91 @@
+"""A folder as the Hugging Face hub wants it: weights, card, and a README made of the card. Needs no torch."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.paths import write_whole
+from pedzoo.models.zoo.card import ModelCard, is_name, write_card
+from pedzoo.models.zoo.card_page import page
+from pedzoo.models.zoo.store import find, names, weights_of
+
+TAGS = ("pedestrians", "trajectory-forecasting", "social-navigation", "crowd-simulation")
+
+LICENCES = ("mit", "apache-2.0", "bsd-3-clause", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc0-1.0")
+"""Licences that the hub knows by these names; all others are ``other`` there."""
+
+
+def write_hub(name: str, folder: str | Path) -> list[Path]:
+    """Write a model as a folder that can be uploaded as it is, and return its files.
+
+    ``pedzoo.load(folder)`` loads it again, and once it is uploaded ``pedzoo.load("hf://OWNER/REPO")`` does.
+
+    Args:
+        name: Any name of a model with a card, see `pedzoo.models.zoo.store.find`.
+        folder: Made where it is missing; files of the same model are replaced.
+
+    Raises:
+        UserError: There is no such model, or the folder holds another one.
+    """
+    if (entry := find(name)) is None:
+        raise unknown("model with a card", name, names())
+    folder = Path(folder)
+    # the files of the folder belong together, wherever they were from
+    card = replace(entry.card, url=None)
+    there = sorted(path.stem for path in folder.glob("*.yaml") if is_name(path.stem))
+    if others := [other for other in there if other != card.name]:
+        raise UserError(
+            f"folder {str(folder)!r} holds {', '.join(others)} already: a repository of the hub is one "
+            f"model's, so give {card.name} a folder of its own"
+        )
+    files = [folder / card.file, folder / f"{card.name}.yaml", folder / "README.md"]
+    write_whole(files[0], weights_of(entry).read_bytes())
+    write_card(card, files[1])
+    write_whole(files[2], readme(card).encode())
+    return files
+
+
+def readme(card: ModelCard) -> str:
+    """Return the page of a card with the front matter by which the hub, and pedzoo, know what is there."""
+    front = yaml.safe_dump(_front(card), sort_keys=False, allow_unicode=True, width=110)
+    return f"---\n{front}---\n\n{page(card)}\n{_FROM_HERE}"
+
+
+_FROM_HERE = """## From this repository
+
+```python
+import pedzoo  # pip install pedzoo
+
+model = pedzoo.load("hf://OWNER/REPOSITORY")  # as this page's address says
+```
+
+Weights are plain safetensors: nothing in this repository is code. They are checked against the card's sha256.
+"""
+
+
+def _front(card: ModelCard) -> dict[str, Any]:
+    licence = card.licence.lower()
+    found: dict[str, Any] = {"license": licence}
+    if licence not in LICENCES:
+        found = {"license": "other", "license_name": re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")}
+    found |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
+    if results := [_result(report, row) for report in card.evaluations for row in report["rows"]]:
+        found["model-index"] = [{"name": card.name, "results": results}]
+    return found
+
+
+def _result(report: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row of a report as the hub's ``model-index`` has it: a task, a dataset and metrics."""
+    task = {"forecast": "trajectory-forecasting"}.get(report["command"], "closed-loop-simulation")
+    case = " ".join(str(value) for value in row["case"].values()) or str(row.get("table", task))
+    if "goal" in report["protocol"]:  # a number without it would be compared with others of another protocol
+        case += f", goal {report['protocol']['goal']}"
+    metrics = [{"type": key, "value": value} for key, value in row["metrics"].items()]
+    dataset = {"type": re.sub(r"[^a-z0-9]+", "-", case.lower()).strip("-"), "name": case}
+    return {"task": {"type": task}, "dataset": dataset, "metrics": metrics}

@@ -1,0 +1,114 @@
+"""Checks of what was read from somebody's file: its typed form, and plain values."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from functools import cache, partial
+from types import NoneType, UnionType
+from typing import Annotated, Any, NotRequired, get_args, get_origin, get_type_hints
+
+from typing_extensions import is_typeddict
+
+from pedzoo.core.errors import UserError, unknown
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+_WORDS = {
+    str: "a text",
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    list: "a list",
+    dict: "a mapping",
+    NoneType: "null",
+}
+
+_hints = cache(partial(get_type_hints, include_extras=True))
+
+
+def check(found: Any, form: Any, where: str = "") -> None:
+    """Check that a value has a form.
+
+    Args:
+        found: The value.
+        form: A `TypedDict` (``closed`` ones refuse other keys), a dataclass (its fields as keys),
+            ``list[X]``, ``dict[str, X]``, ``tuple[X, X]`` (a list of so many), a plain type; one of these
+            ``| None``; or ``Annotated[type, form]``.
+        where: What it is, for the message.
+
+    Raises:
+        UserError: A key is unknown or missing, or a value is of another type.
+    """
+    while get_origin(form) in (Annotated, NotRequired):
+        form = get_args(form)[-1]
+    choices = get_args(form) if isinstance(form, UnionType) else (form,)
+    if form is Any or (NoneType in choices and _fits(found, NoneType)):
+        return
+    form = choices[0]
+    if is_typeddict(form) or is_dataclass(form):
+        check_keys(found, form, where)
+        for key in _hints(form).keys() & found.keys():
+            check(found[key], _hints(form)[key], f"{where} {key}".strip())
+        return
+    if not _fits(found, form):
+        expected = " or ".join(map(_in_words, choices))
+        raise UserError(f"{where or 'it'} is {found!r:.60}, expected {expected}")
+    kind, inner = get_origin(form), get_args(form)
+    if kind is dict:
+        for key, value in found.items():
+            check(value, inner[1], f"{where} {key!r:.60}")
+    elif kind is list:
+        for value in found:
+            check(value, inner[0], where)
+
+
+def check_keys(found: Any, form: Any, where: str = "") -> None:
+    """Check the keys of a mapping, and not their values. Arguments and errors as of `check`."""
+    known, where = _hints(form), f"{where} " if where else ""
+    if not isinstance(found, Mapping):
+        raise UserError(f"{where or 'it '}is {found!r:.60}, expected a mapping of {', '.join(known)}")
+    for key in found:
+        if key not in known and getattr(form, "__closed__", True):
+            raise unknown(f"{where}key", str(key), known)
+    for key in known:
+        if key not in found and get_origin(known[key]) is not NotRequired:
+            raise UserError(f"{where}{key} is missing")
+
+
+def _fits(found: Any, form: Any) -> bool:
+    kind, inner = get_origin(form) or form, get_args(form)
+    if kind is tuple:
+        return isinstance(found, list) and len(found) == len(inner) and all(map(_fits, found, inner))
+    if isinstance(found, bool):
+        return kind is bool
+    return isinstance(found, int | float if kind is float else kind)
+
+
+def _in_words(form: Any) -> str:
+    kind = get_origin(form) or form
+    return f"{len(get_args(form))} numbers" if kind is tuple else _WORDS[kind]
+
+
+def check_plain(value: Any) -> None:
+    """Check that a value is made of texts, finite numbers, lists and mappings, as JSON is.
+
+    Raises:
+        UserError: It holds something else, such as YAML's dates and sets, or control characters, which are
+            orders to a terminal.
+    """
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, str) and _CONTROL.search(one):
+            raise UserError(f"{one!r:.60}: expected no control characters")
+        if isinstance(one, Mapping) and all(isinstance(key, str | int) for key in one):
+            waiting += [*one, *one.values()]
+        elif isinstance(one, list):
+            waiting += one
+        elif not isinstance(one, str | int | NoneType) and not (
+            isinstance(one, float) and math.isfinite(one)
+        ):
+            raise UserError(f"{one!r:.60}: expected plain values (text, finite numbers, lists, mappings)")

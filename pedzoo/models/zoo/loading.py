@@ -1,0 +1,199 @@
+"""Models by name: weights as safetensors, with all that is needed to build the model in their metadata."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import pickle
+import struct
+import sys
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import save
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import write_whole
+from pedzoo.core.registry import MODELS
+from pedzoo.core.types import GoalProtocol
+from pedzoo.models.base import Forecaster
+from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.header import Config, config_in, opened
+from pedzoo.models.zoo.keys import check
+from pedzoo.models.zoo.store import find, names, no_model, weights_of
+from pedzoo.models.zoo.store import obtain as obtain
+
+_DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
+"""What reading a damaged checkpoint can end in."""
+
+
+def list_models(pattern: str = "*") -> list[str]:
+    """Return the names of all models on this machine that match ``pattern``, as ``architecture.tag``.
+
+    Those are the shipped ones, those in folders of the variable ``PEDZOO_ZOO``, and those fetched before.
+    """
+    return [name for name in names() if fnmatch(name, pattern)]
+
+
+def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
+    """Return a model in eval mode.
+
+    Args:
+        name: A zoo name (``sgan_goal.zara1``), a folder with its card (``FOLDER/sgan_goal.mall``), an address
+            (``hf://OWNER/REPO``, ``https://HOST/FOLDER/sgan_goal.mall``), a ``.safetensors`` or Lightning
+            ``.ckpt`` file, a baseline (``bent_line``), or an untrained class ``path/to/file.py:Class``.
+        goal: The goal protocol for untrained models that ask for it; trained ones keep their own.
+
+    Raises:
+        UserError: No such model, its files are damaged or cannot be had, or they are not what its card says.
+    """
+    name = str(name)
+    if entry := find(name):
+        return _from_safetensors(weights_of(entry), entry.card)
+    if name.endswith(".safetensors"):
+        return _from_safetensors(Path(name))
+    if name.endswith(".ckpt"):
+        return _from_checkpoint(Path(name))
+    if name not in MODELS.names() and ".py:" not in name:
+        raise no_model(name, baselines())
+    model = MODELS.get(name)
+    asks = "goal_protocol" in inspect.signature(model).parameters
+    built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
+    if any(True for _ in built.parameters()) and ".py:" not in name:
+        weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
+        raise UserError(f"{name!r} is an architecture; name its weights: {weights}")
+    return built.eval()
+
+
+def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
+    """Return what has to be known to build ``model`` again, and whatever else is worth keeping."""
+    if not hasattr(model, "config"):
+        name = type(model).__name__
+        raise UserError(
+            f"{name} cannot be saved: keep its arguments in __init__, self.config = arguments(locals())"
+        )
+    return {"architecture": architecture_of(model), "init": model.config, "goal": model.goal_protocol, **more}
+
+
+def build(config: dict[str, Any]) -> Forecaster:
+    """Return an untrained model of a config from `config_of`.
+
+    Raises:
+        UserError: There is no such architecture, or it takes other arguments.
+    """
+    name, init = config["architecture"], config["init"]
+    try:
+        return _made(MODELS.get(name), init, name)
+    except (TypeError, RuntimeError) as error:  # values of other kinds, sizes that nobody has
+        raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
+
+
+def architecture_of(model: Forecaster) -> str:
+    """Return the registered name of a model's class, or ``file.py:Class`` for one from outside."""
+    module = type(model).__module__
+    package, _, stem = module.rpartition(".")
+    if package == MODELS.package:
+        return stem
+    return f"{sys.modules[module].__file__}:{type(model).__name__}"
+
+
+def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -> str:
+    """Write ``model`` to a file, whole or not at all, and return its sha256.
+
+    The same model gives the same bytes.
+
+    Args:
+        model: The model.
+        path: The file, ``.safetensors``.
+        known: What is said of it beside: its ``protocol`` and ``training``.
+
+    Raises:
+        UserError: The model does not keep its arguments, or something else is to be said.
+    """
+    config = config_of(model, **known)
+    check(config, Config, "config")
+    # one metadata key: with several, their order, and so the sum, would vary
+    metadata = {"config": json.dumps(config, sort_keys=True)}
+    data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
+    write_whole(Path(path), data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def _from_safetensors(path: Path, card: ModelCard | None = None) -> Forecaster:
+    with opened(path, "pt") as file:
+        config = config_in(file, path)
+        state = {key: file.get_tensor(key) for key in file.keys()}
+    if card and card.config != config:
+        other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
+        raise UserError(
+            f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
+        )
+    return fill(build(config), state, str(path))
+
+
+def read_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Return what ``pedzoo fit`` wrote into a Lightning checkpoint; nothing in it is run.
+
+    Raises:
+        UserError: No such file, or it is damaged or of another program.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"no checkpoint at {str(path)!r}")
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except _DAMAGED as error:
+        raise UserError(
+            f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?"
+        ) from error
+    if not isinstance(checkpoint, dict) or "pedzoo" not in checkpoint:
+        raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
+    return checkpoint
+
+
+def _from_checkpoint(path: Path) -> Forecaster:
+    checkpoint = read_checkpoint(path)
+    prefix = "generator."
+    state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
+    return fill(build(checkpoint["pedzoo"]), state, str(path))
+
+
+def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Forecaster:
+    """Load weights into a model of exactly their architecture and return it in eval mode.
+
+    Raises:
+        UserError: A tensor is missing, left over, or of another shape.
+    """
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        name = architecture_of(model)
+        raise UserError(
+            f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
+        ) from error
+    return model.eval()
+
+
+def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
+    if not issubclass(model, Forecaster):
+        raise UserError(f"{name!r} is no model: expected a subclass of pedzoo.models.base.Forecaster")
+    try:
+        inspect.signature(model).bind(**init)
+    except TypeError as error:
+        raise UserError(
+            f"{name!r} cannot be built with the arguments {init}: {error}; is it of another version?"
+        ) from error
+    return model(**init)
+
+
+def baselines() -> list[str]:
+    """Return the names of the architectures that have nothing to train."""
+    return [name for name in MODELS.names() if not any(True for _ in MODELS.get(name)().parameters())]
+
+
+def _first(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines[:2])

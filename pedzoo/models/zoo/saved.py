@@ -1,0 +1,33 @@
+"""What a model's file says about it, however the model is named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pedzoo.core.registry import MODELS
+from pedzoo.models.zoo.address import is_address
+from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.loading import read_checkpoint
+from pedzoo.models.zoo.store import find, no_model, weights_of
+
+
+def saved_config(name: str) -> dict[str, Any]:
+    """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
+
+    Nothing is said of a model that was not trained: a baseline, or a class in a file.
+
+    Args:
+        name: What `pedzoo.models.zoo.loading.load` accepts.
+
+    Raises:
+        UserError: There is no such model, or it cannot be read.
+    """
+    if name.endswith(".ckpt"):
+        return read_checkpoint(name)["pedzoo"]
+    if name.endswith(".safetensors") and not is_address(name):
+        return read_config(name)
+    if entry := find(name):
+        return read_config(weights_of(entry))
+    if name in MODELS.names() or ".py:" in name:
+        return {}
+    raise no_model(name)

@@ -1,0 +1,190 @@
+"""Where models with a card come from: those shipped, folders, and addresses on the net. Needs no torch."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+from typing import NamedTuple
+
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.fetch import sha256_of
+from pedzoo.core.paths import shipped
+from pedzoo.core.registry import MODELS
+from pedzoo.models.zoo.address import Place, download, is_address, kept_models, place
+from pedzoo.models.zoo.card import ModelCard, is_name, read_card
+
+SOURCES = "PEDZOO_ZOO"
+"""Environment variable: folders and addresses, with commas between, where names are looked up, too."""
+
+
+class Entry(NamedTuple):
+    """A model that was found.
+
+    Attributes:
+        card: Its card.
+        folder: Where the card lies.
+        place: Where on the net it is from; None for one of this machine.
+    """
+
+    card: ModelCard
+    folder: Path
+    place: Place | None = None
+
+
+def find(name: str) -> Entry | None:
+    """Return the model of a name; its card is fetched where it must, its weights are not.
+
+    Args:
+        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` that has one model; an address:
+            ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` or ``https://HOST/FOLDER/ARCH.TAG``.
+
+    Returns:
+        None for what has no card: a file of weights or of code, an architecture, a word that is nothing.
+
+    Raises:
+        UserError: There is no model at that place, several have the name, or its card is refused.
+    """
+    try:
+        return _found(name)
+    except OSError as error:  # longer than names of files may be, a folder that others may not read
+        raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
+
+
+def _found(name: str) -> Entry | None:
+    if is_address(name):
+        return _fetched(name)
+    if is_file(name):
+        return None
+    path = Path(name).expanduser()
+    if path.name == name:
+        if is_name(name) and (found := _by_name(name)):
+            return found
+        return _only_one(path) if name not in MODELS.names() and _cards(path) else None
+    if path.is_dir():
+        return _only_one(path)
+    if path.name in (there := _cards(path.parent)):
+        return _read(path.parent, path.name)
+    raise unknown(f"model of {str(path.parent)!r}", path.name, there)
+
+
+def is_file(name: str) -> bool:
+    """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
+    return not is_address(name) and (".py:" in name or name.endswith((".ckpt", ".safetensors")))
+
+
+def weights_of(entry: Entry) -> Path:
+    """Return the weights of a model, checked against its card, and downloaded where they are not there.
+
+    Raises:
+        UserError: They cannot be had, or are others than the card says.
+    """
+    card, path = entry.card, entry.folder / entry.card.file
+    if entry.place:
+        url, kept = card.url or f"{entry.place.url}/{card.file}", f"{entry.place.kept}/{card.file}"
+        again = f"; if the model has changed there, remove {entry.folder / card.name}.yaml"
+        return download(url, kept, card.sha256, card.size, again)
+    if not path.is_file() and card.url:
+        return download(card.url, f"weights/{card.sha256}/{card.file}", card.sha256, card.size)
+    if not path.is_file():
+        raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
+    if (found := sha256_of(path)) != card.sha256:
+        remedy = "reinstall pedzoo" if entry.folder == shipped("checkpoints") else "get both anew"
+        raise UserError(
+            f"weights {str(path)!r} have sha256 {found}, but their card says {card.sha256}: {remedy}"
+        )
+    return path
+
+
+def obtain(name: str) -> Path:
+    """Return the weights of a model's name, checked, and downloaded where they are not there.
+
+    Raises:
+        UserError: There is no such model, or its weights cannot be had.
+    """
+    if entry := find(name):
+        return weights_of(entry)
+    raise no_model(name)
+
+
+def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> UserError:
+    """Return the error for a name that no model has, with the nearest one.
+
+    Of all the models that there are it lists those of the same family, ``sgan_goal.*``; families if it is of
+    none.
+
+    Args:
+        name: What was asked for.
+        others: Names that would do as well, besides those of models.
+        kind: What was expected.
+    """
+    known, others = names(), list(others)
+    near = get_close_matches(name, [*others, *known], n=1)
+    families = [f"{one.partition('.')[0]}." for one in (name, *near)]
+    family = next(filter(None, ([one for one in known if one.startswith(stem)] for stem in families)), [])
+    return unknown(kind, name, {*others, *(family or (f"{one.partition('.')[0]}.*" for one in known))})
+
+
+def names() -> list[str]:
+    """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
+    return sorted({*(name for folder in _folders() for name in _cards(folder)), *kept_models()})
+
+
+def _cards(folder: Path) -> list[str]:
+    return [path.stem for path in sorted(folder.glob("*.yaml")) if is_name(path.stem)]
+
+
+def _sources(address: bool) -> list[str]:
+    """Return the user's sources that are addresses, or those that are folders."""
+    sources = (source.strip().rstrip("/") for source in os.environ.get(SOURCES, "").split(","))
+    return [source for source in sources if source and is_address(source) == address]
+
+
+def _folders() -> list[Path]:
+    return [shipped("checkpoints"), *(Path(source).expanduser() for source in _sources(address=False))]
+
+
+def _by_name(name: str) -> Entry | None:
+    for folder in _folders():
+        if (folder / f"{name}.yaml").is_file():
+            return _read(folder, name)
+    if len(kept := kept_models().get(name, [])) > 1:
+        raise UserError(f"{name!r} was fetched from {len(kept)} places, say which: {' or '.join(kept)}")
+    if kept:
+        return _fetched(kept[0])
+    failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
+    for source in _sources(address=True):
+        try:
+            return _fetched(f"{source}/{name}")
+        except UserError as error:
+            failed.append(str(error))
+    if failed:
+        raise UserError(f"{no_model(name)}; {SOURCES}: {'; '.join(failed)}")
+    return None
+
+
+def _only_one(folder: Path) -> Entry:
+    if len(cards := _cards(folder)) != 1:
+        told = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
+        raise UserError(f"folder {str(folder)!r} is not that of one model: {told}")
+    return _read(folder, cards[0])
+
+
+def _fetched(name: str) -> Entry:
+    """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
+    where = place(name)
+    path = download(f"{where.url}/{where.model}.yaml", f"{where.kept}/{where.model}.yaml")
+    try:
+        return _read(path.parent, where.model)._replace(place=where)
+    except UserError as error:
+        path.unlink(missing_ok=True)  # perhaps a page of the server's about something else
+        raise UserError(f"{name}: {error}") from error
+
+
+def _read(folder: Path, name: str) -> Entry:
+    path = folder / f"{name}.yaml"
+    card = read_card(path)
+    if card.name != name:
+        raise UserError(f"model card {str(path)!r} is of {card.name!r}: the file must have the model's name")
+    return Entry(card, folder)

@@ -1,0 +1,1 @@
+"""Everything that turns a scene into velocities."""

@@ -1,0 +1,1 @@
+"""Forecasters that walk, and the safety layer under them."""

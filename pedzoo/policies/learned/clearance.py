@@ -1,0 +1,264 @@
+"""Room kept between people and to walls: where the next step lacks it, which way out, what touches.
+
+Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
+is read back to the host. `pedzoo.policies.learned.clearance_loops` says the same in compiled loops, and
+`pedzoo.policies.learned.clearance_slopes` has their gradients.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.maps.walls.local_walls import LocalWalls
+
+ROUNDS = 8
+"""Corrections at most: each may undo a part of another."""
+
+NARROW = 0.5
+"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
+
+MARGIN = 0.02
+"""Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
+
+SHOULDERS = 0.71
+"""Metres between two people who are in a narrow place or come to one; more where their bodies need more.
+
+A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993. Bodies are slimmer
+than people with their arms and steps. Bodies alone would squeeze past each other in a door where one person
+waits, and their queues would be faster than real ones: 2.9 persons per metre and second. Real queues have
+1.9, see Seyfried et al., "New insights into pedestrian flow through bottlenecks", 2009."""
+
+FIRST = 0.125
+"""Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
+
+BEYOND = 1.125
+"""Part of a step that is to be clear: a body that turns off afterwards still goes on for half of 0.1 s."""
+
+ROUNDING = 1e-5
+"""Metres: a pair that lacks less room asks for no correction."""
+
+_PLACES = 8
+"""Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
+
+_QUARTER = TRACE_SECONDS / STEP_SECONDS
+
+
+class Steps(NamedTuple):
+    """What B scenes of A people are about to do.
+
+    Attributes:
+        position: Where they are (B, A, 2), metres.
+        step: Where the next step leads (B, A, 2), metres; agents that the policy does not move go on.
+        longest: Greatest length of a step (B, A), metres.
+        present: Which agents are there (B, A) bool.
+        moved: Which agents' steps may be changed (B, A) bool.
+        waits: Which agents have hardly moved of late (B, A) bool.
+        radius: Of their bodies (B, A), metres.
+        robot: Which of them are robots (B, A) bool.
+        velocity: With which they begin the step (B, A, 2), m/s: the simulation blends it with the new one.
+            None where velocities are switched, and steps straight.
+    """
+
+    position: Tensor
+    step: Tensor
+    longest: Tensor
+    present: Tensor
+    moved: Tensor
+    waits: Tensor
+    radius: Tensor
+    robot: Tensor
+    velocity: Tensor | None = None
+
+    @property
+    def first(self) -> float:
+        """How the place after 0.1 s moves with the step."""
+        return _QUARTER if self.velocity is None else FIRST
+
+    @property
+    def beyond(self) -> float:
+        """How much of the step is to be clear."""
+        return 1.0 if self.velocity is None else BEYOND
+
+    def walk(self, step: Tensor) -> Tensor:
+        """Return where steps (B, A, 2) lead after 0.1, 0.3 and 0.4 s (3, 2, B, A), metres from here.
+
+        As `pedzoo.core.kinematics.blended` does, straight in between.
+        """
+        step = step.movedim(-1, 0)
+        straight = torch.stack((_QUARTER * step, (1 - _QUARTER) * step, step))
+        if self.velocity is None:
+            return straight
+        command = _QUARTER * step
+        half = 0.5 * (TRACE_SECONDS * self.velocity.movedim(-1, 0) - command)
+        size, length = ((values.square().sum(0) + 1e-12).sqrt() for values in (half, command))
+        half = half * (length / size).clamp_max(1.0)
+        begin = _limited(command + half, _QUARTER * self.longest)
+        middle = begin + 2 * _limited(command - 0.5 * half, _QUARTER * self.longest)
+        return torch.where(self.moved, torch.stack((begin, middle, middle + command)), straight)
+
+
+class Pairs(NamedTuple):
+    """Every agent and every other agent.
+
+    Attributes:
+        away: From each to each other's place (2, B, A, A): mine less theirs, metres.
+        apart: Its length (B, A, A), metres.
+        room: Distance that is to be kept on S straight parts (S, B, A, A), metres; below 0 for absent agents.
+            The first part is the straight way to the end of the step. Where velocities blend there are three
+            more: the first 0.1 s, the next 0.2 s, and what lies beyond the step.
+        mine: Share of the correction that the first agent of a pair makes (B, A, A).
+        least: Distance below which they touch (B, A, A), metres: the sum of their radii.
+        first: Of the steps.
+    """
+
+    away: Tensor
+    apart: Tensor
+    room: Tensor
+    mine: Tensor
+    least: Tensor
+    first: float
+
+    @classmethod
+    def of(cls, steps: Steps, narrow: Tensor | None) -> Pairs:
+        """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool."""
+        position = steps.position.movedim(-1, 0)
+        away = position.unsqueeze(3) - position.unsqueeze(2)
+        apart = (away.square().sum(0) + 1e-9).sqrt()
+        both = steps.present.unsqueeze(2) & steps.present.unsqueeze(1)
+        both &= ~torch.eye(both.shape[1], dtype=torch.bool, device=away.device)
+        yields = steps.moved & ~steps.robot
+        gives = yields.unsqueeze(2) | (steps.moved.unsqueeze(2) & ~yields.unsqueeze(1))
+        share = gives.to(away.dtype)
+        mine = share / (share + share.mT).clamp_min(1)
+        least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
+        bodies = wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
+        if narrow is not None:
+            broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
+            broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
+            wanted = torch.where(broad, wanted.clamp_min(SHOULDERS), wanted)
+        rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
+        room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
+        return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first)
+
+    def corrected(self, walk: Tensor) -> Tensor:
+        """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off others."""
+        move = walk.unsqueeze(4) - walk.unsqueeze(3)
+        part, at, gap = self._approach(move)
+        lack, worst = (self.room - gap).max(0, keepdim=True)
+        weights = [part[0]]
+        if len(part) > 1:
+            weights += [self.first * part[1], self.first + (1 - _QUARTER - self.first) * part[2]]
+            weights += [torch.full_like(part[3], BEYOND)]
+        weight = torch.stack(weights).gather(0, worst)[0]
+        at = at.gather(1, worst.expand(2, *lack.shape))[:, 0]
+        gap, lack = gap.gather(0, worst)[0], lack[0]
+        active = lack > ROUNDING
+        # to the side, at the closest approach, or back, along the line between the two: what is less;
+        # an exact head-on meeting has no side
+        aside = torch.where(gap > 1e-3, lack / weight.clamp_min(1e-3), torch.inf)
+        line = self.away / self.apart
+        full = (line * move[2]).sum(0)
+        back = self.room[0] - self.apart - full
+        if len(part) > 1:
+            less = self.room[1] - self.apart
+            back = back.maximum((less - (line * move[0]).sum(0)) / self.first).maximum(less / BEYOND - full)
+        way = torch.where(aside < back, (aside.clamp_max(1e3) / gap) * at, back.clamp_min(0) * line)
+        way = torch.where(active, self.mine * way, 0.0)
+        # an agent with many corrections need not make each of them alone
+        return way.sum(3) / active.sum(2).clamp_min(1).sqrt()
+
+    def touching(self, mine: Tensor, theirs: Tensor) -> Tensor:
+        """Return which pairs run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
+        bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
+        return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
+
+    def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return for relative walks (3, 2, B, A, A) where each of S straight parts comes closest.
+
+        Returns:
+            The part of it (S, B, A, A), the place there (2, S, B, A, A) and its distance (S, B, A, A).
+        """
+        begin, go = self.away.unsqueeze(1), move[2].unsqueeze(1)
+        if len(self.room) > 1:
+            beyond = self.away + BEYOND * move[2]
+            begin = torch.stack((self.away, self.away, self.away + move[0], beyond), 1)
+            go = torch.stack((move[2], move[0], move[1] - move[0], torch.zeros_like(beyond)), 1)
+        part = -(begin * go).sum(0) / go.square().sum(0).clamp_min(1e-9)
+        part = part.detach().clamp(0, 1)
+        at = begin + part * go
+        return part, at, (at.square().sum(0) + 1e-9).sqrt()
+
+
+class Near(NamedTuple):
+    """Walls on the agents' ways.
+
+    Attributes:
+        walls: As the people of each scene see them.
+        position: Where they are (2, 1, B, A), metres.
+        room: Distance that is to be kept (B, A), metres.
+        least: That below which a wall is touched (B, A), metres: the radius.
+        moved: Which agents' steps may be changed (B, A) bool.
+        blend: What a place is made of (S, 3): parts of the three places of a walk.
+        weight: How much a place moves with the step (S, 1, 1).
+    """
+
+    walls: LocalWalls
+    position: Tensor
+    room: Tensor
+    least: Tensor
+    moved: Tensor
+    blend: Tensor
+    weight: Tensor
+
+    @classmethod
+    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor) -> Near:
+        """Return them; ``gap`` is how far walls are (B, A), metres."""
+        place = torch.arange(1, _PLACES + 1, device=gap.device, dtype=gap.dtype)
+        begin, middle = _QUARTER * _PLACES, (1 - _QUARTER) * _PLACES
+        begins, ends = place / begin, (place - middle) / (_PLACES - middle)
+        between = (place - begin) / (middle - begin)
+        parts = torch.stack((begins.minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
+        if steps.velocity is not None:
+            parts = torch.cat((parts, BEYOND * parts[-1:]))
+        weight = steps.first * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
+        room = torch.minimum(gap, _plus(steps.radius, MARGIN, BODY_RADIUS))
+        position = steps.position.movedim(-1, 0).unsqueeze(1)
+        return cls(walls, position, room, steps.radius, steps.moved, parts, weight.view(-1, 1, 1))
+
+    def corrected(self, walk: Tensor) -> Tensor:
+        """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off walls."""
+        gap, away = self._along(walk)
+        # in the midst of a wall the way out may be the far side: places before it know better
+        told = (gap > 0) | (gap <= 0).all(0)
+        most, place = ((self.room - gap) / self.weight * told).max(0, keepdim=True)
+        direction = away.gather(1, place.expand(2, *place.shape))[:, 0]
+        return torch.where(self.moved, most.clamp_min(0) * direction, 0.0)
+
+    def touching(self, walk: Tensor) -> Tensor:
+        """Return which agents would touch a wall, and more than now (B, A) bool."""
+        gap, _ = self._along(walk)
+        # corners are cut a little between two places
+        bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4
+        return (gap[:_PLACES] < bound).any(0) & self.moved
+
+    def _along(self, walk: Tensor) -> tuple[Tensor, Tensor]:
+        """Return distances to walls (S, B, A) along a walk, and where they grow (2, S, B, A)."""
+        places = (self.blend @ walk.flatten(1)).view(len(self.blend), *walk.shape[1:]).transpose(0, 1)
+        places = self.position + places
+        gap, away = self.walls.look(places.detach(), edges=False)
+        if places.requires_grad:
+            gap = gap + ((places - places.detach()) * away).sum(0)
+        return gap, away
+
+
+def _limited(move: Tensor, longest: Tensor) -> Tensor:
+    return move * (longest / move.square().sum(0).clamp_min(1e-12).sqrt()).clamp_max(1.0)
+
+
+def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:
+    """Return radii (...) plus a margin, metres; the ``usual`` one gives exactly the sum of both constants."""
+    return (radius - usual) + (usual + margin)

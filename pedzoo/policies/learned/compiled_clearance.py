@@ -1,0 +1,88 @@
+"""The way into the safety layer's compiled loops and out: tensors on the CPU become arrays without a copy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.policies.learned.clearance import MARGIN, NARROW, ROUNDING, ROUNDS, SHOULDERS, Steps
+
+_NONE: Any = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), np.zeros(1, np.int32)
+_NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
+_NO_RECORD = np.zeros((0, 0, 0, 7))
+
+
+def compiles(steps: Steps) -> bool:
+    """Return whether the compiled loops may take these: float32 on the CPU.
+
+    Top speeds and radii have gradients in torch only.
+    """
+    numbers = [part for part in steps if part is not None and part.is_floating_point()]
+    constants = torch.is_grad_enabled() and (steps.longest.requires_grad or steps.radius.requires_grad)
+    return not constants and all(
+        part.device.type == "cpu" and part.dtype == torch.float32 for part in numbers
+    )
+
+
+def kept_clear_compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
+    """Do what `pedzoo.policies.learned.safety.kept_clear` does, with its gradients."""
+    return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls)
+
+
+class _KeptClear(torch.autograd.Function):
+    """Records the corrections of steps if gradients are asked for, and goes back over them."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Any) -> Tensor:
+        """Return the steps (B, A, 2); given are positions, steps and velocities, all steps and the walls."""
+        from pedzoo.policies.learned.clearance_loops import keep_clear
+
+        steps, walls = given[3:]
+        people, kept = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
+        size = steps.moved.shape
+        result = (
+            np.empty(size, np.bool_), np.empty((*size, 2), np.float32), np.empty(size, np.float32),
+            np.empty(size[0], np.int64),
+        )  # fmt: skip
+        records = any(ctx.needs_input_grad)
+        record = np.empty((size[0], ROUNDS, size[1], 7)) if records else _NO_RECORD
+        keep_clear(
+            *people, ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond, ROUNDING,
+            *_wall_arrays(walls), kept.numpy(), *result, record,
+        )  # fmt: skip
+        if records:
+            ctx.people, ctx.ways, ctx.result = people, (steps.first, steps.beyond), (*result, record)
+        return kept
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
+        """Return gradients (B, A, 2) of positions, steps and velocities."""
+        from pedzoo.policies.learned.clearance_slopes import keep_clear_slope
+
+        found = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
+        keep_clear_slope(
+            *ctx.people, MARGIN, SHOULDERS, *ctx.ways, ROUNDING, *ctx.result,
+            gradients[0].detach().numpy(), *(part.numpy() for part in found),
+        )  # fmt: skip
+        place, step, velocity = found
+        return place, step, TRACE_SECONDS * velocity if ctx.needs_input_grad[2] else None, None, None
+
+
+def _people(steps: Steps) -> list[Any]:
+    """Return the arrays of `Steps`, velocities as metres in 0.1 s, and whether velocities blend."""
+    blends = steps.velocity is not None
+    before = steps.step if steps.velocity is None else steps.velocity * TRACE_SECONDS
+    people: Any = steps.position, steps.step, before, *steps[2:8]
+    return [*(part.detach().numpy() for part in people), blends]
+
+
+def _wall_arrays(walls: LocalWalls | None) -> tuple[Any, ...]:
+    """Return frames (B, 7) and places (B, 3) of scenes, no rows for no walls, and the tables behind them."""
+    if walls is None:
+        return _NO_WALLS
+    return walls.frame.t().float().numpy(), walls.place.t().numpy(), *walls.walls.arrays

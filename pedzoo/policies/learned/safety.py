@@ -1,0 +1,129 @@
+"""A net under a learned policy: the least change of all next steps that keeps bodies from touching.
+
+In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018. The
+network decides where to go, and its answer is projected on what can be walked without a contact. The layer
+looks one step ahead and no farther: it plans nothing, does not wait and finds no way around. Only robots,
+which leave all of the avoidance to people, are seen from afar: `pedzoo.policies.learned.yielding`.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from pedzoo.core.batch import ROBOT, agents_of, maps_of
+from pedzoo.core.geometry import limit_speed
+from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.policies.learned.clearance import NARROW, ROUNDS, Near, Pairs, Steps
+from pedzoo.policies.learned.compiled_clearance import compiles, kept_clear_compiled
+from pedzoo.policies.learned.yielding import yielding
+
+WAITED = 0.4
+"""Metres within the observed steps, 2.8 s, below which a person waits. Two people who wait for each other in
+a narrow place turn a shoulder, too: nothing else would end that."""
+
+_SHARES = 1.0, 0.5, 0.0
+"""Of a step that would touch something all the same."""
+
+
+def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
+    """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
+
+    Two people share a correction. Agents that the policy does not move take no part in it, and robots leave
+    it to people: the other one makes all of it. Agents that touch already come no closer. Neither turning a
+    scene nor the order of its people changes anything. Differentiable.
+
+    Args:
+        steps: What is asked for.
+        walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
+    """
+    return kept_clear_compiled(steps, walls) if compiles(steps) else kept_clear_in_torch(steps, walls)
+
+
+def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
+    """Return the next steps of all agents (B, A, 2), metres, kept clear; see `kept_clear`.
+
+    Args:
+        batch: Scenes.
+        step: What people are asked to do (B, A, 2), metres.
+    """
+    agents, bank = agents_of(batch), maps_of(batch)
+    moved = agents["mask"] & agents["controlled"]
+    there = agents["mask"].unsqueeze(-1)
+    history, velocity = cast("Tensor", agents["history"]), cast("Tensor", agents["velocity"])
+    here = history[:, :, -1]
+    steps = Steps(
+        torch.where(there, here, 0.0),
+        torch.where(moved.unsqueeze(-1), step, velocity * STEP_SECONDS).where(there, 0.0),
+        TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
+        agents["mask"],
+        moved,
+        (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED,
+        cast("Tensor", agents["radius"])[..., 0],
+        agents["kind"] == ROBOT,
+        torch.where(there, velocity, 0.0),
+    )
+    walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
+    return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
+
+
+def kept_clear_in_torch(steps: Steps, walls: LocalWalls | None) -> Tensor:
+    """Do what `kept_clear` does on any device and in any precision."""
+    narrow = near = None
+    if walls is not None:
+        walls = walls.per_scene()
+        ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
+        gap, away = walls.look(ends, edges=False)
+        narrow = (gap < NARROW).any(0)
+        here = steps.position.movedim(-1, 0)
+        near = Near.of(steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0))
+    pairs = Pairs.of(steps, narrow)
+    step = _capped(steps, steps.step)
+    for _ in range(ROUNDS):
+        step = step + pairs.corrected(steps.walk(step)).movedim(0, -1)
+        if near is not None:
+            step = step + near.corrected(steps.walk(step)).movedim(0, -1)
+        step = _capped(steps, step)
+    return step * _kept_share(steps, step.detach(), pairs, near).unsqueeze(-1)
+
+
+@torch.no_grad()
+def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> Tensor:
+    """Return which part of their steps (B, A) people walk: less of it if they would touch something.
+
+    A person that others run into goes on: in a jam those in front have to get away first.
+    """
+    walks = [steps.walk(share * step) for share in _SHARES]
+    kinds = len(walks)
+    # contacts of a pair depend on both shares: they are known for all of them before an agent stops
+    upper = {
+        (i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds) for j in range(i, kinds) if i < 2
+    }
+    upper[2, 2] = torch.zeros_like(upper[0, 0])
+    touch = torch.stack(
+        [upper[i, j] if i <= j else upper[j, i].mT for i in range(kinds) for j in range(kinds)]
+    )
+    wall = torch.zeros(kinds, *steps.moved.shape, dtype=torch.bool, device=step.device)
+    if near is not None:
+        wall = torch.stack([*(near.touching(walk) for walk in walks[:2]), wall[2]])
+    chosen = torch.zeros_like(steps.moved, dtype=torch.long)
+    # half a step first, then none; every turn stops some agent, and agents that all stand do not touch
+    for turn in range(step.shape[1] + 2):
+        mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
+        none = torch.full_like(chosen, kinds - 1)
+        both, alone, other = (
+            touch.gather(0, (kinds * i + j).expand(touch.shape[1:]).unsqueeze(0))[0]
+            for i, j in ((mine, theirs), (mine, none.unsqueeze(1)), (none.unsqueeze(2), theirs))
+        )
+        stops = (both & (alone | ~other) & (pairs.mine > 0)).any(2)
+        stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
+        chosen = torch.where(stops, min(turn + 1, 2), chosen)
+    return 1 - 0.5 * chosen.to(step.dtype)
+
+
+def _capped(steps: Steps, step: Tensor) -> Tensor:
+    return torch.where(steps.moved.unsqueeze(-1), limit_speed(step, steps.longest), steps.step)

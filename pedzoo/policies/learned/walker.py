@@ -1,0 +1,161 @@
+"""Any forecaster as a policy: asked for one next move at a time, it walks."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple, get_args
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+from pedzoo.core import draws
+from pedzoo.core.batch import ids_of
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.models.base import Forecaster, Noise
+from pedzoo.policies.learned.pace import paced
+from pedzoo.policies.learned.safety import safe
+
+_DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+class Plan(NamedTuple):
+    """Predictions that are being walked.
+
+    Attributes:
+        key: Of the scenes (B,) long.
+        begun: Step at which each was made (B,) long.
+        steps: Displacements (B, A, execute_steps, 2), metres.
+    """
+
+    key: Tensor
+    begun: Tensor
+    steps: Tensor
+
+
+class Walker(TensorDictModuleBase):
+    """Predicts everybody's future from a scene batch and walks its first step: displacement / 0.4 s.
+
+    Under a deterministic exploration type of TorchRL the noise is zero. Else it is drawn by the scene's
+    key: the same scene gets the same noise in every batch and on every worker.
+
+    Attributes:
+        model: The forecaster.
+        decision_dt: Seconds between decisions; no other are possible.
+    """
+
+    decision_dt = STEP_SECONDS
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
+    out_keys: ClassVar[list[Any]] = [("agents", "action")]
+
+    def __init__(
+        self,
+        model: Forecaster,
+        noise: Noise | None = None,
+        execute_steps: int = 1,
+        noise_seed: int = 0,
+        safety: bool | None = None,
+        pace: bool | None = None,
+    ) -> None:
+        """Take a forecaster.
+
+        Args:
+            model: The forecaster.
+            noise: Drawn for each person once per ``episode``, at every ``step``, or once for all people of
+                a ``scene`` (as Social GAN was trained); ``mixed``: the first half of its numbers as for
+                ``episode``, what a person is like, the rest as for ``step``.
+            execute_steps: How many steps of a prediction are walked before the next one is asked for.
+            noise_seed: Other seeds give other noise for the same scenes.
+            safety: Whether steps are led off others and walls where they would touch them, see
+                `pedzoo.policies.learned.safety`; what the model asked for is then written too, as ``asked``
+                (B, A, 2) in m/s. None: as the model says.
+            pace: Whether goals are as far ahead as people walk in the time, also where the way bends before,
+                see `pedzoo.policies.learned.pace`. None: as the model says.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        super().__init__()
+        noise = noise or model.walking_noise
+        if noise not in get_args(Noise):
+            raise unknown("noise", noise, get_args(Noise))
+        if not 1 <= execute_steps <= PRED_LEN:
+            raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
+        self.model, self.noise, self.execute_steps = model, noise, execute_steps
+        self.noise_seed = noise_seed
+        self.safety = model.walking_safety if safety is None else safety
+        self.pace = model.walking_pace if pace is None else pace
+        self._plan: Plan | None = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write everybody's velocity (B, A, 2), m/s."""
+        check_interval(tensordict, STEP_SECONDS, "a learned model")
+        if self.execute_steps == 1:
+            step = self._predicted(tensordict, 1)[..., 0, :]
+        else:
+            step = self._planned(tensordict)
+        if self.safety:
+            tensordict["agents", "asked"] = step / STEP_SECONDS
+            step = safe(tensordict, step)
+        tensordict["agents", "action"] = step / STEP_SECONDS
+        return tensordict
+
+    def _planned(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the running plan's step (B, A, 2), of a new plan where one is over or an episode begins."""
+        key, now = tensordict["scene_key"][:, 0], (tensordict["time"][:, 0] / STEP_SECONDS).round().long()
+        kept = self._plan if self._plan is not None and self._plan.key.shape == key.shape else None
+        if kept is None:
+            over = torch.ones_like(key, dtype=torch.bool)
+        else:  # the same walker may have been asked about other scenes in between
+            place = now - kept.begun
+            over = (now == 0) | (kept.key != key) | (place < 0) | (place >= self.execute_steps)
+        if kept is None or bool(over.any()):
+            fresh = Plan(key, now, self._predicted(tensordict, self.execute_steps))
+            if kept is not None:
+                steps = torch.where(over.view(-1, 1, 1, 1), fresh.steps, kept.steps)
+                fresh = Plan(key, torch.where(over, now, kept.begun), steps)
+            kept = self._plan = fresh
+        return kept.steps[torch.arange(len(key), device=key.device), :, now - kept.begun]
+
+    def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
+        scenes = paced(tensordict) if self.pace else tensordict
+        return self.model.next_steps(scenes, self.noise_of(tensordict), steps, PRED_LEN)
+
+    def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Return everybody's noise (B, A, noise_dim) in scenes as they are now, None for none."""
+        if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
+            return None
+        agent = ids_of(tensordict)
+        who = torch.zeros_like(agent) if self.noise == "scene" else agent
+        key = draws.join(tensordict["scene_key"], "noise", who)
+        if self.noise_seed:
+            key = draws.join(key, self.noise_seed)
+        now = draws.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
+        dims = torch.arange(self.model.noise_dim, device=agent.device)
+        key, now = key.unsqueeze(-1), now.unsqueeze(-1)
+        if self.noise == "step":
+            key = now
+        elif self.noise == "mixed":
+            key = torch.where(dims < lasting(self.model.noise_dim), key, now)
+        return draws.normal(draws.join(key, dims))
+
+
+def lasting(noise_dim: int) -> int:
+    """Return how many of the numbers of ``mixed`` noise last for an episode."""
+    return (noise_dim + 1) // 2
+
+
+def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:
+    """Refuse scenes of an environment that decides at another step than whoever is asked, ``what``.
+
+    Raises:
+        UserError: It does.
+    """
+    trace = scenes.get(("agents", "info", "trace"), None)
+    if trace is not None and trace.shape[2] != round(decision_dt / TRACE_SECONDS):
+        raise UserError(
+            f"{what} decides every {decision_dt:g} s, not every {trace.shape[2] * TRACE_SECONDS:g} s: "
+            f"make_env(..., decision_dt={decision_dt:g})"
+        )

@@ -1,0 +1,1 @@
+"""Optimal reciprocal collision avoidance, batched."""

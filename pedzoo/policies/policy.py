@@ -1,0 +1,39 @@
+"""What every policy is."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from tensordict.nn import TensorDictModuleBase
+
+from pedzoo.core.errors import UserError
+from pedzoo.policies.learned.walker import Walker
+
+
+class Policy(TensorDictModuleBase):
+    """Reads a scene batch and writes everybody's velocity (B, A, 2) in m/s to ``agents/action``.
+
+    Attributes:
+        decision_dt: Seconds between its decisions.
+    """
+
+    decision_dt: float
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
+    out_keys: ClassVar[list[Any]] = [("agents", "action")]
+
+    def __init__(self, decision_dt: float) -> None:
+        """Say how often it decides."""
+        super().__init__()
+        if not decision_dt > 0:
+            raise UserError(f"dt {decision_dt}: expected seconds between decisions, above 0")
+        self.decision_dt = decision_dt
+
+
+def walkers(policy: Policy | Walker) -> list[Walker]:
+    """Return the learned policies that are in a policy: itself, or those of its teams."""
+    return [part for part in policy.modules() if isinstance(part, Walker)]
+
+
+def has_noise(policy: Policy | Walker) -> bool:
+    """Return whether the learned policies in a policy draw noise."""
+    return any(walker.model.noise_dim > 0 for walker in walkers(policy))

@@ -1,0 +1,1 @@
+"""Policies by name that are not learned: one file each."""

@@ -1,0 +1,38 @@
+"""Baseline: everybody walks along the planner's way as if alone."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.policies.learned.safety import safe
+from pedzoo.policies.policy import Policy
+
+
+class GoToGoal(Policy):
+    """The desired velocity itself: what any avoidance has to improve on."""
+
+    def __init__(self, dt: float = STEP_SECONDS, safety: bool = False) -> None:
+        """Say how often it decides.
+
+        Args:
+            dt: Seconds between decisions.
+            safety: Whether it has the safety layer of learned models, see `pedzoo.policies.learned.safety`:
+                what that does where nothing was learned.
+
+        Raises:
+            UserError: With it, decisions at another step.
+        """
+        super().__init__(dt)
+        if safety and dt != STEP_SECONDS:
+            raise UserError(f"dt {dt}: the safety layer looks {STEP_SECONDS} s ahead; leave out dt or safety")
+        self.safety = safety
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write everybody's velocity."""
+        velocity = tensordict["agents", "desired_velocity"]
+        if self.safety:
+            velocity = safe(tensordict, velocity * STEP_SECONDS) / STEP_SECONDS
+        tensordict["agents", "action"] = velocity
+        return tensordict

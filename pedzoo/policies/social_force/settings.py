@@ -1,0 +1,131 @@
+"""What the social force model can be told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, get_args
+
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.types import BODY_RADIUS
+
+Anisotropy = Literal["view", "smooth", "none"]
+"""How much less people heed what is behind them; see `SocialForceSettings`."""
+
+NEGLIGIBLE = 0.01
+"""Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
+
+
+@dataclass(frozen=True)
+class SocialForceSettings:
+    """Parameters of the social force model; the symbols are those of the paper.
+
+    Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
+    arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
+    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is everybody's ``pref_speed`` here. The
+    ellipse around somebody (eq. 4) lies along the velocity with which they walk, which others can see; in the
+    paper it lies along their desired direction, as long as their speed.
+
+    Helbing et al. 2005 is Helbing, Buzna, Johansson and Werner, "Self-organized pedestrian crowd dynamics:
+    experiments, simulations, and design solutions", Transportation Science 39, 1-24.
+
+    Attributes:
+        tau: Relaxation time in which people take up their desired velocity, seconds (tau, eq. 2).
+        strength: Of the potential around people, m^2/s^2 (V0, eq. 3).
+        sigma: Its range, metres (sigma).
+        step_time: The potential's ellipses reach so far ahead of a walking person, seconds of their way
+            (Delta t, eq. 4).
+        wall_strength: Of the potential of walls, m^2/s^2 (U0, eq. 5).
+        wall_range: Its range, metres (R).
+        anisotropy: Weight of others' forces. ``view``: 1 within ``view_angle`` of the desired direction,
+            ``out_of_view`` beyond, where the angle is the one to the direction that the force comes from
+            (eq. 8). ``smooth``: lambda + (1 - lambda) (1 + cos) / 2, where the angle is the one to the other
+            person (Helbing et al. 2005). ``none``: 1. Walls always
+            count in full, as in the paper.
+        view_angle: Half of the angle of sight, degrees (phi; the paper gives 2 phi = 200).
+        out_of_view: Weight of what is out of sight (c).
+        behind: Weight of who is straight behind when the weight is ``smooth`` (lambda; 0.75 in Helbing et
+            al. 2005).
+        top_speed_ratio: Top speed, divided by the preferred one (eq. 11).
+        neighbor_dist: Metres between centres from which on others are ignored. Somebody who walks towards
+            one at 1.7 m/s from 5 m away accelerates one by less than 0.001 m/s^2, at 2.2 m/s by 0.04 m/s^2;
+            who is faster than ``neighbor_dist / step_time`` is heeded later than the paper says.
+        max_neighbors: So many nearest others are heeded; None: all within ``neighbor_dist``.
+        fluctuation: Standard deviation of a random acceleration, drawn for every decision, m/s^2. The paper
+            has fluctuations and leaves their size open; without any, people who meet exactly head-on never
+            make way.
+    """
+
+    tau: float = 0.5
+    strength: float = 2.1
+    sigma: float = 0.3
+    step_time: float = 2.0
+    wall_strength: float = 10.0
+    wall_range: float = 0.2
+    anisotropy: Anisotropy = "view"
+    view_angle: float = 100.0
+    out_of_view: float = 0.5
+    behind: float = 0.75
+    top_speed_ratio: float = 1.3
+    neighbor_dist: float = 5.0
+    max_neighbors: int | None = None
+    fluctuation: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            UserError: A value is out of its range.
+        """
+        for name in ("tau", "sigma", "wall_range", "top_speed_ratio", "neighbor_dist"):
+            self._expect(name, "a number above 0", above=0.0)
+        for name in ("strength", "step_time", "wall_strength", "fluctuation"):
+            self._expect(name, "a number, 0 or more")
+        for name in ("out_of_view", "behind"):
+            self._expect(name, "a weight from 0 to 1", most=1.0)
+        self._expect("view_angle", "degrees from 0 to 180", most=180.0)
+        if self.max_neighbors is not None and self.max_neighbors < 0:
+            raise UserError(f"social_force: max_neighbors {self.max_neighbors}: expected 0 or more, or none")
+        if self.anisotropy not in get_args(Anisotropy):
+            raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
+
+    def _expect(self, name: str, what: str, most: float = math.inf, above: float | None = None) -> None:
+        value = asdict(self)[name]
+        if not (math.isfinite(value) and 0 <= value <= most) or value == above:
+            raise UserError(f"social_force: {name} {value}: expected {what}")
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> SocialForceSettings:
+        """Return a named set of parameters with ``changes``.
+
+        Raises:
+            UserError: There is no preset of this name, or a value is wrong.
+        """
+        if name not in PRESETS:
+            raise unknown("preset of social_force", name, PRESETS)
+        return cls(**(PRESETS[name] | changes))
+
+    @property
+    def wall_reach(self) -> float:
+        """Metres beyond which a wall accelerates nobody by `NEGLIGIBLE`; 1.70 by default."""
+        nearest = self.wall_strength / self.wall_range
+        return self.wall_range * math.log(max(nearest / NEGLIGIBLE, 1.0))
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "1995": {},
+    "indoor": {
+        # walls of Helbing et al. 2005, fitted to a bottleneck: A exp((r - d) / B) with A = 5 m/s^2, B = 0.1 m
+        # and r, a body's radius, as here
+        "wall_strength": 5 * 0.1 * math.exp(BODY_RADIUS / 0.1),
+        "wall_range": 0.1,
+        # one step of 0.65 m at 1.3 m/s, which is what the paper says Delta t stands for; with its 2 s people
+        # who walk in single file push the one in front aside
+        "step_time": 0.5,
+    },
+}
+"""Departures from the defaults, by name.
+
+In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06 with
+``indoor``; who walks at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.
+"""

@@ -1,0 +1,1 @@
+"""The stepping controller: people in another simulator."""

@@ -1,0 +1,144 @@
+"""What a controller is called with: checked, and turned into arrays."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+
+PREF_SPEED = 1.3
+"""Preferred speed of people without a given one, m/s."""
+
+OTHER_RADIUS = 0.3
+"""Metres: the radius of other agents for which none is given, about that of a service robot."""
+
+
+@dataclass(frozen=True)
+class Disc:
+    """One disc of another agent, as the key of a row.
+
+    Attributes:
+        of: The agent's id.
+        index: Which of its discs this is.
+    """
+
+    of: Hashable
+    index: int
+
+    def __repr__(self) -> str:
+        """Return what messages call it."""
+        return f"{self.of!r}[{self.index}]"
+
+
+def number_of(one: Hashable) -> int:
+    """Return the number that an agent's noise is drawn by, from their id alone, in every process the same.
+
+    An integer is its own number, as people of an environment are numbered. Everything else goes by its
+    ``repr``, so ids whose ``repr`` holds an address get other noise in the next run.
+    """
+    if isinstance(one, numbers.Integral):
+        return int(one) % 2**63
+    return int.from_bytes(blake2b(repr(one).encode(), digest_size=8).digest()) % 2**63
+
+
+FARTHEST = 1e4
+"""Metres: float32 tells millimetres apart up to here."""
+
+
+def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
+    """Return the discs of other agents, each with its position (2,).
+
+    Args:
+        others: Positions by id: (2,) for one disc, (k, 2) for several.
+
+    Raises:
+        UserError: A value has another shape.
+    """
+    discs: dict[Disc, Any] = {}
+    for one, value in others.items():
+        try:
+            given = value.detach().cpu().numpy() if isinstance(value, Tensor) else value
+            points: NDArray[np.float64] = np.atleast_2d(np.array(given, dtype=np.float64))
+        except (TypeError, ValueError):
+            points = np.zeros((0, 2))
+        if points.ndim != 2 or points.shape[-1] != 2 or not len(points):
+            raise UserError(
+                f"others: position {value!r} of {one!r}: expected two numbers, (x, y), or a list of such "
+                "pairs for several discs"
+            )
+        discs |= {Disc(one, index): points[index] for index in range(len(points))}
+    return discs
+
+
+def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
+    """Return the values of a dictionary, each two numbers, as (n, 2) float64.
+
+    Args:
+        given: Tuples, lists, arrays or tensors.
+        what: What messages call them.
+
+    Raises:
+        UserError: A value is anything else, or not finite.
+    """
+    values = [xy.detach().cpu().numpy() if isinstance(xy, Tensor) else xy for xy in given.values()]
+    try:
+        points = np.array(values, dtype=np.float64).reshape(len(values), 2)
+    except (TypeError, ValueError):
+        wrong = next((item for item in given.items() if not _is_pair(item[1])), None)
+        shown = f"{what} {wrong[1]!r} of {wrong[0]!r}" if wrong else f"{what}s {given!r}"
+        raise UserError(f"{shown}: expected two numbers, (x, y)") from None
+    if not np.isfinite(points).all():
+        one = list(given)[int((~np.isfinite(points).all(1)).argmax())]
+        raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
+    if (np.abs(points) > FARTHEST).any():
+        one = list(given)[int((np.abs(points) > FARTHEST).any(1).argmax())]
+        raise UserError(
+            f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the origin, where "
+            "centimetres are lost to rounding: subtract an offset from all positions and goals"
+        )
+    return torch.from_numpy(points)
+
+
+def _is_pair(xy: Any) -> bool:
+    try:
+        return np.asarray(xy, dtype=np.float64).shape == (2,)
+    except (TypeError, ValueError):
+        return False
+
+
+def metres_of(one: Hashable, radius: Any) -> float:
+    """Return the radius of an agent's body, metres.
+
+    Raises:
+        UserError: It is not above 0.
+    """
+    try:
+        metres = float(radius)
+    except (TypeError, ValueError):
+        metres = float("nan")
+    if not 0 < metres < float("inf"):
+        raise UserError(f"radius {radius!r} of {one!r}: expected metres, above 0")
+    return metres
+
+
+def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
+    """Return the speed that an agent likes, m/s: `PREF_SPEED` for others.
+
+    Raises:
+        UserError: It is not above 0.
+    """
+    if isinstance(one, Disc):
+        return PREF_SPEED
+    speed = float(pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed)
+    if not 0 < speed < float("inf"):
+        raise UserError(f"pref_speed {speed} of {one!r}: expected metres per second, above 0")
+    return speed

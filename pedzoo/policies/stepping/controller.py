@@ -1,0 +1,250 @@
+"""Policies for any simulator: positions of people by id in, velocities by id out."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from pedzoo.core.batch import PERSON, ROBOT, scene_batch
+from pedzoo.core.draws import Draws
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import heading_of, identity_pose, limit_speed
+from pedzoo.core.kinematics import TURNS_FROM, blended
+from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.library import load_plan
+from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.ways.planner import Planner
+from pedzoo.policies.stepping.called_with import PREF_SPEED, as_discs, as_points
+from pedzoo.policies.stepping.caller_clock import CallerClock, times
+from pedzoo.policies.stepping.roster import Roster
+from pedzoo.policies.stepping.ways import Ways
+
+Id = TypeVar("Id", bound=Hashable)
+
+
+class WalkingPolicy(Protocol):
+    """What can be a controller: a `Walker`, or anything from `pedzoo.policies.load.load_policy`."""
+
+    decision_dt: float
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``agents/action``."""
+        ...
+
+
+class Controller:
+    """Moves the people of a simulator that is not pedzoo's: call `step` with where all agents are.
+
+    At every call positions are recorded. Every ``policy.decision_dt`` the policy decides, from the same
+    scene batch that the environment makes: the last 8 positions 0.4 s apart, the planner's carrot and
+    desired velocity, radii and kinds. In between, velocities blend as in the environment: half-way in the
+    first 0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people:
+    walls stop no one here, and positions need not be where the velocities lead.
+
+    People come and go. A person who is not named in a call is forgotten, and is new afterwards. For new
+    people the policy decides at once, and later together with all others. They begin with a history as if
+    they had walked here straight at their present velocity. Models were trained on people in motion: to
+    them a history on the spot is a person who stands. That present velocity is the one given to `step`,
+    else their preferred speed along the planner's way.
+
+    A person with the goal None, or within 0.3 m of the goal, stands: the velocity is 0, and the others
+    walk around. A goal is reached once. A person stands until `step` gets another goal.
+
+    Other agents (robots, people of another simulator) are moved by the caller alone. All people see them,
+    with their histories and radii, as agents of kind `pedzoo.core.batch.ROBOT` that the policy does not
+    control.
+
+    Noise is drawn by seed and id alone: a person's stays the same, whichever other agents are there.
+    """
+
+    def __init__(
+        self,
+        policy: WalkingPolicy,
+        map: OccupancyGrid | str | Path | None = None,
+        pref_speed: float | Mapping[Any, float] = PREF_SPEED,
+        dt: float = STEP_SECONDS,
+        seed: int = 0,
+        deterministic: bool = False,
+        clearance: float = 0.25,
+        unknown: Unknown = "wall",
+    ) -> None:
+        """Take a policy and the floor plan that people walk on.
+
+        Args:
+            policy: Decides. Controllers on several floor plans may share one.
+            map: The floor plan, its name (``apartment.7``) or its file; None for open space, where ways lead
+                straight to the goal.
+            pref_speed: The speed that people like, m/s: one for all, or by id (1.3 for those who are not
+                in it). It is looked up when a person comes.
+            dt: Seconds between two calls of `step`: exactly, or about, where `step` gets the time.
+            seed: Of the noise: that of the environment's first scene of this seed, where ids are 0, 1, ...
+            deterministic: Without noise.
+            clearance: Metres that ways keep from walls.
+            unknown: What unknown cells of the floor plan count as.
+
+        Raises:
+            UserError: There is no such floor plan, or a setting is out of range.
+        """
+        calls = times(policy.decision_dt, dt, "the policy decides")
+        times(STEP_SECONDS, dt, "histories have a position")
+        if getattr(policy, "execute_steps", 1) != 1:
+            raise UserError(
+                f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
+                "who come and go: expected 1"
+            )
+        grid = load_plan(map) if isinstance(map, str | Path) else map
+        bank = MapBank([] if grid is None else [grid], unknown)
+        self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
+        self._ways = Ways(Planner(bank, clearance))
+        # with one call per decision there is nothing to blend
+        self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
+        self.reset(seed)
+
+    def reset(self, seed: int = 0) -> None:
+        """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
+        self._key = Draws.of(seed, torch.zeros(1, dtype=torch.long)).key
+        self._clock = CallerClock(self.dt, self.policy.decision_dt)
+        self._agents = Roster.empty(self._clock.length, self._ticks)
+
+    @torch.no_grad()
+    def step(
+        self,
+        people: Mapping[Id, Any],
+        goals: Mapping[Any, Any] | None = None,
+        velocities: Mapping[Any, Any] | None = None,
+        *,
+        others: Mapping[Any, Any] | None = None,
+        radius: Mapping[Any, float] | None = None,
+        time: float | None = None,
+    ) -> dict[Id, NDArray[np.float64]]:
+        """Return the velocity (2,) of every person, m/s, at most 1.3 times their preferred speed.
+
+        Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. A call that
+        raises changes nothing.
+
+        Args:
+            people: Where they are now, by id: any hashable values.
+            goals: Where they are going, None to stand. Needed when a person is new, and then when the goal
+                changes; it counts from the next decision on. Goals of absent people do not matter.
+            velocities: How new people and new others are moving, m/s; see the class. Others that are not
+                in it begin at rest.
+            others: Where agents are that the caller moves, by id: (x, y), or (k, 2) for a body of several
+                discs. Each disc has its own history.
+            radius: Radii of bodies by id, metres; once given they stay until they change. People have 0.15
+                else, others 0.3. All discs of an agent have the same.
+            time: Now, seconds by the caller's clock, at every call or at none. Calls may then come early or
+                late: positions are resampled in time, and the policy decides at the call that is nearest
+                to its interval. None: calls are ``dt`` apart.
+
+        Raises:
+            UserError: A value is not two finite numbers, or an id is in people and in others. A radius is
+                not above 0, or the time does not go forward. A person has no goal, or one in a wall, outside
+                the floor plan or out of reach. The policy's answer is not finite.
+        """
+        discs, velocities = as_discs(others or {}), velocities or {}
+        if both := [one for one in people if one in (others or {})]:
+            raise UserError(f"{both[0]!r} is in people and in others: expected every id in one of them")
+        clock, dropped = self._clock.called(time)
+        present = {**people, **discs}
+        agents = self._agents.now(present, self.pref_speed).with_radius(radius or {})
+        position = agents.past.new_empty(len(present), 2)
+        position[agents.rows(present)] = as_points(present, "position").float()
+        # on the way since the last call, or at once for a new goal
+        agents = agents.arrived(agents.past[:, -1], position)
+        ways, told, new = self._ways, _of(people, goals), agents.is_new
+        comes = bool(new.any())
+        if told or comes:
+            ways, agents = ways.with_goals(agents, position, told)
+            agents = agents.arrived(position, position)
+
+        past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
+        trace = torch.where(agents.walks[:, None, None], agents.trace, 0.0)
+        agents = agents._replace(past=past, trace=trace)
+        decides = (new | clock.decides) & agents.walks
+        if comes or decides.any():
+            guidance = ways.guide(agents, position)
+            given = _of(people, velocities) | {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
+            moving = guidance.desired_velocity.index_put(
+                (agents.rows(given),), as_points(given, "velocity").float()
+            )
+            agents = agents.begun(position, moving, clock.ago(past.shape[1]), new)
+            velocity = clock.velocity(agents.past)
+            agents = agents._replace(heading=heading_of(velocity, agents.heading, TURNS_FROM))
+            if decides.any():
+                batch = self._batch(agents, guidance, clock)
+                agents = self._decided(agents, batch, decides, new)
+        self._ways, self._agents, self._clock = ways, agents, clock
+        answer = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1).double().numpy()
+        return {one: answer[agents.row[one]] for one in people}
+
+    def _decided(self, agents: Roster, batch: TensorDict, decides: Tensor, new: Tensor) -> Roster:
+        """Return the roster in which agents that decide (N,) bool have a new decision.
+
+        Args:
+            agents: All agents.
+            batch: What the policy sees.
+            decides: Which agents decide (N,) bool.
+            new: Which of them have just come (N,) bool: there is nothing to blend with.
+        """
+        before, device = cast("Tensor", batch["agents", "velocity"])[0], agents.past.device
+        if isinstance(self.policy, nn.Module):
+            device = next(self.policy.parameters(), agents.past).device
+        batch = batch if device == agents.past.device else batch.to(device)
+        kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
+        with set_exploration_type(kind):
+            action = cast("Tensor", self.policy(batch)["agents", "action"])[0].to(agents.past)
+        broken = ~action.isfinite().all(1) & agents.walks
+        if broken.any():
+            raise UserError(
+                f"the policy's velocity is not finite for {agents.names(broken)}: are its weights damaged?"
+            )
+        top_speed = TOP_SPEED_RATIO * agents.pref_speed
+        command = limit_speed(action, top_speed)
+        before = torch.where(new.unsqueeze(1), command, before)
+        trace = blended(before.T, command.T, self._ticks).permute(2, 1, 0)
+        if self._ticks > 1:
+            trace = limit_speed(trace, top_speed.unsqueeze(1))
+        return agents._replace(trace=torch.where(decides[:, None, None], trace, agents.trace))
+
+    def _batch(self, agents: Roster, guidance: Guidance, clock: CallerClock) -> TensorDict:
+        """Return the scene batch (1,) of N agents, as the environment would observe it."""
+        size = (1, len(agents.row))
+        everybody = torch.ones(size, dtype=torch.bool)
+        velocity = clock.velocity(agents.past)
+        # the caller's way with others is not known: they go on as they do
+        other = agents.other.unsqueeze(1)
+        ahead = agents.past[:, -1] + AHEAD_SECONDS * velocity
+        return scene_batch(
+            maps=self._ways.planner.bank,
+            map_id=torch.tensor([[self._ways.map_id]]),
+            pose=identity_pose(1),
+            history=clock.history(agents.past).unsqueeze(0),
+            valid=everybody.unsqueeze(-1).expand(*size, OBS_LEN),
+            mask=everybody,
+            velocity=velocity.unsqueeze(0),
+            heading=agents.heading.view(*size, 1),
+            pref_speed=agents.pref_speed.view(*size, 1),
+            radius=agents.radius.view(*size, 1),
+            kind=torch.where(agents.other, ROBOT, PERSON).unsqueeze(0),
+            goal=torch.where(other, ahead, guidance.goal).unsqueeze(0),
+            desired_velocity=torch.where(other, velocity, guidance.desired_velocity).unsqueeze(0),
+            controlled=agents.walks.unsqueeze(0),
+            id=agents.number.unsqueeze(0),
+            key=self._key.unsqueeze(1),
+            time=torch.tensor([[clock.now]]),
+        )
+
+
+def _of(present: Mapping[Any, Any], given: Mapping[Any, Any] | None) -> dict[Any, Any]:
+    """Return what is given for people who are there."""
+    return {one: value for one, value in (given or {}).items() if one in present}

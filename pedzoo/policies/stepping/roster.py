@@ -1,0 +1,175 @@
+"""The agents of a scene that they enter and leave, and what has to be remembered about them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.geometry import heading_of
+from pedzoo.core.kinematics import passes
+from pedzoo.core.types import BODY_RADIUS
+from pedzoo.policies.stepping.called_with import OTHER_RADIUS, Disc, metres_of, number_of, speed_of
+
+
+class Roster(NamedTuple):
+    """N agents, in the order of their numbers: another order of their names gives the same answers.
+
+    Never written in place: a call that fails leaves all agents as they were.
+
+    Attributes:
+        row: Which row each person's id, and each `Disc` of another agent, has.
+        number: What their noise is drawn by (N,) long, see `number_of`.
+        past: Latest positions (N, L, 2), oldest first; NaN for agents that have just come.
+        pref_speed: The speed that they like (N,), m/s.
+        radius: Of their bodies (N,), metres.
+        other: Which agents are others, moved by the caller (N,) bool.
+        goal: Their goals as they were asked for (N, 2) float64; NaN where none was.
+        goal_point: Where the planner has put these (N, 2), metres; NaN where none was.
+        goal_id: The planner's numbers of these (N,) long, -1 for none.
+        stands: Which people have no goal, or have reached theirs (N,) bool.
+        heading: Directions of the bodies (N,), radians; NaN for agents that have just come.
+        trace: Velocities of the trace steps of their last decision (N, S, 2), m/s; NaN before the first.
+    """
+
+    row: dict[Hashable, int]
+    number: Tensor
+    past: Tensor
+    pref_speed: Tensor
+    radius: Tensor
+    other: Tensor
+    goal: Tensor
+    goal_point: Tensor
+    goal_id: Tensor
+    stands: Tensor
+    heading: Tensor
+    trace: Tensor
+
+    @classmethod
+    def empty(cls, length: int, ticks: int) -> Roster:
+        """Return an empty roster, with room for ``length`` positions and ``ticks`` trace steps."""
+        return cls(
+            row={},
+            number=torch.zeros(0, dtype=torch.long),
+            past=torch.zeros(0, length, 2),
+            pref_speed=torch.zeros(0),
+            radius=torch.zeros(0),
+            other=torch.zeros(0, dtype=torch.bool),
+            goal=torch.zeros(0, 2, dtype=torch.float64),
+            goal_point=torch.zeros(0, 2),
+            goal_id=torch.zeros(0, dtype=torch.long),
+            stands=torch.zeros(0, dtype=torch.bool),
+            heading=torch.zeros(0),
+            trace=torch.zeros(0, ticks, 2),
+        )
+
+    @property
+    def ids(self) -> list[Hashable]:
+        """The ids of all agents, row by row."""
+        return list(self.row)
+
+    @property
+    def is_new(self) -> Tensor:
+        """Which agents have no past (N,) bool."""
+        return self.past[:, -1, 0].isnan()
+
+    @property
+    def walks(self) -> Tensor:
+        """Which agents the policy moves (N,) bool."""
+        return ~(self.stands | self.other)
+
+    def rows(self, ids: Mapping[Any, Any]) -> Tensor:
+        """Return the rows of agents (n,) long."""
+        return torch.tensor([self.row[one] for one in ids], dtype=torch.long)
+
+    def names(self, which: Tensor) -> str:
+        """Return the ids of some agents (N,) bool for a message: the first few."""
+        ids = self.ids
+        found = [repr(ids[i]) for i in which.nonzero()[:, 0].tolist()]
+        return ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
+
+    def now(self, present: Mapping[Any, Any], pref_speed: float | Mapping[Any, float]) -> Roster:
+        """Return the roster of exactly the agents of ``present``; newcomers have neither past nor goal.
+
+        Args:
+            present: Its keys are the ids of the people who are here, and the `Disc` of others.
+            pref_speed: The speed that newcomers like, m/s: one for all, or by id (1.3 for the others).
+
+        Raises:
+            UserError: A preferred speed is not above 0.
+        """
+        if present.keys() == self.row.keys():
+            return self
+        number = {one: number_of(one) for one in present}
+        ids = sorted(present, key=lambda one: (number[one], repr(one)))
+        known = [i for i, one in enumerate(ids) if one in self.row]
+        new = [i for i, one in enumerate(ids) if one not in self.row]
+        before = torch.tensor([self.row[ids[i]] for i in known], dtype=torch.long)
+        order = torch.tensor(known + new, dtype=torch.long).argsort()
+
+        def merged(mine: Tensor, added: Tensor) -> Tensor:
+            return torch.cat((mine[before], added))[order]
+
+        def nothing(mine: Tensor) -> Tensor:
+            return mine.new_full((len(new), *mine.shape[1:]), float("nan"))
+
+        def flags(values: list[bool]) -> Tensor:
+            return torch.tensor(values, dtype=torch.bool)
+
+        speeds = torch.tensor([speed_of(ids[i], pref_speed) for i in new])
+        others = [isinstance(ids[i], Disc) for i in new]
+        radius = torch.tensor([OTHER_RADIUS if other else BODY_RADIUS for other in others])
+        return Roster(
+            row={one: i for i, one in enumerate(ids)},
+            number=torch.tensor([number[one] for one in ids], dtype=torch.long),
+            past=merged(self.past, nothing(self.past)),
+            pref_speed=merged(self.pref_speed, speeds),
+            radius=merged(self.radius, radius),
+            other=merged(self.other, flags(others)),
+            goal=merged(self.goal, nothing(self.goal)),
+            goal_point=merged(self.goal_point, nothing(self.goal_point)),
+            goal_id=merged(self.goal_id, torch.full((len(new),), -1)),
+            stands=merged(self.stands, flags([False] * len(new))),
+            heading=merged(self.heading, nothing(self.heading)),
+            trace=merged(self.trace, nothing(self.trace)),
+        )
+
+    def with_radius(self, radius: Mapping[Any, Any]) -> Roster:
+        """Return the roster with bodies of ``radius``, metres by id; other agents keep theirs.
+
+        Raises:
+            UserError: A radius is not above 0.
+        """
+        if not radius:
+            return self
+        metres = {one: metres_of(one, value) for one, value in radius.items()}
+        rows = [(row, key.of if isinstance(key, Disc) else key) for key, row in self.row.items()]
+        changed = self.radius.clone()
+        for row, one in rows:
+            if one in metres:
+                changed[row] = metres[one]
+        return self._replace(radius=changed)
+
+    def begun(self, position: Tensor, velocity: Tensor, ago: Tensor, new: Tensor) -> Roster:
+        """Return the roster in which new agents have come straight to where they are.
+
+        Args:
+            position: Where agents are (N, 2), metres.
+            velocity: How they move (N, 2), m/s.
+            ago: When the kept positions were (L,), seconds before now.
+            new: Which agents are new (N,) bool.
+        """
+        straight = position.unsqueeze(1) - velocity.unsqueeze(1) * ago.view(-1, 1)
+        past = torch.where(new.view(-1, 1, 1), straight, self.past)
+        return self._replace(past=past, heading=torch.where(new, heading_of(velocity), self.heading))
+
+    def arrived(self, begin: Tensor, end: Tensor) -> Roster:
+        """Return the roster in which people stand whose goal is within 0.3 m of their last move.
+
+        Args:
+            begin: Where agents were (N, 2), metres; NaN where that is unknown.
+            end: Where they are (N, 2), metres.
+        """
+        return self._replace(stands=self.stands | passes(begin, end, self.goal_point))

@@ -1,0 +1,108 @@
+"""The ways of people who come and go: their goals are given to the planner, and forgotten with time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.types import AHEAD_SECONDS
+from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.ways.planner import Planner
+from pedzoo.policies.stepping.called_with import as_points
+from pedzoo.policies.stepping.roster import Roster
+
+_KEPT = 64
+"""Goals that no person has any more are forgotten when there are more than this in all, and 4 per agent."""
+
+
+class Ways(NamedTuple):
+    """A planner on one floor plan, whose frame is the scene's.
+
+    Attributes:
+        planner: Its bank holds the floor plan alone, or nothing.
+    """
+
+    planner: Planner
+
+    @property
+    def map_id(self) -> int:
+        """The floor plan, -1 for none."""
+        grids = self.planner.bank.grids
+        return grids[0].map_id if grids else -1
+
+    def with_goals(self, people: Roster, position: Tensor, goals: Mapping[Any, Any]) -> tuple[Ways, Roster]:
+        """Return the ways, and the people with their goals. A goal that is new ends their standing.
+
+        Args:
+            people: All agents that are here.
+            position: Where they are (N, 2), metres.
+            goals: Where some of the people are going, by id; None to stand.
+
+        Raises:
+            UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
+        """
+        told = {one: goal for one, goal in goals.items() if goal is not None}
+        idle = people.rows({one: None for one in goals if one not in told})
+        asked, stands = people.goal.clone(), people.stands.clone()
+        asked[people.rows(told)] = as_points(told, "goal")
+        asked[idle], stands[idle] = torch.nan, True
+        has_goal = ~asked[:, 0].isnan()
+        missing = ~(has_goal | stands | people.other)
+        if missing.any():
+            raise UserError(
+                f"no goal for {people.names(missing)}: a person who is new needs one, "
+                "step(people, {id: (x, y)}), or None to stand, step(people, {id: None})"
+            )
+        fresh = (asked != people.goal).any(1) & has_goal
+        goal_id = torch.where(has_goal, people.goal_id, -1)
+        goal_point = torch.where(has_goal.unsqueeze(1), people.goal_point, torch.nan)
+        people = people._replace(goal=asked, goal_id=goal_id, goal_point=goal_point, stands=stands & ~fresh)
+        if not fresh.any():
+            return self, people
+        planner, added = self.planner, fresh
+        if planner.goals > max(_KEPT, 4 * len(fresh)):
+            # what is kept of a goal is as large as the floor plan, and people keep coming with others
+            planner, added = Planner(planner.bank, planner.clearance), has_goal
+        ways, goal_id = Ways(planner), goal_id.clone()
+        goal_id[added] = ways._added(people, asked, added)
+        people = people._replace(goal_id=goal_id)
+        guidance = ways.guide(people, position)
+        unreached = guidance.distance.isinf() & fresh
+        if unreached.any():
+            raise UserError(
+                f"no way leads to the goal of {people.names(unreached)}: it is in another room, without a "
+                f"door between that leaves clearance {planner.clearance} m"
+            )
+        goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
+        return ways, people._replace(goal_point=goal_point)
+
+    def guide(self, people: Roster, position: Tensor) -> Guidance:
+        """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
+
+        Agents that stand, and others, have their position as carrot and desire no velocity.
+        """
+        goal_id = torch.where(people.walks, people.goal_id, -1)
+        row = torch.tensor([0 if self.planner.bank.grids else -1])
+        fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
+        points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
+        told = self.planner.guide_scenes(
+            points, goal_id, row, identity_pose(1), speed, AHEAD_SECONDS, fastest
+        )
+        return Guidance(*(part.squeeze(0) for part in told))
+
+    def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
+        row = 0 if self.planner.bank.grids else -1
+        try:
+            return self.planner.add_goals(row, asked[which])
+        except UserError:
+            for i in which.nonzero()[:, 0].tolist():  # whose is it?
+                try:
+                    self.planner.add_goals(row, asked[i : i + 1])
+                except UserError as error:
+                    raise UserError(f"goal of {people.ids[i]!r}: {error}") from None
+            raise

@@ -1,0 +1,203 @@
+"""Mixed crowds: several policies move the agents of a scene, each at its own decision interval."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias, cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+
+from pedzoo.core import draws
+from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import limit_speed
+from pedzoo.core.kinematics import blended
+from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.policies.learned.walker import Walker, check_interval
+from pedzoo.policies.plans import Memory, Plans
+from pedzoo.policies.policy import Policy
+
+_ROUNDING = 1e-3
+"""Seconds: clocks are sums of decisions."""
+
+
+Crowd: TypeAlias = "list[tuple[Policy | Walker, float]]"
+"""Policies and their shares of the agents."""
+
+
+class Team(nn.Module):
+    """A policy and the agents that it moves.
+
+    Attributes:
+        policy: Decides.
+        kind: Of its agents, ``PERSON`` or ``ROBOT``; None for both.
+        least: Agents whose draw is at least this, ...
+        below: ... and below this, are its agents.
+        every: Decisions of the crowd from one of its own to the next.
+    """
+
+    def __init__(self, policy: Policy | Walker, kind: int | None, least: float, below: float) -> None:
+        """Take the parts; ``every`` is set by the crowd."""
+        super().__init__()
+        self.policy, self.kind, self.least, self.below, self.every = policy, kind, least, below, 1
+        self._memory = Memory()
+
+    def of(self, draw: Tensor, kind: Tensor) -> Tensor:
+        """Return which agents are of the team (B, A) bool, by their draws and kinds (B, A)."""
+        drawn = (draw >= self.least) & (draw < self.below)
+        return drawn if self.kind is None else drawn & (kind == self.kind)
+
+    def velocity(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
+        """Return the velocities (B, A, 2) of its agents, m/s; anything for others.
+
+        Args:
+            scenes: The scene batch.
+            mine: Which agents the team moves now (B, A) bool.
+            dt: Seconds between two decisions of the crowd.
+        """
+        if self.every > 1:
+            return self._planned(scenes, mine, dt)
+        if not bool(mine.any()):
+            return torch.zeros_like(agents_of(scenes)["velocity"])
+        return self._asked(scenes, mine)
+
+    def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
+        """Return what the policy says (B, A, 2): it controls no other team's agents."""
+        seen, agents = scenes.copy(), agents_of(scenes).copy()
+        agents["controlled"] = mine
+        if self.every > 1 and "info" in agents.keys():
+            del agents["info"]  # of the crowd's decision, not of the team's
+        seen["agents"] = agents
+        return cast("Tensor", self.policy(seen)["agents", "action"])
+
+    def _planned(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
+        """Return the running plans' velocities (B, A, 2), of new plans where agents have to decide."""
+        agents, person = agents_of(scenes), ids_of(scenes)
+        now = cast("Tensor", scenes["time"])[:, 0]
+        key = draws.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
+        velocity = cast("Tensor", agents["velocity"])
+        blank = velocity.unsqueeze(2).expand(-1, -1, self.every, -1)
+        plans = self._memory.recall(Plans.none(key, now, person, blank), person)
+        since = now - plans.decided
+        turn = (since < _ROUNDING) | (since > self.every * dt - _ROUNDING)
+        known = (plans.person == person) & (now.unsqueeze(1) - plans.begun > _ROUNDING)
+        decides = mine & (turn.unsqueeze(1) | ~known)
+        rows = decides.any(1)
+        if bool(rows.any()):
+            if bool(rows.all()):
+                command = self._asked(scenes, mine)
+            else:  # scenes that wait would cost as much
+                index = rows.nonzero()[:, 0]
+                answer = self._asked(scenes[index], mine[index])
+                command = torch.zeros_like(velocity, dtype=answer.dtype).index_copy(0, index, answer)
+            fresh = self._blended(agents, command, dt)
+            plans = plans._replace(
+                decided=torch.where(turn & rows, now, plans.decided),
+                begun=torch.where(decides, now.unsqueeze(1), plans.begun),
+                velocity=torch.where(decides[..., None, None], fresh, plans.velocity),
+            )
+        plans = plans._replace(person=torch.where(mine, person, -1))
+        self._memory.keep(plans)
+        place = ((now.unsqueeze(1) - plans.begun + _ROUNDING) / dt).clamp(0, self.every - 1).long()
+        return plans.velocity.gather(2, place[..., None, None].expand(*place.shape, 1, 2))[:, :, 0]
+
+    def _blended(self, agents: TensorDictBase, command: Tensor, dt: float) -> Tensor:
+        """Return velocities (B, A, N, 2) until the next decision, which lead where the command alone would.
+
+        Those of people blend as in `pedzoo.core.kinematics.blended`. Those of robots may be speeds of wheels,
+        and are held.
+        """
+        person = (agents["kind"] != ROBOT).unsqueeze(-1)
+        top_speed = TOP_SPEED_RATIO * cast("Tensor", agents["pref_speed"])[..., 0]
+        # what is not finite ends the scene, and is not hidden here
+        wanted = torch.where(command.isfinite(), limit_speed(command, top_speed), command)
+        points = max(1, round(dt / TRACE_SECONDS))
+        begin = cast("Tensor", agents["velocity"]).movedim(-1, 0)
+        smooth = blended(begin, wanted.movedim(-1, 0), self.every * points)
+        smooth = smooth.unflatten(1, (self.every, points)).mean(2).movedim(0, -1).movedim(0, 2)
+        return torch.where(person.unsqueeze(-1), smooth, command.unsqueeze(2))
+
+
+class Teams(Policy):
+    """A mixed crowd: which policy moves which agents, each policy at its own decision interval.
+
+    Which team an agent belongs to is drawn by the scene's key and the agent's number. So it is the same in
+    every batch and in every process, and stays with the person for the episode.
+
+    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy
+    does not move any other agent. Policies do all of the avoidance of agents that they do not move. So where
+    two teams meet, both do all of it.
+
+    The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
+    people who are new or just taken over it is asked at once; later these decide with their team. In
+    between, velocities blend over steps of 0.1 s.
+
+    Attributes:
+        teams: The teams, people's first.
+    """
+
+    def __init__(
+        self, people: Policy | Walker | Crowd, robots: Policy | Walker | Crowd | None = None
+    ) -> None:
+        """Take the policies of people and of robots; `pedzoo.policies.load` makes them from their names.
+
+        Args:
+            people: A policy, or a mixed crowd.
+            robots: Likewise for agents of the kind ``ROBOT``; None: they are moved as people are.
+
+        Raises:
+            UserError: Decision intervals are no multiples of the shortest.
+        """
+        teams = _teams(people, None if robots is None else PERSON)
+        teams += [] if robots is None else _teams(robots, ROBOT)
+        steps = [team.policy.decision_dt for team in teams]
+        super().__init__(min(steps))
+        for team, step in zip(teams, steps, strict=True):
+            team.every = round(step / self.decision_dt)
+            if abs(team.every * self.decision_dt - step) > 1e-6:
+                told = ", ".join(f"{one:g}" for one in steps)
+                raise UserError(
+                    f"teams decide every {told} s: expected multiples of the shortest, "
+                    f"{self.decision_dt:g} s; change the setting dt of one"
+                )
+            execute = getattr(team.policy, "execute_steps", 1)
+            if execute != 1 and len(teams) > 1:
+                raise UserError(
+                    f"execute_steps {execute}: a team decides anew for people who are taken over: expected 1"
+                )
+        self.teams = nn.ModuleList(teams)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the velocities of all agents."""
+        check_interval(tensordict, self.decision_dt, "this crowd")
+        teams = cast("list[Team]", list(self.teams))
+        if len(teams) == 1:
+            return teams[0].policy(tensordict)
+        controlled = cast("Tensor", agents_of(tensordict)["controlled"])
+        action = torch.zeros_like(agents_of(tensordict)["velocity"])
+        for team, theirs in zip(teams, self.assigned(tensordict), strict=True):
+            mine = controlled & theirs
+            velocity = team.velocity(tensordict, mine, self.decision_dt)
+            action = torch.where(mine.unsqueeze(-1), velocity, action)
+        tensordict["agents", "action"] = action
+        return tensordict
+
+    def assigned(self, scenes: TensorDictBase) -> list[Tensor]:
+        """Return which agents are of each team (B, A) bool; every agent is of exactly one."""
+        draw = draws.uniform(draws.join(cast("Tensor", scenes["scene_key"]), "team", ids_of(scenes)))
+        kind = cast("Tensor", agents_of(scenes)["kind"])
+        return [team.of(draw, kind) for team in cast("list[Team]", list(self.teams))]
+
+
+def _teams(crowd: Policy | Walker | Crowd, kind: int | None) -> list[Team]:
+    """Return the teams of a crowd, whose draws lie side by side between 0 and 1."""
+    if not isinstance(crowd, list):
+        return [Team(crowd, kind, 0.0, math.inf)]
+    teams, least = [], 0.0
+    for number, (policy, share) in enumerate(crowd, start=1):
+        below = math.inf if number == len(crowd) else least + share
+        teams.append(Team(policy, kind, least, below))
+        least = below
+    return teams

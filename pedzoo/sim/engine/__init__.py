@@ -1,0 +1,1 @@
+"""What physics backends are made of."""

@@ -1,0 +1,298 @@
+"""What every physics backend does: it moves agents, and answers what is near them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import move_to_scene
+from pedzoo.core.types import BODY_RADIUS
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.sim.arrival import arrived
+from pedzoo.sim.dynamics import SKIN, integrate
+from pedzoo.sim.engine.camera import Camera
+from pedzoo.sim.engine.compiled import advance_compiled, compiles
+from pedzoo.sim.motion import Contacts, Motion, Owned, Walk
+from pedzoo.sim.state import State
+
+REACH = 5.0
+"""Metres up to which distances and rays are asked for, where nothing else is said."""
+
+
+class People(NamedTuple):
+    """Where people are in B scenes.
+
+    Attributes:
+        position: Scene positions (B, A, 2), metres.
+        mask: Which people are present (B, A) bool.
+        map_id: Floor plan of each scene (B, 1) long, -1 for none.
+        pose: How each scene lies on its floor plan (B, 4).
+        radius: Of the bodies (B, A), metres; None for that of the backend.
+    """
+
+    position: Tensor
+    mask: Tensor
+    map_id: Tensor
+    pose: Tensor
+    radius: Tensor | None = None
+
+    def scene(self, number: int) -> People:
+        """Return those of one scene."""
+        return People(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
+
+
+class Distances(NamedTuple):
+    """How near others and walls are to each person; absent people have the reach and no normals.
+
+    Attributes:
+        agent: Least distance between centres (B, A), metres; the reach where nobody is nearer.
+        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
+        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where nobody is within reach.
+        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
+    """
+
+    agent: Tensor
+    wall: Tensor
+    agent_normal: Tensor
+    wall_normal: Tensor
+
+
+class Physics(ABC):
+    """Moves agents on the floor plans of its bank, and answers questions about them.
+
+    A backend is one file in `pedzoo.sim.physics`, or ``file.py:Class``. It keeps nothing between two
+    questions, so one serves any number of scenes on the floor plans of its bank. Agents whose position is not
+    finite are treated as absent.
+
+    Agents move along one common path, `pedzoo.sim.dynamics.integrate`, which the kernel's velocities lead.
+    A backend that simulates bodies of its own says which in `owned`, and moves them in `move_owned`.
+
+    Attributes:
+        scenes_at_once: Scenes that evaluations run together: memory grows with them, time hardly.
+        views: Where its camera can be.
+        compiled: Whether its `advance` is the compiled loop alone, so that a whole decision can be compiled.
+        bank: The floor plans.
+        body_radius: Radius of a body where nothing else is said, metres.
+    """
+
+    scenes_at_once: ClassVar[int] = 64
+    views: ClassVar[tuple[str, ...]] = ("top",)
+    compiled: ClassVar[bool] = False
+
+    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
+        """Take the floor plans.
+
+        Raises:
+            UserError: The radius is too small.
+        """
+        if not body_radius > SKIN:
+            raise UserError(
+                f"body_radius {body_radius}: expected metres above {SKIN}, by which a body gives at walls, "
+                f"like {BODY_RADIUS}"
+            )
+        self.bank = bank
+        self.body_radius = body_radius
+
+    @classmethod
+    def check(cls) -> None:
+        """Check that what the backend needs is installed.
+
+        Raises:
+            UserError: Something is not; the message says how to get it.
+        """
+        return
+
+    def owned(self, state: State) -> Tensor | None:
+        """Return which agents the backend moves itself (B, A) bool; None, the default, for none.
+
+        The answer may not depend on where agents are: bodies do not change hands within an episode.
+        """
+        return None
+
+    def move_owned(self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int) -> Owned:
+        """Return how agents of `owned` move in a decision; rows of all other agents do not matter.
+
+        Begin from ``state``, which says position, heading, velocity and turning rate: an episode may have
+        begun since the last call. Contacts and goals are found on the returned paths.
+
+        Args:
+            state: The scenes.
+            command: What policies want (B, A, 2), as the agent's drive has it, not limited; 0 for agents
+                without a goal.
+            moving: Which agents move (B, A) bool.
+            ticks: S, trace points of 0.1 s.
+            substeps: M, sub-steps of every 0.1 s.
+        """
+        raise NotImplementedError(f"{type(self).__name__} owns agents and has no move_owned")
+
+    def advance(
+        self,
+        state: State,
+        velocity: Tensor,
+        moving: Tensor,
+        substeps: int,
+        played: Tensor | None = None,
+        command: Tensor | None = None,
+    ) -> Motion:
+        """Return where agents are every 0.1 s, what they touch on the way and which reach their goals.
+
+        Positions are differentiable with respect to positions, velocities and played paths.
+
+        Args:
+            state: The scenes.
+            velocity: Of agents in each 0.1 s (2, S, B, A), m/s, limits respected already.
+            moving: Which agents they move (B, A) bool; others are played back, or stay where they are.
+            substeps: M, sub-steps of every 0.1 s.
+            played: Paths of agents that are played back (B, A, S, M, 2); None for none.
+            command: What policies want (B, A, 2), for agents that the backend owns; None for nothing.
+        """
+        wanted = moving & (state.goal_id >= 0)
+        own = self.owned(state)
+        if own is None:
+            return self._advance(state, Walk(velocity, moving, substeps, played, wanted))
+        own = own & moving
+        if command is None:
+            command = torch.zeros_like(state.velocity)
+        ticks = velocity.shape[1]
+        moved = self.move_owned(state, command, own, ticks, substeps)
+        if played is None:
+            played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
+        played = torch.where(own[:, :, None, None, None], moved.path, played)
+        motion = self._advance(state, Walk(velocity, moving & ~own, substeps, played, wanted))
+        return motion._replace(
+            heading=torch.where(own, moved.heading, torch.nan),
+            turn_rate=torch.where(own, moved.turn_rate, 0.0),
+        )
+
+    def _advance(self, state: State, walk: Walk) -> Motion:
+        """See `advance`, of agents that move on the common path."""
+        people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+        if compiles(state.past, walk.velocity):
+            paths = torch.empty(*walk.moving.shape, walk.velocity.shape[1], walk.substeps, 2)
+            walked = advance_compiled(self.bank, state, walk, paths)
+            return Motion(walked.trace, *self.contacts(paths, people), walked.reached)
+        path, _ = self._walked(state, walk)
+        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, walk.substeps))
+        contacts = self.contacts(steps.detach(), people)
+        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, walk))
+
+    def _walked(self, state: State, walk: Walk) -> tuple[Tensor, Tensor | None]:
+        """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
+        walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
+        position, velocity = state.position.movedim(-1, 0), walk.velocity * walk.moving
+        path, gap = integrate(position, velocity, state.radius, walk.substeps, walls)
+        if walk.played is not None:
+            given = walk.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
+            scripted = state.mask & ~walk.moving
+            path = torch.where(scripted, given, path)
+            if walls is not None and gap is not None:
+                gap = torch.where(scripted, walls.look(given, edges=False)[0], gap)
+        return path, gap
+
+    @abstractmethod
+    def distances(self, people: People, reach: float = REACH) -> Distances:
+        """Return the distances to the nearest person and wall, as far as ``reach`` metres.
+
+        Raises:
+            UserError: ``reach`` is farther than the bank knows walls.
+        """
+
+    @abstractmethod
+    def contacts(self, path: Tensor, people: People) -> Contacts:
+        """Return which agents touch another one or a wall on the way.
+
+        Agents touch when their centres are closer than the sum of their radii, a wall is touched by a centre
+        closer than its own. A trace point counts when any of its sub-steps does.
+
+        Args:
+            path: Positions after ``people.position`` (B, A, S, M, 2): M sub-steps up to each trace point.
+            people: Where people start, and which are present.
+        """
+
+    @abstractmethod
+    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+        """Return how far rays go before they meet a wall or a body (B, R), metres; else ``reach``.
+
+        A ray that starts inside a body does not see that body; one that starts inside a wall goes nowhere.
+
+        Args:
+            people: Their bodies are in the way.
+            origin: Where each ray starts (B, R, 2), scene positions.
+            direction: Unit vectors (B, R, 2).
+            reach: Greatest length, metres.
+        """
+
+    @abstractmethod
+    def image(
+        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+    ) -> NDArray[np.uint8]:
+        """Return a picture (H, W, 3) uint8 RGB of one scene.
+
+        Args:
+            people: Where people are.
+            scene: Which of the B scenes.
+            size: Width and height in pixels.
+            camera: Where it is taken from; by default from the top, all free space of the floor plan, or
+                all people where there is none.
+        """
+
+    def close(self) -> None:  # noqa: B027 (most backends hold nothing)
+        """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
+
+    def __enter__(self) -> Physics:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _radius(self, people: People) -> Tensor:
+        """Return the radii of the bodies (B, A), metres."""
+        if people.radius is not None:
+            return people.radius
+        return people.position.new_full(people.mask.shape, self.body_radius)
+
+    def _present(self, people: People) -> Tensor:
+        return people.mask & people.position.isfinite().all(-1)
+
+    def _check_reach(self, reach: float) -> None:
+        if self.bank.grids and reach > self.bank.max_distance:
+            raise UserError(
+                f"reach {reach} m is more than floor plans are measured for ({self.bank.max_distance} m): "
+                f"make the bank with MapBank(..., max_distance={reach})"
+            )
+
+    def _plan(self, people: People, scene: int) -> OccupancyGrid | None:
+        row = int(self.bank.index(people.map_id[scene].view(1)))
+        return self.bank.grids[row] if row >= 0 else None
+
+    def _framed(self, people: People, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
+        """Return a camera whose center and width are known."""
+        camera = camera or Camera()
+        if camera.center is not None and camera.width is not None:
+            return camera
+        grid = self._plan(people, scene)
+        if grid is None:
+            found = camera.around(people.position[scene][people.mask[scene]], size)
+        else:
+            corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
+            found = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
+        width = found.width if camera.width is None else camera.width
+        return Camera(camera.view, camera.center or found.center, width, camera.heading, camera.pitch)
+
+
+def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
+    """The corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
+    free = ~grid.occupied(unknown)
+    if not free.any():
+        free = ~free
+    (top, bottom), (left, right) = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    left, right, top, bottom = left - 0.5, right + 0.5, top - 0.5, bottom + 0.5
+    cells = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    return grid.cells_to_map(cells)

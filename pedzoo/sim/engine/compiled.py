@@ -1,0 +1,114 @@
+"""The compiled backend's way in and out: tensors on the CPU become arrays without a copy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
+from pedzoo.sim.motion import Contacts, Motion, Walk
+from pedzoo.sim.state import State
+
+_NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
+_NO_SLOPES = np.zeros((0, 0, 0, 8), np.float32)
+NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
+
+
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether the compiled loops may take these: float32 on the CPU."""
+    return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
+
+
+def advance_compiled(bank: MapBank, state: State, walk: Walk, paths: Tensor | None = None) -> Motion:
+    """Return what `Physics.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
+
+    The trace is differentiable with respect to positions, velocities and played paths.
+    """
+    velocity, moving, substeps, played, wanted = walk
+    position = state.past[:, :, -1]
+    slopes = None
+    if torch.is_grad_enabled() and any(
+        part is not None and part.requires_grad for part in (position, velocity, played)
+    ):
+        slopes = torch.zeros(*moving.shape, velocity.shape[1], 8)
+    motion = _run(
+        bank, position, velocity, state.radius, state.mask, moving,
+        torch.empty(0, 0, 0, 0, 2) if played is None else played.float(), state.goal_point, wanted,
+        substeps, (state.wall_frame, state.wall_place), paths, slopes,
+    )  # fmt: skip
+    if slopes is None:
+        return motion
+    trace = _Trace.apply(position, velocity, motion.trace, slopes, moving)
+    if played is not None:
+        scripted = (state.mask & ~moving)[..., None, None]
+        trace = torch.where(scripted, played[:, :, :, -1], trace)
+    return motion._replace(trace=trace)
+
+
+class _Trace(torch.autograd.Function):
+    """Hands a trace (B, A, S, 2) on, with the gradients that its slopes say."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Any) -> Tensor:
+        """Keep the slopes; ``given`` are positions, velocities, the trace, its slopes and moved agents."""
+        _, _, trace, slopes, moving = given
+        ctx.save_for_backward(slopes, moving)
+        return trace.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
+        """Return gradients of places (B, A, 2) and velocities (2, S, B, A), last trace point first."""
+        slopes, moving = ctx.saved_tensors
+        of_place, of_velocity = slopes.unflatten(3, (2, 2, 2)).unbind(3)
+        moved = moving[..., None]
+        carried = torch.zeros_like(gradients[0][:, :, 0])
+        velocity = []
+        for tick in reversed(range(slopes.shape[2])):
+            carried = (carried + gradients[0][:, :, tick]).unsqueeze(-1)
+            velocity.append(torch.where(moved, (of_velocity[:, :, tick] * carried).sum(2), 0.0))
+            carried = torch.where(moved, (of_place[:, :, tick] * carried).sum(2), carried[..., 0])
+        return carried, torch.stack(velocity[::-1]).permute(3, 0, 1, 2), None, None, None
+
+
+def contacts_compiled(
+    bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
+) -> Contacts:
+    """Return what `Physics.contacts` does for agents who are present (B, A) bool."""
+    scenes, agents, ticks, substeps = path.shape[:4]
+    nothing = torch.zeros(scenes, agents, dtype=torch.bool)
+    start = path[:, :, 0, 0]
+    velocity = path.new_zeros(2, ticks, scenes, agents)
+    found = _run(
+        bank, start, velocity, radius, present, nothing, path, start, nothing, substeps, (frame, place)
+    )  # fmt: skip
+    return Contacts(found.agent_contact, found.wall_contact)
+
+
+def _run(
+    bank: MapBank, position: Tensor, velocity: Tensor, radius: Tensor, present: Tensor, moving: Tensor,
+    played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, walls: tuple[Tensor, Tensor],
+    paths: Tensor | None = None, slopes: Tensor | None = None,
+) -> Motion:  # fmt: skip
+    from pedzoo.sim.engine.compiled_loops import advance
+
+    shape = *moving.shape, velocity.shape[1]
+    trace = torch.empty(*shape, 2)
+    agent, wall, reached = torch.empty(3, *shape, dtype=torch.bool)
+    arrays: list[Any] = [
+        value.detach().numpy()
+        for value in (position, velocity, radius, present, moving, played, goal, wanted)
+    ]
+    frames, places = (part.numpy() for part in walls) if bank.grids else NO_FRAMES
+    advance(
+        *arrays, GOAL_RADIUS**2, substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
+        frames, places, *bank.walls.arrays,
+        trace.numpy(), agent.numpy(), wall.numpy(), reached.numpy(),
+        _NO_PATHS if paths is None else paths.numpy(),
+        _NO_SLOPES if slopes is None else slopes.numpy(),
+    )  # fmt: skip
+    return Motion(trace, agent, wall, reached)

@@ -1,0 +1,80 @@
+"""`kernel.step` by compiled loops: for scenes on the CPU where no gradients are asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.kinematics import TURNS_FROM
+from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.sim.arrival import LEAST_SECONDS, WAYS
+from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
+from pedzoo.sim.engine.compiled import NO_FRAMES, compiles
+from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
+from pedzoo.sim.state import State
+
+if TYPE_CHECKING:
+    from pedzoo.sim.kernel import Rules
+
+
+def step_compiles(state: State, commands: Tensor, rules: Rules) -> bool:
+    """Return whether `step_compiled` may take a decision: holonomic agents without a script or gradients."""
+    if rules.wheels or rules.script is not None or not compiles(state.past, commands):
+        return False
+    if not torch.is_grad_enabled():
+        return True
+    given = commands, state.past, state.velocity, state.way
+    return not any(value.requires_grad for value in given)
+
+
+def step_compiled(
+    state: State, commands: Tensor, bank: MapBank, rules: Rules
+) -> tuple[State, Guidance, Events]:
+    """Return what `pedzoo.sim.kernel.step` does, but for the last bit of roots and angles."""
+    from pedzoo.sim.engine.compiled_step_loops import move, settle
+
+    (scenes, agents), ticks = state.mask.shape, rules.ticks
+    past, velocity = torch.empty_like(state.past), torch.empty_like(state.velocity)
+    events = torch.empty(3, scenes, agents, ticks, dtype=torch.bool)
+    flags = torch.empty(6, scenes, agents, dtype=torch.bool)
+    counts = torch.empty(4, scenes, agents, dtype=torch.long)
+    reached = torch.empty(scenes, agents, ticks, dtype=torch.long)
+    lengths = torch.empty(4, scenes, agents)
+    heading, clock = torch.empty_like(state.heading), torch.empty_like(state.clock)
+    failed, ends = torch.empty_like(state.failed), torch.empty(2, scenes, dtype=torch.bool)
+    found = tuple(value.numpy() for value in (events, clock, failed, flags, counts))
+    given = (
+        commands, state.failed, state.mask, state.controlled, state.goal_id, state.later_goals, state.person,
+        state.drawn, state.reached, state.past, state.velocity, state.heading, state.top_speed, state.radius,
+        state.goal_point, state.clock, state.deadline, state.stands, state.late,
+    )  # fmt: skip
+    walls = (state.wall_frame.numpy(), state.wall_place.numpy()) if bank.grids else NO_FRAMES
+    steps = rules.substeps
+    move(
+        *(value.detach().numpy() for value in given), ticks, rules.goals, rules.leave, rules.keep_goal,
+        CLOCK_ROUNDING, TURNS_FROM, GOAL_RADIUS**2,
+        steps, max(1, steps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
+        *walls, *bank.walls.arrays, past.numpy(), *found, velocity.numpy(), heading.numpy(),
+    )  # fmt: skip
+    mask, controlled, late, *_ = flags.unbind()
+    person, goal_id, drawn, count = counts.unbind()
+    after = state._replace(
+        clock=clock, failed=failed, mask=mask, controlled=controlled, person=person, past=past,
+        velocity=velocity, heading=heading, goal_id=goal_id, drawn=drawn, reached=count, late=late,
+    )  # fmt: skip
+    guidance = rules.guide(after)
+    told = guidance.distance, state.way, state.planned, state.deadline, state.pref_speed
+    settle(
+        *(value.detach().numpy() for value in told),
+        found[1], found[2], state.mask.numpy(), found[0], *found[3:],
+        rules.goals, WAYS, LEAST_SECONDS, GOAL_RADIUS, CONTACT_COST,
+        lengths.numpy(), ends.numpy(), state.reached.numpy(), reached.numpy(),
+    )  # fmt: skip
+    way, planned, deadline, reward = lengths.unbind()
+    after = after._replace(way=way, planned=planned, goal_point=guidance.goal_point, deadline=deadline)
+    agent, wall, _ = events.unbind()
+    return after, guidance, Events(past[:, :, -ticks:], agent, wall, reached, reward, *ends.unbind())

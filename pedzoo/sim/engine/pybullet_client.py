@@ -1,0 +1,107 @@
+"""How pybullet comes in: imported without its greeting, and with a GPU's renderer where that works."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pedzoo.core.errors import UserError
+
+
+def load_pybullet() -> Any:
+    """Return the module.
+
+    Raises:
+        UserError: It is not installed.
+    """
+    # the first time, it prints when it was built
+    with nullcontext() if "pybullet" in sys.modules else _quiet(2):
+        try:
+            import pybullet
+        except ImportError as error:
+            raise UserError(
+                "the physics 'bullet' needs pybullet, which is not installed: pip install pybullet (its "
+                "Linux wheels stop at Python 3.11, beyond it needs a C++ compiler), or take "
+                "physics='compiled', which answers the same without it"
+            ) from error
+    return pybullet
+
+
+def connect(owner: object) -> tuple[Any, int, Callable[[], object]]:
+    """Return the module, a new client that computes in this process, and what disconnects it.
+
+    It is disconnected when ``owner`` is gone at the latest; doing it again does nothing.
+    """
+    pybullet = load_pybullet()
+    client: int = pybullet.connect(pybullet.DIRECT)
+    return pybullet, client, weakref.finalize(owner, _disconnect, pybullet, client)
+
+
+def _disconnect(pybullet: Any, client: int) -> None:
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)
+
+
+def check_connected(client: int) -> None:
+    """Check that a client is still there.
+
+    Raises:
+        UserError: It was disconnected from outside.
+    """
+    if not load_pybullet().isConnected(client):
+        raise UserError(
+            f"pybullet client {client} of this Bullet is gone, somebody called pybullet.disconnect: "
+            "make a new Bullet(bank), and leave its clients to close()"
+        )
+
+
+@cache
+def egl_plugin() -> str | None:
+    """Return the file of pybullet's GPU renderer, None where it does not work."""
+    spec = importlib.util.find_spec("eglRenderer")
+    devices = (Path("/dev/nvidiactl"), Path("/dev/dri"))
+    if spec is None or spec.origin is None or not any(device.exists() for device in devices):
+        return None
+    # Where there is no driver for it, the plugin ends the whole process: another one goes first.
+    code = (
+        "import pybullet as p, sys; p.connect(p.DIRECT); "
+        "assert p.loadPlugin(sys.argv[1], '_eglRendererPlugin') >= 0; "
+        "p.getCameraImage(32, 32); print('drawn')"
+    )
+    try:
+        tried = subprocess.run(
+            [sys.executable, "-c", code, spec.origin], capture_output=True, timeout=60, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return None
+    return spec.origin if tried.returncode == 0 and b"drawn" in tried.stdout else None
+
+
+def load_egl(client: int, plugin: str) -> bool:
+    """Let a client draw with the GPU from now on; returns whether it does."""
+    pybullet = load_pybullet()
+    with _quiet(1), _quiet(2):
+        return pybullet.loadPlugin(plugin, "_eglRendererPlugin", physicsClientId=client) >= 0
+
+
+@contextmanager
+def _quiet(stream: int) -> Iterator[None]:
+    """Send a stream (1 or 2) of this process to nowhere, because C code does not ask `sys`."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept, nowhere = os.dup(stream), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, stream)
+        yield
+    finally:
+        os.dup2(kept, stream)
+        os.close(kept)
+        os.close(nowhere)

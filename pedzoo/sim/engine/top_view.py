@@ -1,0 +1,63 @@
+"""A scene drawn from the top: floor plan and people as discs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.sim.engine.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
+from pedzoo.sim.engine.frames import after, inverse, map_to_scene
+
+_FINE = 4
+"""cv2 draws at whole pixels, or at sixteenths of them with this shift."""
+
+
+def draw_top_view(
+    grid: OccupancyGrid | None,
+    unknown: Unknown,
+    pose: Tensor,
+    position: Tensor,
+    present: Tensor,
+    radius: Tensor,
+    size: tuple[int, int],
+    camera: Camera,
+) -> NDArray[np.uint8]:
+    """Return the picture (H, W, 3) uint8 RGB.
+
+    Args:
+        grid: The floor plan, None for open floor.
+        unknown: What its unknown cells count as.
+        pose: How the scene lies on it (4,).
+        position: Scene positions (A, 2), metres.
+        present: Whom to draw (A,) bool.
+        radius: Of bodies (A,), metres.
+        size: Width and height in pixels.
+        camera: Whose center and width are seen; it looks down whatever its ``view``.
+    """
+    import cv2
+
+    to_pixel = camera.to_pixel(size)
+    image = np.full((size[1], size[0], 3), FLOOR, dtype=np.uint8)
+    if grid is not None:
+        colors = np.array([FLOOR, WALL], dtype=np.uint8)[grid.occupied(unknown).astype(int)]
+        affine = after(to_pixel, after(map_to_scene(pose), inverse(grid.map_to_cell())))
+        cv2.warpAffine(
+            colors,
+            affine,
+            size,
+            dst=image,
+            # Shrunken plans keep their thin walls with areas averaged; enlarged cells keep their edges.
+            flags=cv2.INTER_NEAREST if abs(np.linalg.det(affine[:, :2])) >= 1 else cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=OUTSIDE,
+        )
+    pixels = position.detach().cpu().double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
+    widths = (radius.detach().cpu().double().numpy() * to_pixel[0, 0] * 2**_FINE).round().astype(int)
+    for person in present.nonzero()[:, 0].tolist():
+        x, y = (round(value * 2**_FINE) for value in pixels[person])
+        across = int(widths[person])
+        cv2.circle(image, (x, y), across, person_color(person), cv2.FILLED, cv2.LINE_AA, _FINE)
+        cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)
+    return image

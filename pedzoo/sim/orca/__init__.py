@@ -1,1 +1,0 @@
-"""ORCA: velocities that keep people apart from each other and from walls, for whole batches of scenes."""

@@ -1,1 +1,0 @@
-"""Policies that are no forecasters: one file each, found by its name."""

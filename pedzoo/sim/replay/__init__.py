@@ -1,0 +1,1 @@
+"""Recorded crowds that are played back."""

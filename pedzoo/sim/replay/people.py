@@ -1,0 +1,167 @@
+"""The people of recordings: when each comes and goes, where to, and whom a policy can take over."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
+from pedzoo.data.tracks import Tracks
+from pedzoo.maps.ways.planner import Planner
+from pedzoo.sim.scenes.scenario import SLOWEST
+
+LONGEST = 2
+"""Whoever has not arrived after so many times as long as they really took is taken out."""
+
+CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
+"""What becomes of a recorded person: taken over by the policy, or played back and why."""
+
+REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "no path to the exit", "later")
+
+SpeedOf = Literal["observed", "track"]
+
+
+class People(NamedTuple):
+    """P recorded people; row p is ``person`` p of states and rollouts.
+
+    Times of recordings are seconds since their first row, in frames of 0.4 s.
+
+    Attributes:
+        recording: Which recording each is in (P,) long.
+        agent: The number that they have there (P,) long.
+        first: Frame of their first row (P,) long.
+        last: Frame of their last one (P,) long.
+        what: ``CONTROLLED`` or why they are played back (P,) long, see `REASONS`.
+        start: Where they are when the policy takes over (P, 2), metres.
+        exit: Where they are last seen (P, 2), metres.
+        goal: The goal: the exit, or the nearest place that one can walk to (P, 2), metres.
+        goal_id: The planner's number of it (P,) long, -1 for none.
+        way: Length of the planner's way from start to goal (P,), metres; 0 without a goal.
+        pref_speed: The speed that they like (P,), m/s.
+    """
+
+    recording: Tensor
+    agent: Tensor
+    first: Tensor
+    last: Tensor
+    what: Tensor
+    start: Tensor
+    exit: Tensor
+    goal: Tensor
+    goal_id: Tensor
+    way: Tensor
+    pref_speed: Tensor
+
+    @property
+    def controlled(self) -> Tensor:
+        """Whom the policy takes over (P,) bool."""
+        return self.what == CONTROLLED
+
+    @property
+    def taken(self) -> Tensor:
+        """Frame in which it does (P,) long."""
+        return self.first + OBS_LEN - 1
+
+    @property
+    def until(self) -> Tensor:
+        """Frame in which they are gone at the latest (P,) long."""
+        longest = self.taken + LONGEST * (self.last - self.taken)
+        return torch.where(self.controlled, longest, self.last)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many people there are of each kind, those that do not occur left out."""
+        found = Counter(self.what.tolist())
+        return {name: found[what] for what, name in enumerate(REASONS) if found[what]}
+
+
+def people_of(
+    recordings: Sequence[Tracks],
+    rows: Sequence[int],
+    planner: Planner,
+    share: float = 1.0,
+    speed: SpeedOf = "observed",
+) -> tuple[People, Tensor]:
+    """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
+
+    Args:
+        recordings: Tracks with a row in every frame of 0.4 s, the first of which is frame 0.
+        rows: Row of each recording's floor plan in the planner's bank, -1 for none.
+        planner: Finds the ways; exits become its goals.
+        share: Whoever can be taken over later than this share of a recording's time is played back.
+        speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
+    """
+    found = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
+    people = People(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    for number, row in enumerate(rows):
+        people = _with_goals(people, people.recording == number, row, planner)
+    xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
+    return people, xy.float()
+
+
+def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
+    """Return the people of one recording without goals."""
+    agent, begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)
+    end = begin + count - 1
+    taken = np.minimum(begin + OBS_LEN - 1, end)
+    first, last = tracks.frame[begin], tracks.frame[end]
+    walked = np.concatenate(([0.0], np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1).cumsum()))
+    measured = taken if speed == "observed" else end
+    seconds = np.maximum(measured - begin, 1) * STEP_SECONDS
+    what = np.where(first > share * tracks.frame.max(), LATER, CONTROLLED)
+    what = np.where(count <= OBS_LEN, SHORT, what)
+
+    def places(rows: np.ndarray) -> Tensor:
+        return torch.from_numpy(tracks.xy[rows])
+
+    return People(
+        recording=torch.full((len(agent),), number),
+        agent=torch.from_numpy(agent),
+        first=torch.from_numpy(first),
+        last=torch.from_numpy(last),
+        what=torch.from_numpy(what),
+        start=places(taken),
+        exit=places(end),
+        goal=places(end),
+        goal_id=torch.full((len(agent),), -1),
+        way=torch.zeros(len(agent), dtype=torch.float64),
+        pref_speed=torch.from_numpy((walked[measured] - walked[begin]) / seconds).clamp_min(SLOWEST).float(),
+    )
+
+
+def _with_goals(people: People, mine: Tensor, row: int, planner: Planner) -> People:
+    """Return people of whom those of one recording, ``mine`` (P,) bool, have goals where they can."""
+    gone = people.until[mine & people.controlled]
+    if not len(gone):
+        return people
+    mine = mine & (people.first < gone.max())  # others are never seen
+    goal = people.goal.clone()
+    blocked = torch.zeros_like(mine)
+    if row >= 0:
+        moved = torch.from_numpy(planner.graph(row).settle(goal[mine].numpy(), torch.inf, "exit")[1])
+        blocked[mine] = (moved - goal[mine]).norm(dim=1) > planner.snap
+        goal[mine] = torch.where(blocked[mine].unsqueeze(1), goal[mine], moved)
+    with_goal = mine & ~blocked
+    goal_id = people.goal_id.clone()
+    goal_id[with_goal] = planner.add_goals(row, goal[with_goal])
+    start = people.start[mine].float()
+    map_id = torch.full((len(start),), planner.bank.grids[row].map_id if row >= 0 else -1)
+    way = people.way.float()
+    way[mine] = planner.look(start, goal_id[mine], map_id, identity_pose(len(start))).distance
+    lost = way.isinf()
+    stayed = ((goal - people.start).norm(dim=1) <= GOAL_RADIUS) & ~blocked
+    what = people.what
+    for reason, who in ((NO_WAY, lost), (STAYED, stayed), (BLOCKED, blocked)):
+        what = torch.where(mine & who & (what == CONTROLLED), reason, what)
+    return people._replace(
+        what=what,
+        goal=goal,
+        goal_id=torch.where(lost, -1, goal_id),
+        way=torch.where(lost, 0.0, way).to(people.way),
+    )

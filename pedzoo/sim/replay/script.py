@@ -1,0 +1,212 @@
+"""Who comes and goes when: people who are played back from a recording, and taken over by the policy."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.sim.replay.people import People
+from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+
+
+class Scenes(NamedTuple):
+    """The R scenes of a script. Frames are those of recordings, 0.4 s.
+
+    Attributes:
+        table: Which row of the script's table each has (R,) long.
+        origin: Frame at which its clock is 0 (R,) long.
+        until: Frame from which on nobody of it is there (R,) long.
+        last: Frame in which the policy takes somebody over for the last time (R,) long.
+        left: Frame in which the last of them really leaves (R,) long.
+        lead: The only person whom it takes over (R,) long, -1 where it takes over all whom it can.
+    """
+
+    table: Tensor
+    origin: Tensor
+    until: Tensor
+    last: Tensor
+    left: Tensor
+    lead: Tensor
+
+
+class Opening(NamedTuple):
+    """Who is there, and how, when scenes begin.
+
+    Attributes:
+        scene: Which scenes of the script (B,) long.
+        person: Who is in each slot (B, A) long, -1 for nobody.
+        controlled: Whom the policy moves (B, A) bool.
+        known: Trace points for which they have been seen (B, A) long.
+        velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
+        deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
+    """
+
+    scene: Tensor
+    person: Tensor
+    controlled: Tensor
+    known: Tensor
+    velocity: Tensor | None = None
+    deadline: Tensor | None = None
+
+    def to(self, device: torch.device) -> Opening:
+        """Return the opening on a device."""
+        return Opening(*(None if value is None else value.to(device) for value in self))  # type: ignore[arg-type]
+
+
+class Script:
+    """Moves people as they were recorded, and says who is there.
+
+    Whoever is on stage is played back first. The policy takes over in the frame that `People` says, and has
+    them until they arrive or their time is up. Nobody else ever uses their slot before that, so who is in
+    which slot depends on the script alone. Everything happens in step with the frames of 0.4 s, except that
+    people leave with the decision in which they arrive.
+    """
+
+    def __init__(self, people: People, xy: Tensor, who: Tensor, scenes: Scenes) -> None:
+        """Take the parts.
+
+        Args:
+            people: All people.
+            xy: Rows of their tracks (N, 2), person after person, one for each frame.
+            who: Who is in which slot in which frame (tables, A, frames) long, -1 for nobody.
+            scenes: The scenes.
+        """
+        self.people, self.xy, self.who, self.scenes = people, xy, who, scenes
+        self._begin = torch.cumsum(people.last - people.first + 1, 0) - (people.last - people.first + 1)
+        self._pref_speed = people.pref_speed.float()
+
+    def to(self, device: torch.device | str) -> Script:
+        """Return the script on a device: itself where it is there already."""
+        if self.xy.device == torch.device(device):
+            return self
+        people = People(*(value.to(device) for value in self.people))
+        scenes = Scenes(*(value.to(device) for value in self.scenes))
+        return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
+
+    def due(self, scene: Tensor, frame: Tensor) -> Tensor:
+        """Return who has each slot (B, A) long at a recording's frame (B,); -1 for nobody."""
+        table, until, lead = (
+            values[scene] for values in (self.scenes.table, self.scenes.until, self.scenes.lead)
+        )
+        due = self.who[table, :, frame.clamp_max(self.who.shape[2] - 1)]
+        # the last slot is kept for the lead, who is not met a second time
+        leads = (lead >= 0) & (frame < self.people.until[lead])
+        due = torch.where(due == lead.unsqueeze(1), -1, due)
+        due[:, -1] = torch.where(leads, lead, due[:, -1])
+        return torch.where((frame < until).unsqueeze(1), due, -1)
+
+    def places(self, person: Tensor, frame: Tensor) -> Tensor:
+        """Return where people (..., ) are at frames (..., ), in their first or last place before or after."""
+        first, last = self.people.first[person], self.people.last[person]
+        return self.xy[self._begin[person] + frame.clamp(first, last) - first]
+
+    def path(self, scene: Tensor, person: Tensor, tick: Tensor, points: int, substeps: int) -> Tensor:
+        """Return the recorded ways (B, A, S, M, 2) of people: straight from frame to frame.
+
+        Args:
+            scene: Which scenes (B,) long.
+            person: Whose (B, A) long; anything where it is -1.
+            tick: Trace points since the clock was 0, before the first one wanted (B,) long; the S points do
+                not go beyond the end of a frame.
+            points: S.
+            substeps: M.
+        """
+        at = self.scenes.origin[scene] * TRACE_PER_STEP + tick
+        frame, part = (at // TRACE_PER_STEP).unsqueeze(1).expand_as(person), at % TRACE_PER_STEP
+        here, there = self.places(person, frame), self.places(person, frame + 1)
+        share = part.unsqueeze(1) + torch.arange(1, points * substeps + 1, device=at.device) / substeps
+        share = (share / TRACE_PER_STEP)[:, None, :, None]
+        return torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
+
+    def opening(self, scene: Tensor) -> tuple[Opening, Tensor]:
+        """Return how scenes (B,) begin, and everybody's positions in the frames until then (B, A, 8, 2)."""
+        frame = self.scenes.origin[scene]
+        person = self.due(scene, frame)
+        there = person >= 0
+        at = frame.unsqueeze(1).expand_as(person)
+        frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
+        history = self.places(person.unsqueeze(2).expand_as(frames), frames)
+        seen = (at - self.people.first[person]).clamp_max(OBS_LEN - 1)
+        # who has come in this moment is on the way already
+        came = (seen < 1).unsqueeze(2)
+        last = torch.where(came, history[:, :, -1], history[:, :, -2])
+        following = torch.where(came, self.places(person, at + 1), history[:, :, -1])
+        return Opening(
+            scene=scene,
+            person=person,
+            controlled=self._taken(scene, person, at),
+            known=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
+            velocity=(following - last) / STEP_SECONDS,
+            deadline=self._deadline(scene, person),
+        ), torch.where(there[..., None, None], history, 0.0)
+
+    def scored(self, scene: Tensor, person: Tensor) -> Tensor:
+        """Return whom the policy has at some time (B, A) bool."""
+        lead = self.scenes.lead[scene].unsqueeze(1)
+        return self.people.controlled[person] & (person >= 0) & ((lead < 0) | (person == lead))
+
+    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
+        """Return whom the policy takes over in this frame (B, A) bool."""
+        return self.scored(scene, person) & (self.people.taken[person] == frame)
+
+    def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
+        steps = self.people.until[person] - self.scenes.origin[scene].unsqueeze(1)
+        return (steps * TRACE_PER_STEP) * TRACE_SECONDS
+
+    def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
+        """Return the recorded ways (B, A, S, M, 2) of people; in scenes that ``failed`` (B,) they stay."""
+        recorded = self.path(state.scene, state.person, _tick(state.clock), points, substeps)
+        return torch.where(failed.view(-1, 1, 1, 1, 1), state.position[:, :, None, None], recorded)
+
+    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+        """Let people come, go and be taken over at the end of a decision of S ``points``.
+
+        Returns:
+            The state ``after`` with them, and who was taken over just now (B, A) bool.
+        """
+        tick = _tick(before.clock) + points
+        at = self.scenes.origin[after.scene] * TRACE_PER_STEP + tick
+        frame, sharp = at // TRACE_PER_STEP, (at % TRACE_PER_STEP == 0).unsqueeze(1)
+        known = (after.known + points).clamp_max(PAST_LEN)
+        after = after._replace(clock=tick * TRACE_SECONDS, known=known)
+        due = self.due(after.scene, frame)
+        now = frame.unsqueeze(1).expand_as(due)
+        there = due >= 0
+        comes = there & sharp & (self.people.first[due] == now)
+        stays = after.mask & (after.person == due)
+        mask = comes | stays
+        late = after.late | (after.mask & after.controlled & ~stays)
+        taken = stays & sharp & self._taken(after.scene, due, now)
+        here = self.places(due, now)
+        velocity = (self.places(due, now + 1) - here) / STEP_SECONDS
+        come = comes.unsqueeze(2)
+        return after._replace(
+            mask=torch.where(sharp, mask, after.mask),
+            controlled=torch.where(sharp, (after.controlled & stays) | taken, after.controlled),
+            person=torch.where(sharp, torch.where(mask, due, -1), after.person),
+            known=known.masked_fill(comes, 1),
+            past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
+            velocity=torch.where(come, velocity, after.velocity),
+            pref_speed=torch.where(comes, self._pref_speed[due], after.pref_speed),
+            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[due], after.top_speed),
+            goal_id=torch.where(comes, self.people.goal_id[due], after.goal_id),
+            drawn=after.drawn.masked_fill(comes, 0),
+            reached=after.reached.masked_fill(comes, 0),
+            deadline=torch.where(comes, self._deadline(after.scene, due), after.deadline),
+            late=torch.where(sharp, late & ~comes, after.late),
+            way=after.way.masked_fill(comes, 0.0),
+            planned=after.planned.masked_fill(comes, 0.0),
+        ), taken
+
+    def over(self, state: State) -> Tensor:
+        """Return the scenes in which nobody is controlled, now or later (B,) bool."""
+        frame = self.scenes.origin[state.scene] + _tick(state.clock) // TRACE_PER_STEP
+        return ~state.controlled.any(1) & (frame >= self.scenes.last[state.scene])
+
+
+def _tick(clock: Tensor) -> Tensor:
+    """Return how many trace points lie before the times (B,), seconds, long."""
+    return (clock / TRACE_SECONDS).round().long()

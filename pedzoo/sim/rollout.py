@@ -1,0 +1,171 @@
+"""What closed-loop metrics and pictures are made of: where everybody was, every 0.1 s."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import TRACE_SECONDS
+
+OVER_TIME = (
+    *("trace", "goal", "present", "controlled", "person", "planned"),
+    *("agent_contact", "wall_contact", "reached"),
+)
+"""Fields of a `Rollout` that have a value for every trace point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
+
+    Nothing changes after an episode's end: positions and counts stay as they were, nobody is present.
+
+    Only who is ``controlled`` is scored; others who are present are met and touched. In ordinary scenes
+    everybody has a slot of their own and is controlled while present. In a replay people are played back
+    before the policy takes them over, and whoever comes later takes the slot of somebody who has left.
+
+    Attributes:
+        trace: Positions (E, A, T, 2), metres.
+        goal: Where everybody was going (E, A, T, 2), metres.
+        present: Who is there, the episode still running (E, A, T) bool.
+        controlled: Who is there and moved by the policy (E, A, T) bool.
+        person: Who is in the slot (E, A, T) long, -1 for nobody; the slot's number in ordinary scenes.
+        planned: Length of the planner's ways of all goals until the one being walked to (E, A, T), metres,
+            each as long as it was when the goal was set, less the goal's radius and not below 0.
+        agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false where nobody is.
+        wall_contact: A wall was (E, A, T) bool.
+        reached: Goals reached until then by whoever is in the slot (E, A, T) long.
+        late: A goal was not reached in time (E, A) bool.
+        failed: The policy gave no number (E,) bool.
+        mask: Who was there at the beginning (E, A) bool.
+        past: The warm start (E, A, 29, 2), its last point is where the episode begins.
+        pref_speed: The speed that people like (E, A), m/s.
+        way: Length of the way to the first goal (E, A), metres.
+        radius: Radii of the bodies (E, A), metres.
+        kind: `pedzoo.core.batch.PERSON` or `ROBOT` (E, A) long.
+        map_id: Floor plan (E,) long.
+        pose: Scene poses (E, 4).
+        goals: Goals that everybody had to reach.
+        gate: The scene's door (E, 5): centre x and y, unit normal x and y of its wall, clear width; metres.
+            None where the scenario has none.
+    """
+
+    trace: Tensor
+    goal: Tensor
+    present: Tensor
+    controlled: Tensor
+    person: Tensor
+    planned: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    reached: Tensor
+    late: Tensor
+    failed: Tensor
+    mask: Tensor
+    past: Tensor
+    pref_speed: Tensor
+    way: Tensor
+    radius: Tensor
+    kind: Tensor
+    map_id: Tensor
+    pose: Tensor
+    goals: int
+    gate: Tensor | None = None
+
+    @property
+    def length(self) -> Tensor:
+        """Number of trace points that each episode has (E,) long."""
+        return self.present.any(1).sum(1)
+
+    @property
+    def path(self) -> Tensor:
+        """Positions from where the episode begins (E, A, 1 + T, 2), metres: the trace with its start."""
+        return torch.cat((self.past[:, :, -1:], self.trace), dim=2)
+
+    @property
+    def scored(self) -> Tensor:
+        """Who is scored (E, A, T) bool: controlled, and in the slot already at the point before.
+
+        The step to each such point was walked by that person, so points without a gap are one person's.
+        """
+        return self.controlled & self._stayed
+
+    @property
+    def underway(self) -> Tensor:
+        """Who is controlled and had not reached all goals at the point before (E, A, T) bool.
+
+        After arriving people are there until the end of the decision: for longer if that takes 0.4 s.
+        """
+        arrived = torch.zeros_like(self.controlled)
+        same = self.person[..., 1:] == self.person[..., :-1]
+        arrived[..., 1:] = same & (self.reached[..., :-1] >= self.goals)
+        return self.controlled & ~arrived
+
+    @property
+    def stood(self) -> Tensor:
+        """How long people were there before a policy moved them (E, A), seconds."""
+        return TRACE_SECONDS * (self.present & ~self.controlled).sum(2)
+
+    @property
+    def met(self) -> Tensor:
+        """Who is there and was in the slot already at the point before (E, A, T) bool."""
+        return self.present & self._stayed
+
+    @property
+    def _stayed(self) -> Tensor:
+        there = torch.cat((self.mask.unsqueeze(2), self.present[..., :-1]), dim=2)
+        before = torch.cat((self.person[..., :1], self.person[..., :-1]), dim=2)
+        return there & (self.person == before)
+
+    @property
+    def replayed(self) -> bool:
+        """Whether somebody is played back, comes later or takes another's slot, as in recorded scenes.
+
+        Whoever stands where they were when the episode began is not played back.
+        """
+        stands = (self.trace == self.past[:, :, -1:]).all(-1).cummin(2).values
+        theirs = self.mask.unsqueeze(2) & (self.controlled | stands) & (self.person == self.person[..., :1])
+        return not bool((theirs | ~self.present).all())
+
+    def stays(self, episode: int) -> list[tuple[int, int, int]]:
+        """Return slot, first and last point of everybody's stay in an episode, points as in `path`.
+
+        In a replay a slot has several people, one after the other.
+        """
+        there = torch.cat((self.mask[episode].unsqueeze(1), self.present[episode]), dim=1)
+        who = torch.cat((self.person[episode, :, :1], self.person[episode]), dim=1)
+        who = torch.nn.functional.pad(torch.where(there, who, -1), (1, 1), value=-1)
+        change = who[:, 1:] != who[:, :-1]
+        begins, ends = change & (who[:, 1:] >= 0), change & (who[:, :-1] >= 0)
+        found = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
+        return [(slot, first, last - 1) for (slot, first), (_, last) in found]
+
+    def episodes(self, index: slice) -> Rollout:
+        """Return some of the episodes."""
+        values = ((field.name, getattr(self, field.name)) for field in fields(self))
+        chosen: dict[str, Any] = {key: v[index] if isinstance(v, Tensor) else v for key, v in values}
+        return Rollout(**chosen)
+
+
+def joined(parts: Sequence[Rollout]) -> Rollout:
+    """Join rollouts of the same scenario; shorter ones stand still, absent, until the longest ends."""
+    longest = max(part.trace.shape[2] for part in parts)
+
+    def grown(value: Tensor) -> Tensor:
+        missing = longest - value.shape[2]
+        last = value[:, :, -1:].expand(*value.shape[:2], missing, *value.shape[3:])
+        return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
+
+    found: dict[str, Any] = {}
+    for field in fields(Rollout):
+        values = [getattr(part, field.name) for part in parts]
+        if isinstance(values[0], Tensor):
+            values = [grown(value) for value in values] if field.name in OVER_TIME else values
+            found[field.name] = torch.cat(values)
+        else:
+            found[field.name] = values[0]
+    return Rollout(**found)

@@ -1,0 +1,220 @@
+"""Scenes about one encounter: people come in lanes from several sides and reach a place at the same time.
+
+Such scenarios differ in their floor plans and in their lanes; who starts where follows from these. Scenes of
+one scenario differ, too: in the floor plan where it has several, and in what people draw of ``jitter``,
+``aside`` and ``delay``. With these and ``speed_std`` 0, and one number per setting, all are the same scene.
+
+The encounters themselves are those of Francis et al., "Principles and Guidelines for Evaluating Social Robot
+Navigation Algorithms" (2023, arXiv 2306.16740), Fig. 7 and Table 3, with people in the robot's part, too.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from functools import cached_property
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.draws import Draws
+from pedzoo.core.errors import UserError
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plain import Rectangle, rectangles
+from pedzoo.sim.scenes.lanes import ABREAST, APART, SPACING, Lane, Places
+from pedzoo.sim.scenes.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario
+from pedzoo.sim.scenes.variants import Numbers, Variant, Variants
+
+MEET = 2.5
+"""Seconds after the warm start at which those in front meet if they are in time and nothing holds them up."""
+
+MOST_JITTER = (ABREAST - APART) / 2
+"""Metres: with more of it people of neighbouring lanes could be nearer than `APART` at the start."""
+
+MOST_DELAY = 10.0
+"""Seconds."""
+
+BEHIND = 1.5
+"""Metres of floor behind whoever comes last, and behind goals."""
+
+CELL = 0.05
+"""Metres: side of the floor plans' cells."""
+
+WALL = 0.1
+"""Metres: thickness of outer walls."""
+
+
+def whole_cells(length: float) -> float:
+    """Return the least length of whole cells that is not smaller, metres."""
+    return math.ceil(length / CELL - 1e-6) * CELL
+
+
+class Encounter(Scenario):
+    """People in lanes who meet; subclasses say which, and on what floor plans.
+
+    Everybody starts as far away as they walk until then, so that the slow and the fast meet. Whoever comes
+    behind somebody faster starts no nearer to them than `SPACING`.
+
+    Attributes:
+        fewest: People, at least.
+        most: People, at most.
+        variants: Settings of which every scene draws a value.
+        stray: Share of people who go to another goal of their lane than the first.
+        together: People who come side by side walk together: equally fast, and equally late.
+    """
+
+    fewest: ClassVar[int] = 2
+    most: ClassVar[int] = 50
+    stray: float = 0.0
+    together: bool = False
+
+    def __init__(
+        self,
+        people: int,
+        speed: float,
+        speed_std: float,
+        jitter: float,
+        aside: float,
+        delay: float,
+        meet: float = MEET,
+        **variants: Numbers,
+    ) -> None:
+        """Check what all encounters have.
+
+        Args:
+            people: How many.
+            speed: Mean preferred speed, m/s.
+            speed_std: Its standard deviation.
+            jitter: Metres that starts are off their places at most, in x and in y, evenly distributed.
+            aside: Metres that all from one side start to the left or right of their lanes at most, evenly
+                distributed; less where walls or others are near. Their goals stay.
+            delay: Seconds that the first of a lane comes late at most, evenly distributed.
+            meet: Seconds after the warm start at which those in front meet.
+            variants: Settings of which every scene draws a value.
+
+        Raises:
+            UserError: A setting that gives no scene.
+        """
+        super().__init__(people, speed, speed_std)
+        self.name = type(self).__module__.rpartition(".")[2]
+        if not self.fewest <= people <= self.most:
+            raise UserError(
+                f"{self.name}: people {people}: expected {self.fewest} to {self.most}; "
+                "goals:people=N takes any number"
+            )
+        self.variants = Variants(self.name, **variants)
+        if not aside >= 0 or not 0 <= delay <= MOST_DELAY:
+            raise UserError(
+                f"{self.name}: aside {aside}, delay {delay}: expected at least 0 m, and 0 to {MOST_DELAY:g} s"
+            )
+        if not 0 <= jitter <= self.most_jitter:
+            raise UserError(f"{self.name}: jitter {jitter}: expected 0 to {self.most_jitter:.2f} m")
+        self.jitter, self.aside, self.delay, self.meet = jitter, aside, delay, meet
+
+    @abstractmethod
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return where people come from.
+
+        Agents are numbered lane by lane: first those in front, then those behind them.
+        """
+
+    def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
+        """Return the walls, whose edges are between cells of `CELL`; none: an open space.
+
+        Args:
+            variant: The settings' values.
+            reach: Metres from its middle at which a lane's last one may start.
+        """
+        return []
+
+    @property
+    def most_jitter(self) -> float:
+        """Metres with which nobody touches anybody at the start."""
+        return MOST_JITTER
+
+    @property
+    def slowest(self) -> float:
+        """The smallest preferred speed that can be drawn, m/s."""
+        return max(SLOWEST, self.speed - 3 * self.speed_std)
+
+    @cached_property
+    def lanes(self) -> list[list[Lane]]:
+        """Where people come from, for every variant."""
+        return [self.lanes_on(variant) for variant in self.variants]
+
+    def check_share(self, setting: str, value: float) -> None:
+        """Raise the error of a ``setting`` that is no share."""
+        if not 0 <= value <= 1:
+            raise UserError(f"{self.name}: {setting} {value}: expected a share from 0 to 1")
+
+    def varied(self, side: int, lanes: list[Lane], room: float = math.inf) -> list[Lane]:
+        """Return lanes whose people start aside and come late.
+
+        Args:
+            side: Its number: lanes of one side start aside by the same length.
+            lanes: All lanes of the side.
+            room: Metres to their left and right that are theirs.
+        """
+        aside = min(self.aside, max(0.0, room - self.jitter))
+        return [lane._replace(side=side, aside=aside, delay=self.delay) for lane in lanes]
+
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans, one for every variant; none where these are open spaces."""
+        result = []
+        for variant, lanes in zip(self.variants, self.lanes, strict=True):
+            if walls := self.walls_on(variant, self._reach(lanes)):
+                result.append(rectangles(walls, CELL, name=self.variants.name(variant)))
+        return result
+
+    def _reach(self, lanes: list[Lane]) -> float:
+        longest = max(lane.before + (lane.people - 1) * SPACING + lane.delay * self.fastest for lane in lanes)
+        return longest + (WARM_SECONDS + self.meet) * self.fastest + self.jitter
+
+    def prepare(self, clearance: float) -> None:
+        """Find the ways to the lanes' goals, and give everybody a place in a lane."""
+        super().prepare(clearance)
+        walls, names = bool(self.bank.grids), map(self.variants.name, self.variants)
+        # variants may share a floor plan
+        self._map_id = torch.tensor([self.bank.id_of(name) if walls else -1 for name in names])
+        goals = max(len(lane.goals) for lanes in self.lanes for lane in lanes)
+        self._goals = torch.full((len(self.lanes), max(map(len, self.lanes)), goals), -1)
+        for number, row in enumerate(self.bank.index(self._map_id).tolist()):
+            lanes = self.lanes[number]
+            points = torch.tensor([point for lane in lanes for point in lane.goals], dtype=torch.float64)
+            ids = self.planner.add_goals(row, points).split([len(lane.goals) for lane in lanes])
+            for place, mine in enumerate(ids):
+                self._goals[number, place, : len(mine)] = mine
+        self.places = Places.of(self.lanes)
+
+    def layout(self, draws: Draws) -> Layout:
+        """Return everybody as far from the middle of their lane as they walk until they meet."""
+        scenes, agents, device = len(draws.key), self.people, draws.key.device
+        variant = self.variants.drawn(draws)
+        mine = self.places.of_scenes(variant)
+        speed = self.speeds(draws)
+        if self.together:
+            speed = speed.gather(1, mine.leader)
+        scene = torch.arange(scenes, device=device).unsqueeze(1)
+        in_lanes = speed.new_zeros(scenes, int(self.places.row.max()) + 1, int(self.places.lane.max()) + 1)
+        in_lanes[scene, mine.row, mine.lane] = speed
+        pace = in_lanes.cummax(1).values[scene, mine.row, mine.lane]
+        company = mine.side if self.together else mine.lane
+        late = mine.delay * draws.uniform("delay", in_lanes.shape[2]).gather(1, company)
+        away = mine.before + (WARM_SECONDS + self.meet + late) * pace
+        sides = draws.uniform("aside", int(self.places.side.max()) + 1)
+        right = mine.aside * (2 * sides.gather(1, mine.side) - 1)
+        off = self.jitter * (2 * draws.uniform("jitter", agents, 2) - 1)
+        along, across = mine.heading, torch.stack((mine.heading[..., 1], -mine.heading[..., 0]), dim=-1)
+        start = mine.middle - away.unsqueeze(-1) * along + right.unsqueeze(-1) * across + off
+        mask = torch.ones(scenes, agents, dtype=torch.bool, device=device)
+        goal = self._goal(draws, self._goals.to(device)[variant.unsqueeze(1), mine.lane])
+        return Layout(self._map_id.to(device)[variant], start, mask, speed, goal)
+
+    def _goal(self, draws: Draws, goals: Tensor) -> Tensor:
+        """Return everybody's goal (B, A) long, of those of their lane (B, A, G), -1 where there are fewer."""
+        others = (goals >= 0).sum(2) - 1
+        strays, which = draws.uniform("goal", self.people, 2).unbind(-1)
+        other = 1 + (which * others).long().minimum(others - 1)
+        choice = torch.where((strays < self.stray) & (others > 0), other, 0)
+        return goals.gather(2, choice.unsqueeze(2)).squeeze(2)

@@ -1,0 +1,190 @@
+"""What every scenario is: floor plans, and who starts where, how fast and to which goals."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.draws import Draws
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.ways.planner import Planner
+
+if TYPE_CHECKING:
+    from pedzoo.sim.replay.script import Opening, Script
+
+SLOWEST = 0.3
+"""Least preferred speed, m/s."""
+
+LEAST_WAY = 1.0
+"""Least way to the first goal where an episode begins, metres: a nearer agent gets its next goal instead."""
+
+WARM_SECONDS = 7 * STEP_SECONDS
+"""Duration of the warm start: with the start itself it fills the 8 observed steps."""
+
+
+class Layout(NamedTuple):
+    """How B scenes begin.
+
+    Attributes:
+        map_id: Floor plan (B,) long, -1 for none.
+        start: Positions before the warm start (B, A, 2), metres; anything finite where nobody is.
+        mask: Who is there (B, A) bool.
+        pref_speed: The speed that people like (B, A), m/s.
+        goal: First goals (B, A) long, as the planner numbers them.
+        pose: Scene poses (B, 4); None for scenes that lie as their map.
+        history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
+            the episode begins.
+        opening: Who is there in scenes with a script, which always begin as they were recorded.
+        stand: How long people stand where they start, after the warm start, before they set out (B, A),
+            seconds; 0 for who does not. No policy moves them so long. None: nobody.
+        radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
+            `Scenario.smallest_radius`.
+        kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
+        drive: How bodies move (B, A) long: `pedzoo.sim.state.HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE`; None for
+            holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
+        acceleration: Greatest change of speed (B, A), m/s^2; None for any.
+        turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
+        track: Distance between the wheels (B, A), metres; None for 1.
+        top_speed: Greatest speeds (B, A), m/s, at most `Scenario.fastest_agent`; None for 1.3 times the speed
+            that agents like.
+        heading: Where bodies face at first (B, A), radians; None for where they walk, or else their goal.
+    """
+
+    map_id: Tensor
+    start: Tensor
+    mask: Tensor
+    pref_speed: Tensor
+    goal: Tensor
+    pose: Tensor | None = None
+    history: Tensor | None = None
+    opening: Opening | None = None
+    stand: Tensor | None = None
+    radius: Tensor | None = None
+    kind: Tensor | None = None
+    drive: Tensor | None = None
+    acceleration: Tensor | None = None
+    turn_acceleration: Tensor | None = None
+    track: Tensor | None = None
+    top_speed: Tensor | None = None
+    heading: Tensor | None = None
+
+
+def door_at_origin(width: Tensor) -> Tensor:
+    """Return doors (B, 5) of clear ``width`` (B,), metres, in walls along y: see `Scenario.gate`."""
+    centre, across = torch.zeros_like(width), torch.ones_like(width)
+    return torch.stack((centre, centre, across, centre, width), dim=-1)
+
+
+class Scenario(ABC):
+    """A family of scenes. All of its randomness comes from the draws that it is given.
+
+    Attributes:
+        people: A, the largest number of people in a scene.
+        goals: Goals that everybody has to reach.
+        finished: An agent that has reached them all will ``leave`` the scene, ``continue`` to later goals
+            until all agents have, or ``stand``.
+        later: Goals after the first that are drawn ahead for each agent, and used in turn.
+        wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
+        smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
+            short that no agent moves more than half of it.
+        script: Says who is played back and who comes when; None where everybody is there from the beginning.
+        unknown: What unknown cells of the floor plans count as.
+        bank: The floor plans; there after `prepare`.
+        planner: Ways to goals; there after `prepare`.
+    """
+
+    unknown: ClassVar[Unknown] = "wall"
+    finished: Literal["leave", "continue", "stand"] = "leave"
+    wheels: bool = False
+    smallest_radius: float | None = None
+    later: int = 0
+    goals: int = 1
+    people: int
+    script: Script | None = None
+    bank: MapBank
+    planner: Planner
+
+    def __init__(self, people: int, speed: float = 1.3, speed_std: float = 0.2) -> None:
+        """Say how many people there are and how fast they like to walk.
+
+        Args:
+            people: At most.
+            speed: Mean of everybody's preferred speed, m/s.
+            speed_std: Its standard deviation; speeds farther than three of it from the mean are cut off.
+
+        Raises:
+            UserError: Nobody, or a speed that is too slow.
+        """
+        if people < 1:
+            raise UserError(f"people {people}: expected at least 1")
+        if speed < SLOWEST or speed_std < 0:
+            raise UserError(
+                f"speed {speed}, speed_std {speed_std}: expected at least {SLOWEST} and 0 (metres per second)"
+            )
+        self.people, self.speed, self.speed_std = people, speed, speed_std
+
+    @property
+    def fastest(self) -> float:
+        """The largest preferred speed that can be drawn, m/s."""
+        return self.speed + 3 * self.speed_std
+
+    @property
+    def fastest_agent(self) -> float:
+        """The largest top speed of any agent, m/s."""
+        return TOP_SPEED_RATIO * self.fastest
+
+    @abstractmethod
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans, possibly none."""
+
+    @abstractmethod
+    def layout(self, draws: Draws) -> Layout:
+        """Return the beginning of the scenes of ``draws``."""
+
+    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+        """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
+
+        Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
+
+        Args:
+            draws: One entry per person: that of their scene.
+            agent: Who they are in it (P,) long.
+            number: How many goals they have reached (P,) long.
+            last: The goal just reached (P,) long.
+        """
+        return torch.full_like(last, -1)
+
+    def gate(self, draws: Draws) -> Tensor | None:
+        """Return the door that the scenes of ``draws`` are about (B, 5); None where there is none.
+
+        Its centre x and y, the unit normal x and y of the wall that it is in, and its clear width, metres.
+        """
+        return None
+
+    def adopt(self, other: Scenario) -> bool:
+        """Take floor plans and ways from a prepared scenario that has the same; return whether it has.
+
+        Whoever walks through several scenarios on one floor plan prepares it once.
+        """
+        return False
+
+    def ready(self, clearance: float) -> None:
+        """Prepare the scenario, unless it is: environments may share one, and fields of ways take time."""
+        if not hasattr(self, "planner") or self.planner.clearance != clearance:
+            self.prepare(clearance)
+
+    def prepare(self, clearance: float) -> None:
+        """Read the floor plans and find the ways to all goals, keeping ``clearance`` metres from walls."""
+        self.bank = MapBank(self.plans(), self.unknown)
+        self.planner = Planner(self.bank, clearance)
+
+    def speeds(self, draws: Draws) -> Tensor:
+        """Return everybody's preferred speed (B, A), m/s."""
+        deviation = draws.normal("speed", self.people).clamp(-3, 3) * self.speed_std
+        return (self.speed + deviation).clamp_min(SLOWEST)

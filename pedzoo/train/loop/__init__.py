@@ -1,0 +1,1 @@
+"""Training in the loop: walks with gradients, and their losses."""

@@ -1,0 +1,187 @@
+"""Imitating recorded people while walking by oneself: losses on windows that are unrolled step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.models.blocks.discriminator import Discriminator
+from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.train.loop.likeness import SPREADS, features, tail, wasserstein
+from pedzoo.train.loop.segments import Policy
+from pedzoo.train.loop.unroll import Unrolled, recorded, unroll
+
+
+class Imitation(nn.Module):
+    """What it costs to walk unlike recorded people, each term in a unit of its own.
+
+    People of recorded windows walk all together (see `pedzoo.train.loop.unroll.unroll`), and are compared
+    with what they really did: one by one, where each is at what time; and as a crowd, how fast everybody
+    walks, accelerates, turns and how near people come to each other.
+    """
+
+    def __init__(
+        self,
+        displacement: float = 1.0,
+        distribution: float = 1.0,
+        features: Mapping[str, float] | None = None,
+        tail: float = 0.0,
+        samples: int = 1,
+        spread: float = 0.5,
+        adversarial: float = 0.0,
+        discriminator: Discriminator | None = None,
+        judged_steps: int = 12,
+    ) -> None:
+        """Weigh the terms.
+
+        Args:
+            displacement: Weight of the mean distance to where people really were, metres.
+            distribution: Weight of the distances of distributions, in standard deviations of recorded people:
+                the mean over features, which is how the suite ``replay`` makes ``realism``.
+            features: Weight of each feature within it, 1 for those that are not named;
+                see `pedzoo.train.loop.likeness.SPREADS`.
+            tail: Weight of the difference of the upper tails of acceleration, a share (see
+                `pedzoo.train.loop.likeness.tail`): few but large ones, to which a mean distance is nearly
+                blind.
+            samples: K walks of every window with noise of their own, at K times the cost.
+            spread: How much of the distance between two walks of a person is taken off the displacement, with
+                2 or more samples: at 0.5 it is the energy score, which is least for the true distribution
+                (Gneiting and Raftery, JASA 2007, eq. 21); without it noise that changes anything costs.
+            adversarial: Weight of what a discriminator says; 0 leaves it out. The discriminator learns from
+                the same ``loss``: its parameters, all that this module has, belong into an optimizer, too.
+            discriminator: Judges walks, ``signed``; a `Discriminator` of its own defaults if not given.
+            judged_steps: Steps that it sees after the observed ones, at most. It judges whoever walks in all.
+
+        Raises:
+            UserError: There is no such feature, or a setting is out of range.
+        """
+        super().__init__()
+        for name in features or {}:
+            if name not in SPREADS:
+                raise unknown("feature", name, SPREADS)
+        self.features = dict.fromkeys(SPREADS, 1.0) | dict(features or {})
+        if min(self.features.values()) < 0 or not any(self.features.values()):
+            raise UserError(f"features {features}: expected weights of at least 0, and one above it")
+        if min(samples, judged_steps) < 1:
+            raise UserError(f"samples {samples}, judged_steps {judged_steps}: expected at least 1")
+        self.displacement, self.distribution = displacement, distribution
+        self.tail, self.samples, self.spread = tail, samples, spread
+        self.adversarial, self.judged_steps = adversarial, judged_steps
+        self.discriminator = (discriminator or Discriminator(signed=True)) if adversarial else None
+
+    def walk(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> Unrolled:
+        """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
+
+        Args:
+            policy: Walks, with a safety layer if it has one: what it changes is a part of the walk.
+            batch: Recorded windows with N future steps and the goal protocol ``destination``.
+            random: Draws the scenes' keys.
+        """
+        steps = agents_of(batch)["future"].shape[2]
+        many = repeated(batch, self.samples)
+        key = torch.randint(2**62, (len(many),), generator=random)
+
+        def displacement(seen: TensorDict) -> Tensor:
+            return cast("Tensor", policy(seen)["agents", "action"]) * STEP_SECONDS
+
+        return unroll(displacement, many, steps, key)
+
+    def forward(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> dict[str, Tensor]:
+        """Return the ``loss`` and its terms before their weights, scalars; arguments as of `walk`."""
+        return self.terms(self.walk(policy, batch, random), batch)
+
+    def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
+        """Return ``loss`` and its terms before their weights, scalars; what has weight 0 may be left out.
+
+        ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
+        ``adversarial`` and ``discriminator`` (nats).
+
+        Args:
+            walk: What `walk` returned.
+            batch: For these windows.
+        """
+        real = recorded(batch, walk.xy.shape[2])
+        found = {"displacement": self._displacement(walk, real)}
+        loss = self.displacement * found["displacement"]
+        if self.distribution or self.tail:
+            made = features(walk, repeated(batch, self.samples))
+            with torch.no_grad():
+                true = features(real, batch)
+            apart = {name: wasserstein(made[name], true[name]) / SPREADS[name] for name in SPREADS}
+            weighted = torch.stack([self.features[name] * apart[name] for name in SPREADS])
+            found["distribution"] = weighted.sum() / sum(self.features.values())
+            loss = loss + self.distribution * found["distribution"]
+            found |= apart
+            if self.tail:
+                found["tail"] = tail(made["acceleration"], true["acceleration"])
+                loss = loss + self.tail * found["tail"]
+        if self.discriminator is not None:
+            adversarial = self._adversarial(self.discriminator, walk, real, batch)
+            found["adversarial"], found["discriminator"] = adversarial
+            loss = loss + self.adversarial * adversarial[0] + adversarial[1]
+        return {"loss": loss, **found}
+
+    def _adversarial(
+        self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
+    ) -> tuple[Tensor, Tensor]:
+        """Return the cross entropies of whoever walked, to pass as real, and of the discriminator.
+
+        Each has gradients for its own side alone, so one step of one optimizer trains both.
+        """
+        judge.requires_grad_(False)
+        made, _ = self._scores(judge, walk, real, batch)
+        judge.requires_grad_(True)
+        passing = functional.softplus(-made).sum() / max(1, len(made))
+        made, true = self._scores(judge, walk._replace(xy=walk.xy.detach()), real, batch)
+        telling = (functional.softplus(made).sum() + functional.softplus(-true).sum()) / max(1, len(made))
+        return passing, telling
+
+    def _scores(
+        self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
+    ) -> tuple[Tensor, Tensor]:
+        """Return scores of walks and of the real ones (M,), of people who walk in all steps of both."""
+        steps = min(self.judged_steps, walk.xy.shape[2])
+        agents = agents_of(repeated(batch, self.samples))
+        both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
+        crowd, history = Crowd.of(agents["mask"]), agents["history"]
+        true = real.xy.repeat(self.samples, 1, 1, 1)
+        ways = [torch.cat((history[:, :, -1:], xy[:, :, :steps]), 2).diff(dim=2) for xy in (walk.xy, true)]
+        futures = torch.stack([crowd.pack(way) for way in ways])
+        observed = crowd.pack(history)
+        scores = judge.of_futures(observed.diff(dim=1), futures, observed[:, 0], both)
+        walks = walk.walked[..., :steps] & real.walked[..., :steps].repeat(self.samples, 1, 1)
+        judged = crowd.pack(agents["valid"].all(2) & walks.all(2))
+        made, true = scores.chunk(2)
+        return made[judged], true[judged]
+
+    def _displacement(self, walk: Unrolled, real: Unrolled) -> Tensor:
+        """Return the mean distance to real positions in steps in which both walk, less that of samples."""
+        xy = walk.xy.unflatten(0, (self.samples, -1))
+        both = walk.walked.unflatten(0, (self.samples, -1)) & real.walked
+        loss = _mean(_distance(xy, real.xy), both)
+        if self.samples == 1 or not self.spread:
+            return loss
+        # neighbours in a ring: as many pairs as samples
+        other, together = xy.roll(1, 0), both & both.roll(1, 0)
+        return loss - self.spread * _mean(_distance(xy, other), together)
+
+
+def repeated(batch: TensorDict, times: int) -> TensorDict:
+    """Return a batch so many times, one after the other."""
+    return batch if times == 1 else cast("TensorDict", TensorDict.cat([batch] * times))
+
+
+def _distance(first: Tensor, second: Tensor) -> Tensor:
+    return (first - second).square().sum(-1).clamp_min(1e-12).sqrt()
+
+
+def _mean(values: Tensor, where: Tensor) -> Tensor:
+    return values[where].sum() / where.sum().clamp_min(1)

@@ -1,0 +1,178 @@
+"""Training in the loop: the network walks through scenes, and what comes of it is differentiated.
+
+Full backpropagation through time over the environment, observations included, beside the forecasting loss on
+recordings and their imitation step by step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from tensordict import TensorDict
+from torch import Tensor
+from torch.optim import Optimizer
+
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import function_in_file
+from pedzoo.models.base import Forecaster
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.train.loop.imitation import Imitation
+from pedzoo.train.loop.loop_losses import LoopLosses, mean_cost
+from pedzoo.train.loop.mixture import Course, Mixture
+from pedzoo.train.loop.segments import unrolled
+from pedzoo.train.modules.module import ForecastModule, copied_keys
+
+
+class LoopModule(ForecastModule):
+    """A segment of an environment and a batch of recordings in every update.
+
+    An update whose gradient is not finite is left out, and counted as ``train/skipped``.
+    """
+
+    skipped: Tensor
+
+    def __init__(
+        self,
+        generator: Forecaster,
+        courses: list[Course],
+        walking: LoopLosses,
+        imitation: Imitation,
+        steps: int = 25,
+        keep: int = 3,
+        forecast_weight: float = 1.0,
+        lenient: float = 0.0,
+        losses: dict[str, float] | None = None,
+        **options: Any,
+    ) -> None:
+        """Take a generator and where it walks.
+
+        Args:
+            generator: The model.
+            courses: Scenarios to train in.
+            walking: What walking costs.
+            imitation: What it costs to walk differently from recorded people.
+            steps: Of 0.4 s in a segment.
+            keep: Segments after which an episode is given up.
+            forecast_weight: Weight of the generator's own loss on recordings, per person.
+            lenient: Share of the training in which people and walls come to count what they will: a quarter
+                of it at the beginning. Whom they frighten from the first step on learns to creep.
+            losses: Terms of one's own and their weights, as ``{"path/to/file.py:crowding": 2.0}``. They are
+                functions of a `Segment` and the floor plans (a `MapBank`), and return costs of decisions
+                (T, B, A). Means over the people that the policy moves are logged as ``train/crowding``.
+            options: Of the optimisation and of validation; see `ForecastModule`.
+
+        Raises:
+            UserError: A number is out of range.
+        """
+        super().__init__(generator, **options)
+        if min(steps, keep) < 1 or not 0 <= lenient <= 1:
+            raise UserError(
+                f"steps {steps}, keep {keep}, lenient {lenient}: expected at least 1, 1, and 0 to 1"
+            )
+        self.walking, self.imitation = walking, imitation
+        self.steps, self.keep, self.forecast_weight, self.lenient = steps, keep, forecast_weight, lenient
+        self.losses = {name: (function_in_file(name), weight) for name, weight in (losses or {}).items()}
+        self._walker = (Walker(generator),)  # in a tuple: its parameters are registered already
+        self.mixture = Mixture(courses, self.seed)
+        self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+
+    @property
+    def walker(self) -> Walker:
+        """The generator as a policy."""
+        return self._walker[0]
+
+    def check(self, checkpoint: dict[str, Any]) -> None:
+        """Check a checkpoint as `ForecastModule.check` does.
+
+        Earlier versions wrote the generator twice. The copies are removed from ``checkpoint``.
+
+        Raises:
+            UserError: As there.
+        """
+        if copies := copied_keys(checkpoint):
+            checkpoint["state_dict"] = {
+                key: value for key, value in checkpoint["state_dict"].items() if key not in copies
+            }
+        super().check(checkpoint)
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return Adam, of a discriminator too; `set_lr` sets its learning rate at every iteration."""
+        return torch.optim.Adam([*self.generator.parameters(), *self.imitation.parameters()], self.lr)
+
+    def setup(self, stage: str) -> None:
+        """Check the data; see `ForecastModule.setup`.
+
+        Raises:
+            UserError: There are no windows to imitate.
+        """
+        super().setup(stage)
+        data: Any = getattr(self.trainer, "datamodule", None)
+        if stage == "fit" and data is not None and not data.hparams.unroll:
+            raise UserError("training in the loop imitates recorded walks: set --data.unroll, such as 12")
+
+    def training_step(self, batch: dict[str, TensorDict], batch_idx: int) -> Tensor:
+        """Return the loss of a segment and of two batches of recordings."""
+        terms = self._walk()
+        if self.forecast_weight:
+            people = agents_of(batch["forecast"])["mask"].sum()
+            loss = self.generator.loss(batch["forecast"], self.random())
+            terms["forecast"] = self.forecast_weight * loss / people
+        imitated = self.imitation(self.walker, batch["unrolled"], self.random())
+        terms["imitation"] = imitated.pop("loss")
+        self._log(terms | {f"imitation/{name}": value for name, value in imitated.items()})
+        return torch.stack(list(terms.values())).sum()
+
+    def _walk(self) -> dict[str, Tensor]:
+        """Return the terms of a segment."""
+        running = self.mixture.at(int(self.iteration), self.current_epoch, self.device)
+        seen = running.begin(self.keep)
+        noise = self.walker.noise_of(seen)
+        segment = unrolled(running.env, self.walker, seen, self.steps)
+        running.end(segment.done)
+        for name in ("touched", "grazed"):
+            self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
+        terms = self.walking(segment, running.env.bank, noise, self.firmness())
+        for name, (function, weight) in self.losses.items():
+            cost = function(segment, running.env.bank)
+            if cost.shape != segment.moved.shape:
+                raise UserError(
+                    f"loss {name}: returned {tuple(cost.shape)}, expected what each decision costs, "
+                    f"(T, B, A) = {tuple(segment.moved.shape)}"
+                )
+            terms[function.__name__] = weight * mean_cost(cost, segment.moved)
+        return terms
+
+    def firmness(self) -> float:
+        """Return what people and walls count now, as a share of what they will: see ``lenient``."""
+        done = int(self.iteration) / self.iterations()
+        return 1.0 if done >= self.lenient else 0.25 + 0.75 * done / self.lenient
+
+    def _log(self, values: dict[str, Tensor]) -> None:
+        for name, value in values.items():
+            self.log(f"train/{name}", value.detach(), on_step=False, on_epoch=True, batch_size=1)
+
+    def on_after_backward(self) -> None:
+        """Count the iteration, and leave out what is not finite."""
+        self.iteration += 1
+        trained = [
+            p for p in (*self.generator.parameters(), *self.imitation.parameters()) if p.grad is not None
+        ]
+        if not all(bool(cast("Tensor", p.grad).isfinite().all()) for p in trained):
+            self.skipped += 1
+            for parameter in trained:
+                parameter.grad = None  # which Adam passes over
+        self._log({"skipped": self.skipped.float()})
+
+    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
+        """Clip the gradients, each network's on its own, and set the learning rate."""
+        if self.clip:
+            for network in (self.generator, self.imitation):
+                torch.nn.utils.clip_grad_norm_(list(network.parameters()), self.clip)
+        self.set_lr(optimizer, self.lr, int(self.iteration) - 1)
+
+    def teardown(self, stage: str) -> None:
+        """Close the environments."""
+        self.mixture.close()

@@ -1,0 +1,219 @@
+"""What walking costs: losses on a segment of an episode, differentiable all the way to the network.
+
+Each term is a mean over the people whom the policy moves, so that it means the same in every scenario; a
+hinge x counts x + x^2, so that neither a graze nor a crash has a small gradient.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import nearest_part, opposed
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.train.loop.segments import Segment
+
+_SOON = 6.0
+"""Seconds of delay that count 1."""
+
+_FAR = 1e3
+"""Metres to the nearest other where nobody else is."""
+
+_MEETING = 2.0
+"""m/s relative to each other: two who come from the front at an easy pace."""
+
+_MEET, _BESIDE, _APART = 4.0, 1.2, 0.5
+"""Metres ahead and beside within which people meet others from the front, and to the side that is enough."""
+
+
+class LoopLosses:
+    """The terms and their weights."""
+
+    def __init__(
+        self,
+        progress: float = 1.0,
+        people: float = 10.0,
+        people_margin: float = 0.2,
+        meeting_margin: float = 0.0,
+        walls: float = 20.0,
+        wall_margin: float = 0.08,
+        overspeed: float = 2.0,
+        overspeed_from: float = 1.02,
+        effort: float = 0.05,
+        corrected: float = 0.0,
+        trait: float = 0.5,
+        side: float = 0.0,
+    ) -> None:
+        """Weigh the terms.
+
+        A metre too near must cost more than some seconds of waiting, or people squeeze past each other.
+
+        Args:
+            progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
+            people: Distance to others, metres short of ``2 * body_radius + people_margin``, least of a step.
+            people_margin: Metres.
+            meeting_margin: Metres more between two who pass each other at 2 m/s or faster, and in proportion
+                less where they are slower: those who walk together come closer than those who meet.
+            walls: Distance to walls, metres short of ``body_radius + wall_margin``, at four places of a step.
+            wall_margin: Metres.
+            overspeed: m/s above ``overspeed_from`` times the preferred speed.
+            overspeed_from: Share of the preferred speed.
+            effort: Squared change of velocity from step to step, (m/s)^2.
+            corrected: What a safety layer changed, m/s.
+            trait: How assertive people are who drew a large first number z of noise: their own lost time
+                counts ``exp(trait * z)`` times as much. 0: the noise does not matter for it.
+            side: Metres that somebody who comes from the front is not on the side that the second number z of
+                one's noise likes to have them on, times abs(tanh(z)), see `wrong_side`.
+
+        Raises:
+            UserError: A negative weight.
+        """
+        weights = {key: value for key, value in locals().items() if key != "self"}
+        if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
+            raise UserError(f"losses of walking: {wrong}: expected at least 0")
+        self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
+        self.corrected = corrected
+        self.people_margin, self.wall_margin = people_margin, wall_margin
+        self.meeting_margin = meeting_margin
+        self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
+
+    def __call__(
+        self, segment: Segment, bank: MapBank, noise: Tensor | None = None, firmness: float = 1.0
+    ) -> dict[str, Tensor]:
+        """Return the weighted terms, scalars.
+
+        Args:
+            segment: What was walked.
+            bank: The floor plans.
+            noise: Of everybody when the segment begins (B, A, Z), of which the first number is how assertive
+                they are, and the second on which side they like to pass; None where there is none.
+            firmness: Share of their weights that people and walls have.
+        """
+        mean = partial(mean_cost, moved=segment.moved)
+
+        speed = segment.asked.square().sum(-1).clamp_min(1e-12).sqrt()
+        short = self.people_margin - least_gaps(segment, self.meeting_margin)
+        weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
+        terms = {
+            "progress": self.progress * lost_seconds(segment, weight) / _SOON,
+            "people": firmness * self.people * mean(_hinge(short)),
+            "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
+            "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
+        }
+        if self.corrected:
+            change = (segment.asked - segment.action).square().sum(-1).clamp_min(1e-8).sqrt()
+            terms["corrected"] = self.corrected * mean(change)
+        if bank.grids:
+            near = segment.radius.unsqueeze(-1) + self.wall_margin - wall_distances(segment, bank)
+            terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
+        if self.side and noise is not None and noise.shape[-1] > 1:
+            terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
+        return terms
+
+
+def mean_cost(cost: Tensor, moved: Tensor) -> Tensor:
+    """Return the mean of what decisions cost (T, B, A), a scalar: over the segment and the people.
+
+    Args:
+        cost: Of each decision.
+        moved: Which people the policy moves (T, B, A) bool.
+    """
+    # by people and not by their steps: people who dawdle must not thin out what went wrong
+    count = (moved.any(0).sum() * len(moved)).clamp_min(1)
+    return torch.where(moved, cost, 0.0).sum() / count
+
+
+def _hinge(short: Tensor) -> Tensor:
+    short = short.clamp_min(0)
+    return short + short.square()
+
+
+def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
+    """Return how late people are on their ways, seconds, a scalar: mean over the segment and the people.
+
+    What they made of the way, at the speed that they like, is taken off the time. Whoever arrives early has
+    the rest of the segment to their credit.
+
+    Args:
+        segment: What was walked.
+        weight: Of everybody (B, A); None for 1.
+    """
+    took_part = segment.moved.any(0)
+    gained = (segment.progress / segment.pref_speed.clamp_min(0.1)).where(segment.moved, 0.0).cumsum(0)
+    steps = torch.arange(1, len(gained) + 1, device=gained.device, dtype=gained.dtype)
+    late = (STEP_SECONDS * steps.view(-1, 1, 1) - gained).mean(0)
+    if weight is not None:
+        late = late * weight
+    return torch.where(took_part, late, 0.0).sum() / took_part.sum().clamp_min(1)
+
+
+def wrong_side(segment: Segment, side: Tensor) -> Tensor:
+    """Return what it costs to have those who come from the front on the side one does not like (T, B, A).
+
+    People with a positive number like to pass others on the left, so that these are on their right. Without
+    such likes everybody would learn to pass on the same side, or on that which the start suggests.
+
+    Args:
+        segment: What was walked.
+        side: What people like (B, A).
+    """
+    here, present = segment.trace[..., 0, :], segment.present
+    ahead = functional.normalize(segment.goal - here, dim=-1)
+    away = here.unsqueeze(-3) - here.unsqueeze(-2)  # (T, B, A, A, 2): from each to each other
+    mine = ahead.unsqueeze(-2)
+    before = (away * mine).sum(-1)
+    left = mine[..., 0] * away[..., 1] - mine[..., 1] * away[..., 0]
+    meet = opposed(ahead) & (before > 0) & (before < _MEET) & (left.abs() < _BESIDE)
+    meet &= present.unsqueeze(-1) & present.unsqueeze(-2)
+    like = side.tanh().unsqueeze(-1)
+    cost = like.abs() * (_APART + like.sign() * left).clamp_min(0)
+    return torch.where(meet, cost, 0.0).amax(-1)
+
+
+def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
+    """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
+
+    Along the straight ways that people ask for, exact between begin and end, and not where a safety layer
+    leads them: with it nobody comes near anybody, and nothing would tell the network to give way by itself.
+
+    Args:
+        segment: What was walked.
+        meeting_margin: What two who pass each other at 2 m/s or faster lack more, metres.
+    """
+    here, present = segment.trace[..., 0, :], segment.present
+    people = here.shape[2]
+    if people < 2:
+        return here.new_full(here.shape[:3], _FAR)
+    way = torch.where(
+        segment.moved.unsqueeze(-1), segment.asked * STEP_SECONDS, segment.trace[..., -1, :] - here
+    )
+    begin, move = (values.unsqueeze(2) - values.unsqueeze(3) for values in (here, way))  # (T, B, A, A, 2)
+    closest = begin + nearest_part(begin, move).unsqueeze(-1) * move
+    bodies = segment.radius.unsqueeze(2) + segment.radius.unsqueeze(3)
+    gap = (closest.square().sum(-1) + 1e-8).sqrt() - bodies
+    if meeting_margin:
+        speed = move.detach().norm(dim=-1) / STEP_SECONDS
+        gap = gap - meeting_margin * (speed / _MEETING).clamp_max(1)
+    nobody = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
+        people, dtype=torch.bool, device=here.device
+    )
+    return gap.masked_fill(nobody, _FAR).amin(-1)
+
+
+def wall_distances(segment: Segment, bank: MapBank, points: int = 4) -> Tensor:
+    """Return the distances to walls (T, B, A, points) along the ways that people ask for, metres.
+
+    Not where walls let them: whoever slides along a wall is still told which way to turn.
+    """
+    steps, scenes, people = segment.moved.shape
+    part = torch.arange(1, points + 1, device=segment.asked.device) * (STEP_SECONDS / points)
+    here = segment.trace[..., :1, :]
+    way = here + segment.asked.unsqueeze(-2) * part.view(-1, 1)
+    rows = way.transpose(0, 1).reshape(scenes, -1, 2)
+    found = bank.signed_distance(rows, segment.map_id, segment.pose)
+    return found.view(scenes, steps, people, points).transpose(0, 1)

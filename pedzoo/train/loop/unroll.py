@@ -1,0 +1,173 @@
+"""Recorded people walked by a policy from where a window's observed part ends, without an environment.
+
+What the environment would tell them in the open, step by step and differentiable: `pedzoo.sim.env` with the
+scenario `replay` and no walls gives the same observations. B scenes, A people, N steps of 0.4 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.core.batch import agents_of, goals_of, maps_of
+from pedzoo.core.kinematics import passes
+from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.sim import kernel
+from pedzoo.sim.dynamics import STRIDE
+from pedzoo.sim.observation import observed, state_of
+from pedzoo.sim.open_floor import OpenFloor
+from pedzoo.sim.scenes.scenario import SLOWEST
+from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+
+Walk = Callable[[TensorDict], Tensor]
+"""Returns everybody's next displacement (B, A, 2), metres, for what they see."""
+
+_NEAR = 1e-6
+"""Metres within which a person is at a place."""
+
+
+class Unrolled(NamedTuple):
+    """How the people of recorded windows go on.
+
+    Attributes:
+        xy: Positions at the end of each step (B, A, N, 2), metres; the last one where they have left.
+        walked: Whom a policy has in the step (B, A, N) bool; the step in which they arrive is the last.
+        present: Who is there meanwhile (B, A, N) bool: these, and who is played back.
+    """
+
+    xy: Tensor
+    walked: Tensor
+    present: Tensor
+
+
+def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None) -> Unrolled:
+    """Return what comes of ``walk`` when all people of recorded windows walk together.
+
+    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from where a person
+    is to their destination, and beyond it. ``pref_speed`` is what was observed, at least 0.3 m/s. The top
+    speed is 1.3 times that. People leave within 0.3 m of their destination, at the latest in the moment in
+    which they really left. People who are at their destination from the beginning are played back, not
+    controlled. No one is set back to where they really were. There are no walls.
+
+    Gradients flow through all that people see, others included; times of leaving have none.
+
+    Args:
+        walk: The policy.
+        batch: Recorded windows with the goal protocol ``destination`` and at least ``steps`` of future.
+        steps: N.
+        key: Keys (B,) long, by which a `pedzoo.policies.learned.walker.Walker` draws noise; 0 to B - 1 if
+            None.
+
+    Raises:
+        UserError: The windows have no goals.
+    """
+    agents, maps, there = agents_of(batch), maps_of(batch), known_to_be_there(batch)
+    destination = goals_of(batch, "walking on")[0]
+    walks = agents["mask"] & _controlled(agents["history"][:, :, -1], destination)
+    key = torch.arange(len(batch), device=there.device) if key is None else key
+    state = state_of(batch, destination, walks, key)
+    liked = state.pref_speed.clamp_min(SLOWEST)
+    windows = _Windows(agents["future"], there)
+    here = state.mask & there[..., 0]
+    state = state._replace(
+        pref_speed=liked,
+        top_speed=TOP_SPEED_RATIO * liked,
+        mask=here,
+        controlled=walks & here,
+        person=state.person.where(here, -1),
+    )
+    rules = kernel.Rules(_straight, TRACE_PER_STEP, STRIDE, script=windows)
+    guidance, physics, result = _straight(state), OpenFloor(), []
+    for _ in range(steps):
+        moving, here = state.controlled, state.mask
+        action = walk(observed(state, guidance, maps)) / STEP_SECONDS
+        state, guidance, _ = kernel.step(state, action, physics, rules)
+        result.append((state.position, moving, here))
+    return Unrolled(*(torch.stack(values, 2) for values in zip(*result, strict=True)))
+
+
+def _straight(state: State) -> Guidance:
+    """Return goals on the straight line to where people go, and beyond it."""
+    position, goal = state.position, state.goal_point
+    way = goal - position
+    unit = _towards(position, goal)
+    ahead = unit * state.pref_speed.unsqueeze(-1)
+    distance = way.square().sum(-1).clamp_min(_NEAR**2).sqrt()
+    return Guidance(position + ahead * AHEAD_SECONDS, ahead, goal, goal, distance)
+
+
+class _Windows(NamedTuple):
+    """Plays back people that no policy controls, and takes people away in the moment in which they left.
+
+    Attributes:
+        future: Where people really were (B, A, T, 2), metres.
+        there: Which people were there from begin to end of each step (B, A, T) bool.
+    """
+
+    future: Tensor
+    there: Tensor
+
+    def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
+        """Return paths (B, A, S, M, 2), straight to where they really were at the end of the step."""
+        end = self.future.gather(2, self._step(state.clock, self.future.shape[2:]))[:, :, 0]
+        part = torch.arange(1, points * substeps + 1, device=end.device) / (points * substeps)
+        path = torch.lerp(state.position.unsqueeze(2), end.unsqueeze(2), part.view(-1, 1).to(end))
+        return path.unflatten(2, (points, substeps))
+
+    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+        """Take away people who are not seen in the next step."""
+        steps = self.there.shape[2:]
+        still = self.there.gather(2, self._step(after.clock, steps))[..., 0]
+        mask = after.mask & still
+        known = (after.known + points).clamp_max(PAST_LEN)
+        after = after._replace(
+            mask=mask, controlled=after.controlled & mask, person=after.person.where(mask, -1), known=known
+        )
+        return after, torch.zeros_like(mask)
+
+    def over(self, state: State) -> Tensor:
+        """Return the scenes that have ended (B,) bool: none before the windows do."""
+        return torch.zeros_like(state.failed)
+
+    def _step(self, clock: Tensor, shape: torch.Size) -> Tensor:
+        """Return the number of the step that begins now, to gather by (B, A, 1, ...)."""
+        number = (clock / STEP_SECONDS).round().long().clamp_max(shape[0] - 1)
+        agents = self.there.shape[1]
+        return number.view(-1, 1, 1, *[1] * (len(shape) - 1)).expand(-1, agents, 1, *shape[1:])
+
+
+def recorded(batch: TensorDict, steps: int) -> Unrolled:
+    """Return how they really went on, with ``walked`` as a policy that walks like them would have it.
+
+    They are ``present`` until they really leave, even if they stand about at their destination before.
+    """
+    agents, there = agents_of(batch), known_to_be_there(batch)[..., :steps]
+    destination, xy = goals_of(batch, "walking on")[0], agents["future"][:, :, :steps]
+    before = torch.cat((agents["history"][:, :, -1:], xy[:, :, :-1]), 2)
+    arrives = passes(before, xy, destination.unsqueeze(2))
+    had = torch.cat((torch.zeros_like(arrives[..., :1]), arrives[..., :-1]), 2).cummax(2).values
+    walked = there & ~had & _controlled(before[:, :, 0], destination).unsqueeze(2)
+    return Unrolled(xy, walked, there)
+
+
+def known_to_be_there(batch: TensorDict) -> Tensor:
+    """Return who is there from begin to end of each future step (B, A, T) bool: until they are not seen."""
+    agents = agents_of(batch)
+    known: Tensor = agents["future_valid"] & agents["mask"].unsqueeze(2)
+    return torch.cummin(known, 2).values
+
+
+def _controlled(position: Tensor, destination: Tensor) -> Tensor:
+    """Return who is not at their destination already (B, A) bool."""
+    return (destination - position).norm(dim=-1) > GOAL_RADIUS
+
+
+def _towards(position: Tensor, destination: Tensor) -> Tensor:
+    """Return unit vectors (B, A, 2), zero where somebody is there."""
+    way = destination - position
+    return way / way.square().sum(-1, keepdim=True).clamp_min(_NEAR**2).sqrt()

@@ -1,0 +1,191 @@
+"""What all trainings share: schedule, seeds, validation, and what a checkpoint says about itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Set
+from typing import Any
+
+import lightning as L
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torch.optim import Optimizer
+
+from pedzoo.core.errors import UserError
+from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.models.base import Forecaster
+from pedzoo.models.zoo.loading import config_of
+
+
+class ForecastModule(L.LightningModule):
+    """Trains a forecaster; subclasses say with which losses.
+
+    Everything random in a step is drawn from a generator seeded by the run's seed and the step's number,
+    and the learning rate is a function of that number: a resumed run ends where an uninterrupted one
+    does, and the command line's learning rate wins over a checkpoint's.
+    """
+
+    iteration: Tensor
+
+    def __init__(
+        self,
+        generator: Forecaster,
+        lr: float = 1e-3,
+        warmup: int = 50,
+        final_lr: float = 0.01,
+        clip: float = 2.0,
+        samples: int = 20,
+    ) -> None:
+        """Take a model and its optimisation.
+
+        Args:
+            generator: The model.
+            lr: Learning rate of Adam at its peak.
+            warmup: Iterations of linear warm-up.
+            final_lr: Share of ``lr`` left at the end of the cosine; 1 keeps it constant.
+            clip: Largest norm of the generator's gradient; 0 for any.
+            samples: K of the best-of-K errors in validation and test.
+        """
+        super().__init__()
+        self.generator = generator
+        self.lr, self.warmup, self.final_lr, self.clip = lr, warmup, final_lr, clip
+        self.seed = torch.initial_seed() % 2**31
+        self.register_buffer("iteration", torch.zeros((), dtype=torch.long))
+        self.score = ForecastScore(samples)
+
+    def setup(self, stage: str) -> None:
+        """Check the goal protocol of the data."""
+        data: Any = getattr(self.trainer, "datamodule", None)
+        if data is None:
+            return
+        asked, own = data.goal, self.generator.goal_protocol
+        if stage == "fit" and "goal" in self.generator.needs and asked not in (own, "random_future"):
+            raise UserError(
+                f"the data give goals by {asked!r}, but the model is built for {own!r}: "
+                f"set both, --data.goal {asked} --model.generator.goal_protocol {asked}"
+            )
+
+    def random(self) -> torch.Generator:
+        """Return the source of everything random in this iteration."""
+        return torch.Generator().manual_seed(self._seed_of_iteration())
+
+    def on_train_batch_start(self, *_: Any) -> None:
+        """Seed torch's own generator too: dropout and users' models draw from that."""
+        torch.manual_seed(self._seed_of_iteration())
+
+    def _seed_of_iteration(self) -> int:
+        return self.seed * 1_000_003 + int(self.iteration)
+
+    def iterations(self) -> float:
+        """Return how many iterations the whole training will have; infinite where nothing ends it.
+
+        Counted here because ``trainer.max_steps`` counts steps of all optimizers.
+        """
+        epochs = self.trainer.max_epochs
+        by_epochs = math.inf if epochs in (None, -1) else self.trainer.num_training_batches * max(epochs, 1)
+        steps = self.trainer.max_steps
+        by_steps = math.inf if steps < 0 else math.ceil(steps / self.steps_per_iteration())
+        return max(min(by_epochs, by_steps), 1)
+
+    def steps_per_iteration(self) -> float:
+        """Return how many optimizer steps one iteration makes."""
+        return 1 / self.trainer.accumulate_grad_batches
+
+    def set_lr(self, optimizer: Optimizer, lr: float, done: int | None = None) -> None:
+        """Set the learning rate after ``done`` iterations (``iteration`` if None): warm-up, then cosine."""
+        done = int(self.iteration) if done is None else done
+        share = min(done / self.iterations(), 1.0)
+        cosine = self.final_lr + (1 - self.final_lr) * 0.5 * (1 + math.cos(math.pi * share))
+        for group in optimizer.param_groups:
+            group["lr"] = lr * cosine * min(1.0, (done + 1) / max(self.warmup, 1))
+
+    def validation_step(self, batch: TensorDict, batch_idx: int) -> None:
+        """Add a batch to the scores, with the same noise in every epoch."""
+        self.score.update(self.generator, batch, torch.Generator().manual_seed(batch_idx))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the scores as ``val/ade`` and so on."""
+        self._log_scores("val")
+
+    def test_step(self, batch: TensorDict, batch_idx: int) -> None:
+        """Add a batch to the scores."""
+        self.validation_step(batch, batch_idx)
+
+    def on_test_epoch_end(self) -> None:
+        """Log the scores as ``test/ade`` and so on."""
+        self._log_scores("test")
+
+    def _log_scores(self, split: str) -> None:
+        scores = {f"{split}/{name.removesuffix('_m')}": value for name, value in self.score.compute().items()}
+        self.score.reset()
+        for name, value in scores.items():
+            self.log(name, value, prog_bar=name in (f"{split}/ade", f"{split}/fde"), sync_dist=True)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Write down which model this is, so that `pedzoo.load` can build it."""
+        data: Any = getattr(self.trainer, "datamodule", None)
+        checkpoint["pedzoo"] = config_of(self.generator, protocol=data.protocol if data else {})
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Refuse a checkpoint of another model.
+
+        Raises:
+            UserError: It was written by another program, for another architecture, or in another training.
+        """
+        self.check(checkpoint)
+
+    def check(self, checkpoint: dict[str, Any]) -> None:
+        """Check that a checkpoint is of this training; a run asks before it touches its records.
+
+        Raises:
+            UserError: As `on_load_checkpoint`.
+        """
+        theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
+        if theirs is None:
+            raise UserError("this checkpoint was not written by pedzoo fit")
+        changed = differences(theirs, ours, LOSSES)
+        if changed:
+            raise UserError(
+                f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"
+            )
+        shapes, own = (
+            {key: tuple(value.shape) for key, value in state.items()}
+            for state in (checkpoint["state_dict"], self.state_dict())
+        )
+        if different := sorted(key for key in shapes | own if shapes.get(key) != own.get(key)):
+            more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+            raise UserError(
+                f"the checkpoint is of another training than {type(self).__name__} as configured: "
+                f"{', '.join(different[:3])}{more} differ; use its own --config"
+            )
+
+
+def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
+    """Return the keys under which earlier trainings in the loop wrote their generator a second time."""
+    return {key for key in checkpoint.get("state_dict", ()) if key.startswith("walker.model.")}
+
+
+LOSSES = frozenset(
+    {"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "kl_weight", "map_dropout"}
+)
+"""Options of a model that may change when a run goes on: they are of its losses, not of its weights."""
+
+
+def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any], free: Set[str]) -> list[str]:
+    """Return what tells two models apart beyond the options that are ``free``, as readable texts.
+
+    Args:
+        theirs: A config of `pedzoo.models.zoo.loading.config_of`.
+        ours: Likewise.
+        free: Options whose values do not matter.
+    """
+    given, wanted = (
+        {"architecture": config["architecture"], **{k: v for k, v in config["init"].items() if k not in free}}
+        for config in (theirs, ours)
+    )
+    return [
+        f"{key}: {given.get(key)} there, {wanted.get(key)} here"
+        for key in given | wanted
+        if given.get(key) != wanted.get(key)
+    ]

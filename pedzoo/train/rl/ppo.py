@@ -1,0 +1,242 @@
+"""Reinforcement learning in the loop: PPO on the environment's rewards, which need no gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple, cast
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
+from pedzoo.models.base import Forecaster
+from pedzoo.policies.learned.walker import Noise, Walker
+from pedzoo.sim.make import CLEARANCE, make_scenario
+from pedzoo.train.modules.module import ForecastModule
+from pedzoo.train.rl.actor import Spread, actor
+from pedzoo.train.rl.critic import Critic
+from pedzoo.train.rl.experience import Gatherer, rated
+from pedzoo.train.rl.objective import advantages, clipped
+from pedzoo.train.rl.rewards import Reward
+
+_TOLD: dict[Any, str] = {
+    **{"loss_objective": "objective", "loss_critic": "critic", "loss_recorded": "recorded"},
+    **{"kl_approx": "kl", "clip_fraction": "clipped"},
+}
+"""What is logged of TorchRL's loss, and as what: people who do not count are 0 in the last two."""
+
+
+class _Parts(NamedTuple):
+    """What a fit makes anew: nothing of it belongs into a checkpoint."""
+
+    loss: ClipPPOLoss
+    estimate: GAE
+    gatherers: list[Gatherer]
+
+
+class PPOModule(ForecastModule):
+    """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by TorchRL's loss and collector.
+
+    Everybody walks by the same generator and is one sample of the batch: decentralised actor and critic with
+    shared parameters (independent PPO). The generator gives the mean of the velocity, a learned number the
+    standard deviation; only the mean walks when training is over. Advantages are generalised (Schulman et
+    al. 2016, arXiv:1506.02438). Losses, entropy, advantages and their normalisation are those of people
+    whom the policy moves: padding, people who have left and people played back count nowhere.
+
+    An iteration gathers decisions in one of the scenarios, in turn, and makes ``passes`` over them in
+    ``minibatches``. The batch of recorded scenes that an iteration is given by the data can keep the
+    forecasts: ``recorded`` weighs the generator's own loss on it in every update.
+    """
+
+    skipped: Tensor
+
+    def __init__(
+        self,
+        generator: Forecaster,
+        scenarios: list[str],
+        reward: Reward,
+        envs: int = 32,
+        steps: int = 32,
+        physics: str = "compiled",
+        noise: Noise | None = None,
+        std: float = 0.15,
+        lr_critic: float = 1e-3,
+        passes: int = 4,
+        minibatches: int = 4,
+        gamma: float = 0.97,
+        gae_lambda: float = 0.95,
+        clip_ratio: float = 0.2,
+        entropy: float = 0.0,
+        critic: float = 1.0,
+        recorded: float = 0.0,
+        world: str | None = None,
+        **options: Any,
+    ) -> None:
+        """Take a generator, where it walks and how it is optimised.
+
+        Args:
+            generator: The model, best with weights (``pedzoo fit --weights NAME``).
+            scenarios: With settings, as ``door:people=4``.
+            reward: What a decision is worth.
+            envs: Scenes of an iteration.
+            steps: Decisions of 0.4 s in each of them.
+            physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
+            noise: Of the generator, as of `Walker`.
+            std: Standard deviation of velocities at the beginning, m/s.
+            lr_critic: Learning rate of the critic's Adam, constant.
+            passes: Over the decisions of an iteration.
+            minibatches: Updates of one pass.
+            gamma: Discount of a decision.
+            gae_lambda: Of the generalised advantage: 0 trusts the critic, 1 the rewards.
+            clip_ratio: By how much the likelihood of a decision may change to a gain.
+            entropy: Weight of the distribution's entropy, which keeps it broad.
+            critic: Weight of the critic's loss.
+            recorded: Weight of the generator's own loss on recorded scenes, per scene; 0 leaves it out.
+            world: What ``physics`` was called before.
+            options: Of the generator's optimisation and of validation; see `ForecastModule`.
+
+        Raises:
+            UserError: No scenario, an unknown one, or a number out of range.
+        """
+        super().__init__(generator, **options)
+        if not scenarios:
+            raise UserError("--model.scenarios: expected at least one, such as door")
+        counts = {"envs": envs, "steps": steps, "passes": passes, "minibatches": minibatches}
+        for name, count in counts.items():
+            if count < 1:
+                raise UserError(f"--model.{name} {count}: expected at least 1")
+        if minibatches > envs * steps:
+            raise UserError(f"--model.minibatches {minibatches}: there are {envs * steps} decisions in all")
+        if std <= 0 or not 0 < clip_ratio < 1:
+            raise UserError(
+                f"--model.std {std} --model.clip_ratio {clip_ratio}: expected above 0 and in (0, 1)"
+            )
+        if not (0 <= gamma <= 1 and 0 <= gae_lambda <= 1):
+            raise UserError(f"--model.gamma {gamma} --model.gae_lambda {gae_lambda}: expected 0 to 1")
+        self.automatic_optimization = False
+        self.scenarios = [make_scenario(name) for name in scenarios]
+        self.reward, self.envs, self.steps = reward, envs, steps
+        self.physics = physics if world is None else renamed.old_world(world)
+        self.passes, self.minibatches, self.lr_critic = passes, minibatches, lr_critic
+        self.gamma, self.gae_lambda, self.clip_ratio = gamma, gae_lambda, clip_ratio
+        self.weights = entropy, critic
+        self.recorded = recorded
+        self.critic, self.spread = Critic(gamma), Spread(std)
+        self._walker = (Walker(generator, noise),)  # in a tuple: its parameters are registered already
+        self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+        self._parts: _Parts | None = None
+
+    def setup(self, stage: str) -> None:
+        """Plan the scenes, too: what cannot be is told before anything is written."""
+        super().setup(stage)
+        if stage == "fit":
+            for scenario in self.scenarios:
+                scenario.ready(CLEARANCE)
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return Adam; the actor's learning rate is set at every iteration."""
+        acting = [*self.generator.parameters(), *self.spread.parameters()]
+        critic = {"params": list(self.critic.parameters()), "lr": self.lr_critic}
+        return torch.optim.Adam([{"params": acting}, critic], self.lr)
+
+    def steps_per_iteration(self) -> float:
+        """Return how many optimizer steps one iteration makes."""
+        return self.passes * self.minibatches
+
+    def on_fit_start(self) -> None:
+        """Make environments, collectors and TorchRL's loss, on the device of the training."""
+        acting = actor(self._walker[0], self.spread)
+        loss = clipped(acting, self.critic, self.clip_ratio, *self.weights, self.device)
+        estimate = advantages(self.gamma, self.gae_lambda, self.device)
+        shares = self.trainer.global_rank, self.trainer.world_size
+        gatherers = [
+            Gatherer(scenario, acting, self.envs, self.steps, self.physics, self.device, *shares)
+            for scenario in self.scenarios
+        ]
+        self._parts = _Parts(loss, estimate, gatherers)
+
+    def training_step(self, batch: TensorDict, batch_idx: int) -> None:
+        """Gather decisions and learn from them."""
+        with _still(self.generator):
+            log = self._learn(batch)
+        self.iteration += 1
+        log |= {"std": self.spread().detach(), "skipped": self.skipped.float()}
+        values = {f"train/{key}": value for key, value in log.items()}
+        self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
+
+    def _learn(self, batch: TensorDict) -> dict[str, Tensor]:
+        """Make an iteration beside a batch of recorded scenes, and return what is logged of it."""
+        assert self._parts is not None
+        loss, estimate, gatherers = self._parts
+        optimizer, random = cast("Any", self.optimizers()), self.random()
+        gatherer = gatherers[int(self.iteration) % len(gatherers)]
+        seen = gatherer.gather(self._seed_of_iteration())
+        lived = rated(seen.to(self.device), self.reward, self.critic, estimate)
+        self.set_lr(optimizer, self.lr)
+        optimizer.param_groups[1]["lr"] = self.lr_critic
+        parts = _parts_of(batch, self.minibatches)
+        told = []
+        for number, chosen in enumerate(self._minibatches(len(lived), random)):
+            found = cast("TensorDict", loss(lived[chosen]))
+            if self.recorded:
+                part = parts[number % len(parts)]
+                found["loss_recorded"] = self.recorded * self.generator.loss(part, random) / len(part)
+            terms = [found[key] for key in found.keys() if str(key).startswith("loss_")]
+            self._update(optimizer, torch.stack(terms).sum())
+            told.append(found.select(*_TOLD, strict=False).detach())
+        means = cast("TensorDict", torch.stack(told)).mean(0)
+        return {_TOLD[key]: value for key, value in means.items()} | _told(lived)
+
+    def _minibatches(self, count: int, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield which decisions (M,) long are in every update."""
+        for _ in range(self.passes):
+            order = torch.randperm(count, generator=random).to(self.device)
+            yield from order.tensor_split(self.minibatches)
+
+    def _update(self, optimizer: Any, loss: Tensor) -> None:
+        """Make a step, unless its gradient is not finite; the norms of actor and critic are cut apart."""
+        optimizer.zero_grad()
+        self.manual_backward(loss)
+        most = self.clip or float("inf")
+        norms = [torch.nn.utils.clip_grad_norm_(group["params"], most) for group in optimizer.param_groups]
+        if bool(torch.stack(norms).isfinite().all()):
+            optimizer.step()
+        else:
+            self.skipped += 1
+
+    def teardown(self, stage: str) -> None:
+        """Close the environments; after an error, those of pybullet close when nobody has them any more."""
+        for gatherer in self._parts.gatherers if self._parts else ():
+            gatherer.close()
+        self._parts = None
+
+
+@contextmanager
+def _still(model: nn.Module) -> Iterator[None]:
+    """Switch dropout off: the network that decides in an update has to be the one that walked."""
+    parts = [part for part in model.modules() if isinstance(part, nn.Dropout) and part.training]
+    for part in parts:
+        part.eval()
+    yield
+    for part in parts:
+        part.train()
+
+
+def _parts_of(batch: TensorDict, count: int) -> list[TensorDict]:
+    """Return the scenes of a batch in at most ``count`` parts, none of them empty."""
+    return [cast("TensorDict", part) for part in batch.split(-(-len(batch) // count))]
+
+
+def _told(lived: TensorDict) -> dict[str, Tensor]:
+    """Return what is logged of decisions: means over those that count."""
+    people = cast("TensorDict", lived["agents"])
+    scored, reward = people["scored"], cast("Tensor", lived["next", "agents", "reward"])
+    target, value = (people[key][scored] for key in ("value_target", "value"))
+    missed, spread = (target - value).square().mean(), (target - target.mean()).square().mean()
+    return {"reward": reward[scored].mean(), "explained": 1 - missed / spread.clamp_min(1e-6)}

@@ -1,0 +1,83 @@
+"""What a decision was worth, told from what was seen before and after it: it needs no gradient."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.metrics.safety import nearest
+
+
+class Reward:
+    """The environment's own reward, and more where weights say so; all weights 0 leave it as it is.
+
+    The environment's is the way that got shorter, in metres, less
+    `pedzoo.sim.motion.CONTACT_COST` for a decision in which something was touched; every weight is in
+    that unit, metres of progress. A reward of one's own is a subclass that overrides ``__call__``, named by
+    its ``class_path`` in the config.
+    """
+
+    def __init__(
+        self,
+        people: float = 0.0,
+        walls: float = 0.0,
+        near: float = 0.0,
+        near_distance: float = 0.6,
+        effort: float = 0.0,
+        overspeed: float = 0.0,
+        arrival: float = 0.0,
+    ) -> None:
+        """Weigh what the environment does not.
+
+        Args:
+            people: Cost of a decision in which another person is touched, beyond the environment's.
+            walls: Likewise of one in which a wall is.
+            near: Cost of a decision throughout which the nearest other is at distance 0; it falls linearly
+                to nothing at ``near_distance``.
+            near_distance: Metres between centres.
+            effort: Cost of a change of velocity by 1 m/s, growing with its square.
+            overspeed: Cost of walking 1 m/s faster than one likes, growing linearly.
+            arrival: Gain of having reached all goals.
+
+        Raises:
+            UserError: A negative number.
+        """
+        given = {name: value for name, value in locals().items() if name != "self"}
+        for name, value in given.items():
+            if value < 0 or (name == "near_distance" and value == 0):
+                raise UserError(f"reward.{name} {value}: expected a number above 0, or 0 for none")
+        self.people, self.walls, self.arrival = people, walls, arrival
+        self.near, self.near_distance = near, near_distance
+        self.effort, self.overspeed = effort, overspeed
+
+    def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
+        """Return everybody's reward (N, A); whatever it says of people who are not controlled is ignored.
+
+        Args:
+            before: N observations of an environment, with the actions that were taken.
+            after: The observations that followed, with the environment's own reward.
+        """
+        seen, then = agents_of(before), agents_of(after)
+        info = cast("TensorDict", then["info"])
+        reward = then["reward"][..., 0]
+        reward = reward - self.people * info["agent_contact"].any(-1)
+        reward = reward - self.walls * info["wall_contact"].any(-1)
+        if self.near:
+            trace = info["trace"]
+            there = seen["mask"].unsqueeze(-1).expand(trace.shape[:-1])
+            short = (1 - nearest(trace, there) / self.near_distance).clamp_min(0.0)
+            reward = reward - self.near * short.mean(-1)
+        if self.effort:
+            reward = reward - self.effort * (then["velocity"] - seen["velocity"]).square().sum(-1)
+        if self.overspeed:
+            speed = torch.linalg.vector_norm(then["velocity"], dim=-1)
+            reward = reward - self.overspeed * (speed - seen["pref_speed"][..., 0]).clamp_min(0.0)
+        if self.arrival:
+            left = seen["controlled"] & ~then["controlled"] & ~after["failed"]
+            reward = reward + self.arrival * left
+        return reward

@@ -1,0 +1,1 @@
+"""Closed-loop metrics beside ADE and FDE."""

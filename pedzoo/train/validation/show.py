@@ -1,0 +1,52 @@
+"""How people walked, where the metrics are looked at: pictures and videos for Weights & Biases."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+import lightning as L
+from lightning.pytorch.loggers import WandbLogger
+from lightning.pytorch.utilities import rank_zero_only
+
+from pedzoo.eval.closed_loop import Walked
+
+FILM = (480, 360)
+"""Width and height of videos, pixels."""
+
+FILM_SECONDS = 20.0
+"""Of an episode, at most."""
+
+
+@rank_zero_only
+def show(trainer: L.Trainer, scenario: str, walked: Walked, picture: bool, video: bool) -> None:
+    """Send what can be seen to all loggers of Weights & Biases: ``rollout/SCENARIO/ways`` and ``/video``.
+
+    Args:
+        trainer: Has the loggers; without such a one nothing is drawn.
+        scenario: Its name.
+        walked: What the model did.
+        picture: Send the ways of all episodes, those of the first one at some moments.
+        video: Send a video of the first one.
+    """
+    loggers = [logger for logger in trainer.loggers if isinstance(logger, WandbLogger)]
+    if not loggers:
+        return
+    from pedzoo.viz.trajectories import plot_rollouts
+    from pedzoo.viz.video import film
+
+    key = "rollout/" + re.sub(r"[^\w.,=-]", "_", scenario)  # names files, too
+    shown = [walked._replace(name=f"{walked.name}, epoch {trainer.current_epoch}")]
+    step = trainer.fit_loop.epoch_loop._batches_that_stepped  # by which Lightning logs everything else
+    with tempfile.TemporaryDirectory() as folder:
+        ways, walk = Path(folder, "ways.png"), Path(folder, "walk.webm")
+        if picture:
+            plot_rollouts(shown, ways)
+        if video:
+            film(shown, walk, size=FILM, seconds=FILM_SECONDS)
+        for logger in loggers:
+            if picture:
+                logger.log_image(f"{key}/ways", [str(ways)], step)
+            if video:
+                logger.log_video(f"{key}/video", [str(walk)], step)

@@ -1,0 +1,236 @@
+"""Videos of an episode: what the physics' camera sees every 0.1 s, one panel per policy."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.eval.closed_loop import Walked
+from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.camera import Camera, person_color
+
+CODECS = {".webm": "VP90", ".mp4": "vp09"}
+"""VP9 is the one that OpenCV's wheels can write and every browser can show."""
+
+COLUMNS = 3
+"""Panels beside each other."""
+
+MARGIN = 0.6
+"""Metres around everybody's way that are seen."""
+
+HEADER = 30
+"""Pixels above each panel for its name."""
+
+GAP = 6
+"""White pixels to the right of each panel."""
+
+HEADING, PITCH = math.radians(60), math.radians(45)
+"""Where the perspective camera looks: obliquely, so that doors are seen in walls along either axis."""
+
+Image = NDArray[np.uint8]
+
+
+def film(
+    walked: Sequence[Walked],
+    path: str | Path,
+    episode: int = 0,
+    view: Literal["top", "perspective"] = "perspective",
+    size: tuple[int, int] = (640, 480),
+    seconds: float | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> None:
+    """Write a video in real time of the same episode of all policies, side by side.
+
+    A panel whose episode is over stands still until the last one is.
+
+    Args:
+        walked: What they did; their physics must not be closed.
+        path: ``.webm`` or ``.mp4``.
+        episode: Its number.
+        view: ``perspective`` where the physics has one; else from the top.
+        size: Width and height of a panel in pixels, even numbers.
+        seconds: Of the episode, at most; all of it by default.
+        progress: Called with a word, frames done and frames in all.
+
+    Raises:
+        UserError: No such episode, another suffix, or the file cannot be written.
+    """
+    check_video_path(path)
+    for one in walked:
+        check_episode(one, episode)
+    panels = [_Panel(one, episode, size) for one in walked]
+    seen = torch.cat([panel.seen for panel in panels])
+    camera = Camera(view, heading=HEADING, pitch=PITCH).around(seen, size, MARGIN)
+    frames = max(panel.length for panel in panels) + 1
+    if seconds is not None:
+        frames = min(frames, round(seconds / TRACE_SECONDS) + 1)
+
+    def pictures() -> Iterator[Image]:
+        for i in range(frames):
+            yield _side_by_side([panel.draw(i, camera) for panel in panels])
+            if progress:
+                progress("video", i + 1, frames)
+
+    write_video(path, pictures(), 1 / TRACE_SECONDS)
+
+
+def check_video_path(path: str | Path) -> None:
+    """Raise the error that a file name gives which no video can have."""
+    if Path(path).suffix.lower() not in CODECS:
+        raise UserError(f"video {str(path)!r}: expected a file that ends in {' or '.join(CODECS)}")
+
+
+def check_episode(walked: Walked, episode: int) -> None:
+    """Raise the error that the number of an episode gives which has not been walked."""
+    episodes = len(walked.rollout.failed)
+    if not 0 <= episode < episodes:
+        raise UserError(f"episode {episode}: {walked.name} has walked {episodes}, 0 to {episodes - 1}")
+
+
+def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
+    """Write pictures (H, W, 3) uint8 RGB, whole or not at all, and read the file back.
+
+    Args:
+        path: ``.webm`` or ``.mp4``; its folder is made where it is missing.
+        frames: At least one, all of the same even height and width.
+        rate: Frames per second.
+
+    Raises:
+        UserError: Another suffix, or what was written is not what is read.
+    """
+    import cv2
+
+    check_video_path(path)
+    path = Path(path)
+    codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    writer, size, count = None, (0, 0), 0
+    try:
+        for frame in frames:
+            if writer is None:
+                size = (frame.shape[1], frame.shape[0])
+                with _silence():
+                    writer = cv2.VideoWriter(str(part), codec, rate, size)
+                if not writer.isOpened():
+                    raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+            count += 1
+        if writer is None:
+            raise UserError(f"{str(path)!r}: a video needs at least one frame")
+        writer.release()
+        if (found := read_video(part)) != (count, size):
+            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {found} can be read")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
+    """Return how many frames of a video can be decoded, and their width and height (0 for none)."""
+    import cv2
+
+    with _silence():
+        video = cv2.VideoCapture(str(path))
+    count, size = 0, (0, 0)
+    while True:
+        there, frame = video.read()
+        if not there:
+            break
+        count, size = count + 1, (frame.shape[1], frame.shape[0])
+    video.release()
+    return count, size
+
+
+class _Panel:
+    """One policy's episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
+
+    def __init__(self, walked: Walked, episode: int, size: tuple[int, int]) -> None:
+        self.name, self.physics, self.size = walked.name, walked.env.physics, size
+        rollout = self.rollout = walked.rollout.episodes(slice(episode, episode + 1))
+        self.length = int(rollout.length[0])
+        trace, goal, present = (
+            value[:, :, : self.length] for value in (rollout.trace, rollout.goal, rollout.present)
+        )
+        self.trace = torch.cat((rollout.past[:, :, -1:], trace), dim=2)
+        self.present = torch.cat((rollout.mask.unsqueeze(2), present), dim=2)
+        self.seen = torch.cat((self.trace[self.present], goal[present]))
+        self.stays = walked.rollout.stays(episode)
+        self._last: Image | None = None
+
+    def draw(self, i: int, camera: Camera) -> Image:
+        """Return frame i, the last one where the episode is over."""
+        if self._last is not None and i > self.length:
+            return self._last
+        present, rollout = self.present[:, :, i], self.rollout
+        where = rollout.map_id.unsqueeze(1), rollout.pose
+        people = People(self.trace[:, :, i], present, *where, rollout.radius)
+        image = self.physics.image(people, 0, self.size, camera)
+        if camera.view == "top" or camera.view not in self.physics.views:
+            for person, first, last in self.stays:
+                if first <= i <= last:
+                    _trail(image, self.trace[0, person, first : i + 1], camera.to_pixel(self.size), person)
+        self._last = _labelled(image, self.name, i * TRACE_SECONDS)
+        return self._last
+
+
+def _trail(image: Image, way: Tensor, to_pixel: NDArray[np.float64], person: int) -> None:
+    """Draw somebody's way (T, 2) until now as a line on the floor."""
+    import cv2
+
+    pixels = way.double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
+    points = np.round(pixels * 16).astype(np.int32)
+    cv2.polylines(image, [points.reshape(-1, 1, 2)], False, person_color(person), 1, cv2.LINE_AA, 4)
+
+
+def _labelled(image: Image, name: str, seconds: float) -> Image:
+    """Return the picture under a line with name and time."""
+    import cv2
+
+    line = np.full((HEADER, image.shape[1], 3), 255, dtype=np.uint8)
+    clock, font, scale = f"{seconds:.1f} s", cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    right = image.shape[1] - 10 - cv2.getTextSize("00.0 s", font, scale, 1)[0][0]
+    while len(name) > 8 and cv2.getTextSize(name, font, scale, 1)[0][0] > right - 30:
+        name = f"...{name[4:]}"  # the end of a path says more than its beginning
+    for text, x in ((name, 10), (clock, right)):
+        cv2.putText(line, text, (x, HEADER - 10), font, scale, (30, 30, 30), 1, cv2.LINE_AA)
+    return np.vstack((line, image))
+
+
+def _side_by_side(panels: list[Image]) -> Image:
+    """Return one picture, in rows of at most `COLUMNS` panels."""
+    columns = min(COLUMNS, len(panels))
+    panels = [np.pad(panel, ((0, 0), (0, GAP), (0, 0)), constant_values=255) for panel in panels]
+    empty = np.full_like(panels[0], 255)
+    panels = panels + [empty] * (-len(panels) % columns)
+    rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
+    return np.vstack(rows)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep the codec library's remarks, written by C past Python, off the terminal."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
