@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from walks import made, straight
+from helpers.walks import made, straight
 
 from pedzoo.cli.main import main
 from pedzoo.core.paths import shipped

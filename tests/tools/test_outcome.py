@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from walks import made
+from helpers.walks import made
 
 from pedzoo.metrics.navigation import seconds_per_goal
 from pedzoo.metrics.ratios import summarised

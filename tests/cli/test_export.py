@@ -1,0 +1,167 @@
+"""pedzoo export: weights and card of a run, a folder for the hub, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from helpers.batches import make_batch, random_weights
+from helpers.model_cards import make_card
+from test_publish import make_run
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.eval import card_numbers
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.base import Forecaster
+from pedzoo.models.export.publish import describe
+from pedzoo.models.zoo.card import read_card, write_card
+from pedzoo.models.zoo.card_page import page
+from pedzoo.models.zoo.hub import readme, write_hub
+from pedzoo.models.zoo.loading import load, save_weights
+
+
+def answers(model: Forecaster) -> torch.Tensor:
+    return model.mode(make_batch((3, 2)), 8)
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> str:
+    """A folder of models with one in it: weights and a card whose weights are said to be elsewhere."""
+    weights = tmp_path / "zoo" / "sgan.mall.safetensors"
+    protocol = {"fold": "zara1", "goal": "none", "clock": "benchmark", "pred_len": 8}
+    save_weights(random_weights(SGAN()), weights, protocol=protocol)
+    describe(weights, measured=make_card("sgan.mall").evaluations)
+    return str(weights.with_suffix(""))
+
+
+def test_a_run_becomes_weights_and_a_card_with_its_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[Any] = []
+
+    def measure(model: str, name: str, root: str | None, progress: Any) -> list[dict[str, Any]]:
+        asked.extend((model, name, root))
+        return make_card(name).evaluations
+
+    monkeypatch.setattr(card_numbers, "measure", measure)
+    checkpoint, folder = str(make_run(tmp_path)), str(tmp_path / "mine")
+    options = ["--to", folder, "--data.root", "recordings", "--json", str(tmp_path / "said.json")]
+    assert main(["export", checkpoint, "--zoo", *options]) == 0
+    assert asked == [checkpoint, "sgan_goal.zara1", "recordings"]
+    assert sorted(os.listdir(folder)) == ["sgan_goal.zara1.safetensors", "sgan_goal.zara1.yaml"]
+    card = read_card(f"{folder}/sgan_goal.zara1.yaml")
+    assert card.evaluations == make_card().evaluations and card.training["value"] == 0.2
+    loaded = f'pedzoo.load("{folder}/sgan_goal.zara1")'
+    assert loaded in capsys.readouterr().out
+    assert torch.equal(
+        pedzoo.load(f"{folder}/sgan_goal.zara1").mode(batch := make_batch((3,)), 8),
+        load(checkpoint).mode(batch, 8),
+    )
+    said = json.loads((tmp_path / "said.json").read_text())
+    assert said["command"] == "export" and said["files"] == [
+        f"{folder}/sgan_goal.zara1{end}" for end in (".safetensors", ".yaml")
+    ]
+
+
+def test_numbers_are_left_out_where_nobody_wants_them(tmp_path: Path) -> None:
+    options = ["--to", str(tmp_path / "zoo"), "--name", "sgan_goal.mall", "--no-evaluation"]
+    assert main(["export", str(make_run(tmp_path)), "--zoo", *options]) == 0
+    assert read_card(tmp_path / "zoo" / "sgan_goal.mall.yaml").evaluations == []
+
+
+def test_a_folder_for_the_hub_loads_again_and_is_the_same_when_written_again(
+    model: str, tmp_path: Path
+) -> None:
+    hub = tmp_path / "hub"
+    assert main(["export", model, "--hub", str(hub)]) == 0
+    assert sorted(os.listdir(hub)) == ["README.md", "sgan.mall.safetensors", "sgan.mall.yaml"]
+    assert torch.equal(answers(pedzoo.load(hub)), answers(load(model)))
+    before = {path.name: path.read_bytes() for path in hub.iterdir()}
+    write_hub(str(hub), hub)
+    assert {path.name: path.read_bytes() for path in hub.iterdir()} == before
+
+
+def test_weights_of_a_hub_folder_are_its_own(model: str, tmp_path: Path) -> None:
+    """Wherever a card says that its weights can be downloaded, in the folder they lie beside it."""
+    path = Path(f"{model}.yaml")
+    card = read_card(path)
+    write_card(replace(card, url="https://example.org/sgan.safetensors"), path)
+    write_hub(model, tmp_path / "hub")
+    assert read_card(tmp_path / "hub" / "sgan.mall.yaml") == card
+
+
+def test_the_front_matter_is_what_the_hub_reads() -> None:
+    card = make_card()
+    _, front, text = readme(card).split("---\n", 2)
+    said = yaml.safe_load(front)
+    assert said["license"] == "mit" and said["library_name"] == "pedzoo"
+    assert said["model_name"] == "sgan_goal.zara1" and "sgan" in said["tags"]
+    (index,) = said["model-index"]
+    forecast, door = index["results"]
+    assert forecast["task"] == {"type": "trajectory-forecasting"}
+    assert forecast["dataset"] == {
+        "type": "zara1-test-goal-window-end",
+        "name": "zara1 test, goal window_end",
+    }
+    assert forecast["metrics"] == [{"type": "ade_m", "value": 0.0571}, {"type": "fde_m", "value": 0.0086}]
+    assert door["task"] == {"type": "closed-loop-simulation"} and door["dataset"]["name"] == "door bullet"
+    assert page(card) in text and 'pedzoo.load("hf://OWNER/REPOSITORY")' in text
+
+
+@pytest.mark.parametrize(
+    ("licence", "said"),
+    [
+        ("CC-BY-4.0", {"license": "cc-by-4.0"}),
+        ("Ours, for research", {"license": "other", "license_name": "ours-for-research"}),
+    ],
+)
+def test_licences_have_the_names_of_the_hub(licence: str, said: dict[str, str]) -> None:
+    front = yaml.safe_load(readme(make_card(licence=licence, evaluations=[])).split("---\n")[1])
+    assert {key: value for key, value in front.items() if "license" in key} == said
+    assert "model-index" not in front
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["sgan_goal.zara1", "--zoo"], "expected RUN/checkpoints/best.ckpt, not 'sgan_goal.zara1'"),
+        (["best.ckpt", "--hub", "hub"], "has no card: make one with pedzoo export CHECKPOINT --zoo"),
+        (["sgan_goal.zara9", "--hub", "hub"], "unknown model with a card 'sgan_goal.zara9': did you mean"),
+        (["sgan_goal.zara1"], "one of the arguments --zoo --hub --onnx is required"),
+        (["sgan_goal.zara1", "--zoo", "--hub", "hub"], "not allowed with argument"),
+        (["sgan_goal.zara1", "--hub", "hub", "--to", "mine"], "--to goes with --zoo: leave it out"),
+        (["sgan_goal.zara1", "--onnx", "x.onnx", "--no-evaluation"], "--no-evaluation goes with --zoo"),
+        (["best.ckpt", "--zoo", "--plan", "apartment.7"], "--plan goes with --onnx"),
+        (["sgan_goal.zara1", "--onnx", "."], "is a folder, expected a file"),
+        (["sgan_goal.zara1", "--onnx", "x.onnx", "--plan", "apartmen.7"], "did you mean 'apartment.7'"),
+        (["sgan_goal.zara1", "--onnx", "x.onnx", "--plan", "flat"], "sees no floor plan: leave out 'flat'"),
+    ],
+)
+def test_mistakes_are_told_and_nothing_is_written(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if "--plan" in arguments:
+        pytest.importorskip("onnxruntime", reason="needs pedzoo[onnx]")
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_hub_folder_has_one_model(model: str, tmp_path: Path) -> None:
+    write_hub(model, tmp_path / "hub")
+    with pytest.raises(UserError, match=r"holds sgan\.mall already: .* a folder of its own"):
+        write_hub("sgan_goal.zara1", tmp_path / "hub")
+    assert len(os.listdir(tmp_path / "hub")) == 3

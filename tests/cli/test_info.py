@@ -1,0 +1,123 @@
+"""``pedzoo info`` and ``pedzoo models``: what cards say, for people and for machines."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.model_cards import make_card
+
+from pedzoo.cli.main import main
+from pedzoo.models.zoo.card import write_card
+from pedzoo.models.zoo.card_page import page
+from pedzoo.models.zoo.store import names
+
+
+@pytest.fixture(autouse=True)
+def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of the user's with one card, and an empty cache."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("PEDZOO_ZOO", str(tmp_path / "zoo"))
+    write_card(make_card("sgan_goal.mall"), tmp_path / "zoo" / "sgan_goal.mall.yaml")
+    return tmp_path / "zoo"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
+    assert main(list(argv)) == 2
+    return capsys.readouterr().err
+
+
+def rows(pattern: str) -> list[dict[str, Any]]:
+    assert main(["models", pattern, "--json", "models.json"]) == 0
+    return json.loads(Path("models.json").read_text())["weights"]
+
+
+def test_info_shows_the_whole_card(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", "sgan_goal.mall"]) == 0
+    text = capsys.readouterr().out
+    for part in (
+        make_card().sha256,
+        "pedzoo fit --config sgan_goal",
+        "0: 0.0612, 1: 0.0605",
+        "for research",
+        "forecast: fold zara1, goal window_end, pred_len 8, samples 20; seeds 0",
+        "it leaks the answer's last position",
+        "evaluate: suites door goals, quick, warm_start door orca; seeds 0",
+        "0.975 [0.871, 0.996]",
+    ):
+        assert part in text
+    assert "not recorded" not in text and "None" not in text
+
+
+def test_info_writes_the_card_for_machines_and_as_a_page(capsys: pytest.CaptureFixture[str]) -> None:
+    card = make_card("sgan_goal.mall")
+    assert main(["info", "zoo", "--json", "a.json", "--markdown", "a.md"]) == 0
+    assert capsys.readouterr().out == ""
+    written = json.loads(Path("a.json").read_text())
+    assert written["command"] == "info" and written["card"]["evaluations"] == card.evaluations
+    assert Path("a.md").read_text() == page(card)
+    assert main(["info", "zoo/sgan_goal.mall", "--markdown", "-"]) == 0
+    assert capsys.readouterr().out == page(card)
+
+
+def test_text_of_a_card_is_never_taken_for_orders_to_the_terminal(
+    zoo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluations = make_card().evaluations
+    evaluations[1]["rows"][0]["table"] = "[/red]"
+    card = make_card("sgan_goal.mall", licence="[bold]MIT[/nothing]", evaluations=evaluations)
+    write_card(card, zoo / "sgan_goal.mall.yaml")
+    assert main(["info", "sgan_goal.mall"]) == 0
+    text = capsys.readouterr().out
+    assert "[bold]MIT[/nothing]" in text and "[/red]" in text
+
+
+def test_names_that_have_no_card_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "did you mean 'sgan_goal.mall'" in refused(capsys, "info", "sgan_goal.mal")
+    told = refused(capsys, "info", "sgan_goal")
+    assert "unknown model 'sgan_goal'" in told
+    told = refused(capsys, "info", "sgan")
+    assert "'sgan' is an architecture" in told and "name its weights: sgan." in told
+    told = refused(capsys, "info", "runs/sgan/checkpoints/best.ckpt")
+    assert "cards are asked for by name" in told and "pedzoo export" in told
+    assert "is a folder" in refused(capsys, "info", "zoo", "--json", "zoo")
+
+
+def test_models_has_a_row_for_every_card_with_its_headline(capsys: pytest.CaptureFixture[str]) -> None:
+    found = {row["name"]: row for row in rows("*")}
+    assert list(found) == names() and len(found) > 16
+    assert found["sgan_goal.mall"] == {
+        "name": "sgan_goal.mall",
+        "kB": 192,
+        "fold": "zara1",
+        "goal": "window_end",
+        "clock": "benchmark",
+        "steps": 8,
+        "ade_m": 0.0571,
+        "fde_m": 0.0086,
+        "door": 0.975,
+    }
+    text = capsys.readouterr().out
+    assert "0.057" in text and "door" in text and "straight_line" in text
+    assert [row["name"] for row in rows("*.mall")] == ["sgan_goal.mall"]
+    assert rows("nothing") == [] and "none" in capsys.readouterr().out
+
+
+def test_one_bad_card_does_not_hide_the_others(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (zoo / "sgan.bad.yaml").write_text("name: sgan.bad")
+    bad, good = rows("*.[bm]a*")
+    assert "architecture is missing" in bad["error"] and good["kB"] == 192
+    assert "sgan.bad.yaml': architecture is missing" in capsys.readouterr().out
+
+
+def test_nothing_heavy_is_imported() -> None:
+    code = (
+        "import sys; from pedzoo.cli.main import main; main(['models']); main(['info', 'sgan_goal.mall']);"
+        "assert not {'torch', 'numpy', 'pandas', 'requests'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)

@@ -1,0 +1,301 @@
+"""Downloads, from a server on this machine that breaks off, lies and dawdles."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from helpers.server import Page, Site, serving
+
+from pedzoo.core import fetch as fetching
+from pedzoo.core.errors import UserError
+from pedzoo.core.fetch import fetch
+
+CONTENT = bytes(range(256)) * 1000
+SUM = hashlib.sha256(CONTENT).hexdigest()
+NOBODY = "http://127.0.0.1:9/file.bin"
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+    """A server, an empty cache, and no patience."""
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    monkeypatch.delenv("PEDZOO_OFFLINE", raising=False)
+    monkeypatch.setattr(fetching, "WAITS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(fetching, "TIMEOUT", (1.0, 0.25))
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    return tmp_path / "cache" / "file.bin"
+
+
+def part_of(place: Path) -> Path:
+    return place.with_name(".file.bin.part")
+
+
+@pytest.mark.parametrize("checksum", [SUM, None])
+def test_a_file_is_downloaded_once(site: Site, tmp_path: Path, checksum: str | None) -> None:
+    url = site.put("file.bin", CONTENT)
+    path = fetch(url, checksum, "models/file.bin")
+    assert path == tmp_path / "cache" / "models" / "file.bin"
+    assert path.read_bytes() == CONTENT
+    assert fetch(url, checksum, "models/file.bin") == path
+    assert len(site.asked) == 1
+    assert [file.name for file in path.parent.iterdir()] == ["file.bin"]
+
+
+def test_another_folder_than_the_cache(site: Site, tmp_path: Path) -> None:
+    path = fetch(site.put("file.bin", CONTENT), SUM, "a/b.bin", folder=tmp_path / "mine")
+    assert path == tmp_path / "mine" / "a" / "b.bin"
+    assert path.read_bytes() == CONTENT
+
+
+def test_a_cached_file_with_another_sum_is_downloaded_again(site: Site, place: Path) -> None:
+    place.parent.mkdir()
+    place.write_bytes(b"damaged")
+    assert fetch(site.put("file.bin", CONTENT), SUM, "file.bin").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("content", [b"other", CONTENT[:-1] + b"\0"])
+@pytest.mark.parametrize("size", [None, len(CONTENT)])
+def test_a_wrong_file_leaves_nothing(site: Site, place: Path, content: bytes, size: int | None) -> None:
+    url = site.put("file.bin", content)
+    expected = "has 5 bytes, expected 256000" if size == 256000 and len(content) == 5 else "expected content"
+    with pytest.raises(UserError, match=expected):
+        fetch(url, SUM, "file.bin", size=size)
+    assert not list(place.parent.glob("*file*"))
+    assert len(site.asked) == 1, "the same wrong file would come again"
+
+
+def test_an_endless_answer_is_cut_off(site: Site, place: Path) -> None:
+    url = site.put("file.bin", Page(CONTENT * 20, says_length=False))
+    with pytest.raises(UserError, match="has more than the expected 256000 bytes"):
+        fetch(url, SUM, "file.bin", size=len(CONTENT))
+    assert not place.exists()
+
+
+def test_errors_say_what_each_mirror_did_and_what_to_do(site: Site, place: Path) -> None:
+    lying = site.put("lies.bin", b"other")
+    with pytest.raises(UserError, match=r"cannot download file\.bin") as caught:
+        fetch([f"{site.url}/none.bin", NOBODY, lying], SUM, "file.bin", "or give weights=...")
+    said = str(caught.value)
+    assert f"{site.url}/none.bin: 404 Not Found; " in said
+    assert f"{NOBODY}: Connection refused, tried 4 times; " in said
+    assert (
+        f"{lying}: does not have the expected content: sha256 {hashlib.sha256(b'other').hexdigest()}" in said
+    )
+    assert said.endswith(f"save it as {place} or give weights=...")
+    assert not place.exists()
+    assert [path for path, _ in site.asked] == ["none.bin", "lies.bin"], "a 404 is not asked for twice"
+
+
+@pytest.mark.parametrize("page", [None, Page(b"wrong"), Page(CONTENT, statuses=[500] * 9)])
+def test_the_next_mirror_serves(site: Site, page: Page | None) -> None:
+    if page:
+        site.put("dead.bin", page)
+    urls = [f"{site.url}/dead.bin", site.put("file.bin", CONTENT)]
+    assert fetch(urls, SUM, "file.bin", size=len(CONTENT)).read_bytes() == CONTENT
+
+
+def test_a_host_that_failed_is_asked_last_for_the_next_file(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fetching, "_FAILED", set())
+    with serving() as dead:
+        bad = dead.put("file.bin", Page(CONTENT, statuses=[503] * 99))
+        urls = [bad, site.put("file.bin", CONTENT)]
+        fetch(urls, SUM, "first.bin")
+        assert len(dead.asked) == 4
+        fetch(urls, SUM, "second.bin")
+        assert len(dead.asked) == 4
+
+
+@pytest.mark.parametrize("status", [429, 500, 503])
+def test_a_busy_server_is_asked_again(site: Site, status: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr(time, "sleep", waits.append)
+    page = Page(CONTENT, statuses=[status, status], headers={"Retry-After": "7"})
+    assert fetch(site.put("file.bin", page), SUM, "file.bin").read_bytes() == CONTENT
+    assert waits.count(7) == 2, "it is waited for as long as the server asks"
+
+
+def test_a_broken_download_goes_on_where_it_was(site: Site) -> None:
+    url = site.put("file.bin", Page(CONTENT, cuts=[81_920, 40_960, 40_960, 8192, 8192]))
+    assert fetch(url, SUM, "file.bin", size=len(CONTENT)).read_bytes() == CONTENT
+    starts = [0, 81_920, 122_880, 163_840, 172_032, 180_224]
+    assert site.ranges_asked() == [f"bytes={start}-" if start else None for start in starts]
+
+
+@pytest.mark.parametrize("says_length", [True, False])
+def test_a_broken_download_restarts_where_the_server_cannot_go_on(site: Site, says_length: bool) -> None:
+    page = Page(CONTENT, cuts=[100_000, 100_000], ranges=False, says_length=says_length)
+    url = site.put("file.bin", page)
+    assert fetch(url, SUM, "file.bin", size=len(CONTENT)).read_bytes() == CONTENT
+    assert len(site.asked) == 3
+
+
+def test_a_download_that_never_comes_further_ends(site: Site, place: Path) -> None:
+    url = site.put("file.bin", Page(CONTENT, cuts=[8192] * 99, ranges=False))
+    with pytest.raises(UserError, match=r"IncompleteRead.*tried 4 times"):
+        fetch(url, SUM, "file.bin")
+    assert len(site.asked) == 4
+    assert part_of(place).stat().st_size == 8192
+
+
+def test_what_one_mirror_began_another_ends(site: Site) -> None:
+    first = site.put("first.bin", Page(CONTENT, cuts=[81_920, 0, 0, 0, 0]))
+    urls = [first, site.put("second.bin", CONTENT)]
+    assert fetch(urls, SUM, "file.bin").read_bytes() == CONTENT
+    assert site.asked[-1][0] == "second.bin"
+    assert site.ranges_asked()[-1] == "bytes=81920-"
+
+
+@pytest.mark.parametrize("left", [b"of another file", CONTENT + b"too long", CONTENT])
+def test_what_an_earlier_call_left_is_used_or_thrown_away(site: Site, place: Path, left: bytes) -> None:
+    place.parent.mkdir()
+    part_of(place).write_bytes(left)
+    assert fetch(site.put("file.bin", CONTENT), SUM, "file.bin").read_bytes() == CONTENT
+    assert not part_of(place).exists()
+
+
+def test_without_a_sum_nothing_is_pieced_together(site: Site, place: Path) -> None:
+    place.parent.mkdir()
+    part_of(place).write_bytes(b"of another version")
+    url = site.put("file.bin", Page(CONTENT, cuts=[1000]))
+    assert fetch(url, None, "file.bin").read_bytes() == CONTENT
+    assert site.ranges_asked() == [None, None]
+
+
+def test_a_silent_server_is_given_up_and_a_slow_one_waited_for(site: Site) -> None:
+    slow = site.put("slow.bin", Page(CONTENT, drops=4, drip=0.1))
+    assert fetch(slow, SUM, "slow.bin").read_bytes() == CONTENT
+    silent = site.put("silent.bin", Page(CONTENT, wait=0.5))
+    assert fetch(silent, SUM, "again.bin").read_bytes() == CONTENT, "the second try is answered"
+    stuck = site.put("stuck.bin", Page(CONTENT, drops=2, drip=0.5, ranges=False))
+    with pytest.raises(UserError, match="timed out"):
+        fetch(stuck, SUM, "stuck.bin")
+
+
+def test_redirections_lead_to_the_web_only(site: Site, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.bin"
+    secret.write_bytes(CONTENT)
+    moved = Page(statuses=[302] * 9, headers={"Location": site.put("file.bin", CONTENT)})
+    assert fetch(site.put("moved.bin", moved), SUM, "file.bin").read_bytes() == CONTENT
+    for goal in (f"file://{secret}", "ftp://127.0.0.1/file.bin"):
+        url = site.put("out.bin", Page(statuses=[302] * 9, headers={"Location": goal}))
+        with pytest.raises(UserError, match="No connection adapters"):
+            fetch(url, None, "out.bin")
+
+
+@pytest.mark.parametrize(
+    "url", ["file:///etc/hosts", "http://[bad/x", "http://", "http://\n/x", "nonsense", ""]
+)
+def test_odd_addresses_are_refused(site: Site, url: str) -> None:
+    with pytest.raises(UserError, match=r"cannot download out\.bin: "):
+        fetch(url, None, "out.bin")
+
+
+def test_a_token_stays_with_its_host(site: Site) -> None:
+    with serving() as other:
+        goal = other.put("file.bin", CONTENT).replace("127.0.0.1", "localhost")
+        url = site.put("moved.bin", Page(statuses=[302], headers={"Location": goal}))
+        fetch(url, SUM, "file.bin", token="secret")
+        assert site.asked[0][1]["Authorization"] == "Bearer secret"
+        assert "Authorization" not in other.asked[0][1]
+
+
+@pytest.mark.parametrize(
+    "name", ["../out.bin", "a/../../out.bin", "/etc/out.bin", "..\\out.bin", "C:\\out.bin", "", "..", "a\0b"]
+)
+def test_names_do_not_lead_out_of_the_cache(site: Site, name: str) -> None:
+    with pytest.raises(UserError, match="may lead out of"):
+        fetch(site.put("file.bin", CONTENT), SUM, name)
+    assert not site.asked
+
+
+def test_offline_nothing_is_asked(site: Site, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    url = site.put("file.bin", CONTENT)
+    monkeypatch.setenv("PEDZOO_OFFLINE", "1")
+    with pytest.raises(UserError, match="is not there, and PEDZOO_OFFLINE forbids the network") as caught:
+        fetch(url, SUM, "file.bin", "or give weights=...")
+    assert f"save it as {place} or give weights=... (from {url})" in str(caught.value)
+    place.parent.mkdir(exist_ok=True)
+    place.write_bytes(b"other")
+    with pytest.raises(UserError, match="has other content than expected, and PEDZOO_OFFLINE"):
+        fetch(url, SUM, "file.bin")
+    place.write_bytes(CONTENT)
+    assert fetch(url, SUM, "file.bin") == place
+    assert not site.asked
+    monkeypatch.setenv("PEDZOO_OFFLINE", "0")
+    assert not fetching.offline()
+
+
+def test_a_cache_that_cannot_be_written_is_named(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "file"))
+    with pytest.raises(UserError, match=r"cannot write .*file\.bin: "):
+        fetch(site.put("file.bin", CONTENT), SUM, "file.bin")
+
+
+def test_many_at_once_download_once(site: Site) -> None:
+    url = site.put("file.bin", Page(CONTENT, drops=4, drip=0.05))
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: fetch(url, SUM, "file.bin").read_bytes(), range(4)))
+    assert found == [CONTENT] * 4
+    assert len(site.asked) == 1
+
+
+def start_fetch(url: str) -> subprocess.Popen[str]:
+    """Run `fetch` in a process of its own."""
+    code = f"from pedzoo.core.fetch import fetch; print(fetch({url!r}, {SUM!r}, 'file.bin'))"
+    return subprocess.Popen(
+        [sys.executable, "-c", code], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def wait_until(happens: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20
+    while not happens():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_two_processes_download_once(site: Site, place: Path) -> None:
+    url = site.put("file.bin", Page(CONTENT, drops=8, drip=0.25))
+    both = [start_fetch(url), start_fetch(url)]
+    for process in both:
+        out, err = process.communicate(timeout=30)
+        assert process.returncode == 0, err
+        assert out.strip() == str(place)
+    assert len(site.asked) == 1
+    assert place.read_bytes() == CONTENT
+
+
+def test_an_interrupted_download_is_continued_by_the_next(site: Site, place: Path) -> None:
+    page = Page(CONTENT, drops=2, drip=15)
+    url = site.put("file.bin", page)
+    process = start_fetch(url)
+    wait_until(lambda: part_of(place).exists() and part_of(place).stat().st_size > 0)
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert "KeyboardInterrupt" in err
+    assert not place.exists()
+    kept = part_of(place).stat().st_size
+    assert 0 < kept <= len(CONTENT) // 2
+    page.drip = 0.0
+    assert fetch(url, SUM, "file.bin").read_bytes() == CONTENT
+    assert site.ranges_asked() == [None, f"bytes={kept}-"]

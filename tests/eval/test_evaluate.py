@@ -1,0 +1,482 @@
+"""`pedzoo evaluate`: the same table however it is run, parts that are kept, and what people read."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from helpers.model_cards import make_card
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import SUITES
+from pedzoo.core.spec import Spec
+from pedzoo.eval import evaluate as module
+from pedzoo.eval import prepared as keeping
+from pedzoo.eval import unseen
+from pedzoo.eval.evaluate import Evaluation
+from pedzoo.eval.results import Shown, cell, markdown, pages
+from pedzoo.eval.suite import Request
+from pedzoo.eval.suites.goals import CELLS, POOL
+from pedzoo.eval.summary import mean_interval, summary
+from pedzoo.eval.units import digest, work
+from pedzoo.eval.workers.clock import Step
+from pedzoo.eval.workers.journal import Journal
+from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.library import flat
+from pedzoo.models.zoo.card import write_card
+from pedzoo.viz.fundamental import plot_density_speed
+
+SMALL = '''
+from pedzoo.eval.suite import Case, Suite
+
+CASES = {"circle": "circle", "two": "overtaking"}
+
+
+class Small(Suite):
+    """Two encounters: a suite from a file of one's own."""
+
+    def cases(self, request):
+        physics, number = request.physics or "compiled", request.number(20)
+        return [Case(self.name, key, name, physics, number, {"card": key}) for key, name in CASES.items()]
+'''
+
+BROKEN = '''
+from pedzoo.policies.policy import Policy
+
+
+class Broken(Policy):
+    """Has no number for anybody in scenes that began 0.8 s ago."""
+
+    def __init__(self):
+        super().__init__(0.4)
+
+    def forward(self, tensordict):
+        action = tensordict["agents", "desired_velocity"].clone()
+        action[tensordict["time"][:, 0] > 0.6] = float("nan")
+        tensordict["agents", "action"] = action
+        return tensordict
+'''
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> str:
+    file = tmp_path / "small.py"
+    file.write_text(SMALL)
+    return f"{file}:Small"
+
+
+def compared(report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report without versions and times."""
+    found = json.loads(json.dumps(report))
+    for row in found["rows"] + found["summary"]:
+        del row["seconds"]
+    return {key: value for key, value in found.items() if key not in ("versions", "command")}
+
+
+def test_the_command_a_resumed_run_and_python_give_the_same_table(
+    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policies, file = ["go_to_goal", "sgan_goal.zara1"], tmp_path / "out.json"
+    command = ["evaluate", *policies, "--suite", small, "--quick", "--seeds", "0,3", "--json", str(file)]
+    (page := tmp_path / "page.md").write_text("the page of a whole evaluation")
+    command += ["--markdown", str(page)]
+    done: list[str] = []
+    real = module.work
+
+    def interrupted(unit: Any, tell: Any) -> Any:
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(unit.label)
+        return real(unit, tell)
+
+    monkeypatch.setattr(module, "work", interrupted)
+    assert main(command) == 130
+    assert "not finished: 3 of 4 parts" in (said := capsys.readouterr().out)
+    assert "the same command goes on from there" in said
+    assert json.loads(file.read_text())["interrupted"] is True
+    assert "go_to_goal (not all cases)" not in said and "sgan_goal.zara1 (not all cases)" in said
+    assert page.read_text() == "the page of a whole evaluation"
+
+    monkeypatch.setattr(module, "work", real)
+    assert main(command) == 0
+    assert "3 of 4 parts were done before" in (said := capsys.readouterr().out)
+    assert "of other commands" not in said
+    resumed = json.loads(file.read_text())
+    assert "interrupted" not in resumed and list(tmp_path.glob("*.partial")) == []
+    assert "| go_to_goal | 8 |" in page.read_text()
+
+    alone = pedzoo.evaluate(policies, [small], quick=True, seeds=[0, 3])
+    assert compared(resumed) == compared(alone)
+    row = alone["rows"][0]
+    assert (row["name"], row["n"]) == ("go_to_goal", 4)
+    assert row["case"] == {"suite": small, "physics": "compiled", "card": "circle"}
+    assert {(person["seed"], person["episode"]) for person in row["per_agent"]} == {
+        (seed, episode) for seed in (0, 3) for episode in (0, 1)
+    }
+
+
+def test_kept_parts_of_another_command_stay(small: str, tmp_path: Path) -> None:
+    kept = Path(tmp_path / "out.json.partial")
+    Journal(kept).add("another", [{"n": 1}])
+    command = ["evaluate", "go_to_goal", "--suite", small, "--episodes", "1"]
+    assert main([*command, "--json", str(tmp_path / "out.json")]) == 0
+    assert "another" in Journal(kept).done and len(Journal(kept).done) == 3
+
+
+def test_what_is_done_is_told_when_a_worker_dies(
+    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, file = module.work, tmp_path / "out.json"
+
+    def killed(unit: Any, tell: Any) -> Any:
+        if unit.case.name == "two":
+            raise RuntimeError("worker 0 of 2 is killed by SIGKILL")
+        return real(unit, tell)
+
+    monkeypatch.setattr(module, "work", killed)
+    with pytest.raises(RuntimeError, match="SIGKILL"):
+        main(["evaluate", "go_to_goal", "--suite", small, "--episodes", "1", "--json", str(file)])
+    assert "not finished: 1 of 2 parts" in (said := capsys.readouterr().out)
+    assert "is kept in" in said and len(Journal(Path(f"{file}.partial")).done) == 1
+
+
+DEADLY = """
+import os, signal, time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+class Deadly(Small):
+    def rows(self, unit, tell=None):
+        if unit.case.name == "two" and not (HERE / "killed").exists():
+            while not (HERE / "out.json.partial").exists():
+                time.sleep(0.05)
+            (HERE / "killed").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().rows(unit, tell)
+"""
+
+
+def test_a_killed_worker_is_named_and_what_others_finished_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suite, file = tmp_path / "deadly.py", tmp_path / "out.json"
+    suite.write_text(SMALL + DEADLY)
+    command = ["evaluate", "go_to_goal", "--suite", f"{suite}:Deadly", "--episodes", "1", "--json", str(file)]
+    with pytest.raises(RuntimeError, match=r"SIGKILL \(in job 1, .*Deadly two: go_to_goal\)"):
+        main([*command, "--workers", "2"])
+    assert "not finished: 1 of 2 parts" in capsys.readouterr().out
+    assert len(Journal(Path(f"{file}.partial")).done) == 1
+    assert main(command) == 0
+    assert "1 of 2 parts were done before" in capsys.readouterr().out
+    assert len(json.loads(file.read_text())["rows"]) == 2
+
+
+def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[int] = []
+
+    def results(*_: Any) -> Iterator[tuple[int, Any]]:
+        try:
+            yield 0, [{"seconds": {"wall": 1.0}}]
+        finally:
+            ended.append(1)
+
+    def full(*_: Any) -> None:
+        raise UserError("cannot write")
+
+    monkeypatch.setattr(module, "finished", results)
+    monkeypatch.setattr(Journal, "add", full)
+    with pytest.raises(UserError, match="cannot write") as caught:
+        pedzoo.evaluate(["go_to_goal"], [small])
+    assert ended and caught.traceback  # though whoever looks at the error holds on to the iterator
+
+
+def test_two_workers_give_the_same_table(small: str) -> None:
+    settings: dict[str, Any] = {"suites": [small], "episodes": 1}
+    alone = pedzoo.evaluate(["sgan_goal.zara1"], **settings)
+    assert compared(pedzoo.evaluate(["sgan_goal.zara1"], **settings, workers=2)) == compared(alone)
+
+
+def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path: Path) -> None:
+    file = tmp_path / "broken.py"
+    file.write_text(BROKEN)
+    with pytest.warns(UserWarning, match="the scene ends as failed"):
+        report = pedzoo.evaluate([f"{file}:Broken", "go_to_goal"], [small], episodes=2)
+    broken, fine = report["summary"]
+    assert (broken["metrics"]["failed"], broken["metrics"]["success"]) == (1.0, 0.0)
+    assert (fine["metrics"]["failed"], fine["metrics"]["success"]) == (0.0, 1.0)
+    assert "time_ratio" not in broken["metrics"]
+
+
+def test_whatever_is_misspelt_is_refused_before_anything_walks(
+    small: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "finished", lambda *args: pytest.fail("something walked"))
+    for words, message in (
+        (["orca", "--suite", "dor"], "unknown suite 'dor': did you mean 'door'?"),
+        (["orcs", "--suite", "cards"], "unknown policy 'orcs': did you mean 'orca'?"),
+        (["orca", "--suite", "goals", "--maps", "ofice.3"], "did you mean 'office.3'?"),
+        (["orca", "--suite", "replay", "--data.root", "nowhere"], "data root 'nowhere' is not a folder"),
+        (["orca", "--suite", "cards", "--episodes", "0"], "episodes 0: expected at least 1"),
+        (["orca", "--suite", "cards", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
+        (["orca", "--suite", ","], "no suites"),
+        (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, loop_buildings, table2 would have"),
+        (
+            ["orca", "--suite", "replay", "--episodes", "9"],
+            "in replay; cards, door, figure4, goals, loop_buildings, loop_doors, loop_noise, table2 would",
+        ),
+        (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),
+        (["orca", "--sute", "cards"], "--suite"),
+    ):
+        assert main(["evaluate", *words]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+
+
+def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
+    by_name = {name: SUITES.get(name)(name) for name in SUITES.names()}
+    (door,) = by_name["door"].cases(Request())
+    assert (door.physics, door.episodes) == ("bullet", 200)
+    assert by_name["door"].cases(Request(quick=True))[0].episodes == 20
+    goals = by_name["goals"].cases(Request(maps=("flat",)))
+    assert len(goals) == 2 * len(CELLS) and {case.case["map"] for case in goals} == {"drawn", "flat"}
+    both = by_name["goals"].cases(Request(maps=("flat", "office.3")))
+    assert len(both) == 2 * len(CELLS) and both[-1].case["map"] == "given"
+    assert both[-1].scenario == Spec(
+        "goals", {"map": ["flat", "office.3"], "people": 5, "goals": 3, "pool": POOL}
+    )
+    assert [(int(case.case["people"]), int(case.case["goals"])) for case in goals[:5]] == list(CELLS)
+    assert len(by_name["cards"].cases(Request())) == 8
+    assert all(case.physics == "compiled" for case in by_name["cards"].cases(Request(physics="compiled")))
+
+
+ODD = "a,b=[c:d,people=1"
+"""A folder that would mean something else in a text of settings."""
+
+
+@pytest.mark.parametrize("suite", ["goals", "table2"])
+def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
+    file = tmp_path / ODD / "plan.yaml"
+    file.parent.mkdir()
+    write_ros(flat(), file)
+    evaluation = Evaluation(["go_to_goal"], [suite], Request(1, True, "compiled", (str(file),)))
+    unit = next(unit for unit in evaluation.units if unit.case.case["map"] == "plan")
+    (row,) = work(unit)
+    assert row["n"] == 1 and len(row["per_agent"]) == 2
+
+
+def test_recordings_may_have_any_root(shared: Path, tmp_path: Path) -> None:
+    (tmp_path / ODD).symlink_to(shared / "data")
+    request = Request(quick=True, root=str(tmp_path / ODD / "eth_ucy"))
+    evaluation = Evaluation(["go_to_goal"], ["replay"], request)
+    unit = next(unit for unit in evaluation.units if unit.case.name == "eth all")
+    (row,) = work(unit)
+    assert row["n"] > 0 and row["case"]["fold"] == "eth"
+    again = Evaluation(["go_to_goal"], ["replay"], request)
+    assert digest(again.units[evaluation.units.index(unit)]) == digest(unit)
+
+
+def test_policies_that_are_no_list_of_names_are_refused() -> None:
+    for policies in ([["orca", "go_to_goal"]], [None], 3):
+        with pytest.raises(UserError, match=r"policies.*\['orca', 'go_to_goal'\]"):
+            pedzoo.evaluate(policies, ["cards"])  # pyright: ignore[reportArgumentType]
+
+
+def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeping, "_kept", {})
+    first = keeping.prepared("goals:map=flat,people=2,goals=3,pool=6")
+    second = keeping.prepared("goals:map=flat,people=5,goals=3,pool=6")
+    other = keeping.prepared("goals:map=flat,people=2,goals=3,pool=7")
+    assert second.planner is first.planner and other.planner is not first.planner
+    assert (first.people, second.people) == (2, 5)
+    assert keeping.prepared("goals:map=flat,people=2,goals=3,pool=6") is first
+    assert keeping.prepared("goals:map=flat,people=2,goals=3,pool=6", "the file has changed") is not first
+    with pytest.raises(UserError, match="500 people do not fit"):
+        keeping.prepared("goals:map=flat,people=500,goals=3,pool=6")
+
+
+def test_without_recordings_the_embedded_crowd_is_replayed_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    report = pedzoo.evaluate(["go_to_goal"], ["replay"], quick=True)
+    real, rounds, missing = report["notes"]
+    assert "models with noise walk 1 x where all" in rounds
+    assert "real halves one half of them against the other" in real
+    assert "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone" in missing
+    assert report["protocol"]["warm_start"] == {"replay": "recorded"}
+    names = [(row["name"], row["case"]["simulated"]) for row in report["rows"]]
+    assert names == [
+        (name, kind) for kind in ("all", "one") for name in ("go_to_goal", "real", "real halves")
+    ]
+    (ours, real, halves), one = report["summary"][:3], report["summary"][3]
+    assert (ours["table"], one["table"], one["name"]) == ("replay all", "replay one", "go_to_goal")
+    assert real["metrics"]["realism"] == 0.0 and halves["metrics"]["realism"] > 0.0
+    assert ours["metrics"]["success"] == 1.0
+
+
+def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    held_out = {
+        "a.zara1": "zara1",
+        "a.hotel": "hotel",
+        "a.zara1_destination": "zara1",
+        "a.eth_ucy": "eth_ucy",
+        "b.eth_ucy": "eth_ucy",
+        "b.indoor": "eth_ucy",
+        "b.indoor_hotel": "hotel",
+    }
+    monkeypatch.setattr(unseen, "weight_files", lambda: {name: Path(name) for name in held_out})
+    monkeypatch.setattr(unseen, "read_config", lambda path: {"training": {"fold": held_out[str(path)]}})
+    assert unseen.for_fold("a.zara1:noise=step", "hotel") == "a.hotel:noise=step"
+    assert unseen.for_fold("a.zara1", "zara1") == "a.zara1"
+    assert unseen.for_fold("a.zara1", "univ") == "a.zara1" and unseen.has_seen("a.zara1", "univ")
+    assert unseen.for_fold("a.zara1_destination", "hotel") == "a.zara1_destination"
+    assert unseen.for_fold("a.eth_ucy:noise=none", "hotel") == "a.hotel:noise=none"
+    assert unseen.for_fold("b.eth_ucy", "hotel") == "b.eth_ucy"
+    assert unseen.for_fold("b.indoor:noise=step", "hotel") == "b.indoor_hotel:noise=step"
+    assert unseen.for_fold("b.indoor", "zara1") == "b.indoor"
+    assert unseen.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
+    assert not unseen.has_seen("a.hotel", "hotel") and not unseen.has_seen("orca", "hotel")
+    assert unseen.has_seen("b.eth_ucy", "zara2") and not unseen.has_seen("a.zara1", "embedded")
+
+
+def test_checkpoints_of_a_training_are_known_by_its_fold(tmp_path: Path) -> None:
+    file = tmp_path / "best.ckpt"
+    torch.save({"pedzoo": {"architecture": "sgan", "protocol": {"fold": "zara1"}}}, file)
+    assert unseen.has_seen(f"{file}:noise=step", "hotel") and not unseen.has_seen(str(file), "zara1")
+
+
+def test_models_of_a_folder_are_known_by_their_card(tmp_path: Path) -> None:
+    name = f"{tmp_path}/sgan_goal.mall"
+    write_card(make_card("sgan_goal.mall"), f"{name}.yaml")
+    assert unseen.has_seen(f"{name}:noise=step", "hotel") and not unseen.has_seen(name, "zara1")
+    assert unseen.for_fold(name, "hotel") == name
+
+
+def test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files(tmp_path: Path) -> None:
+    file = tmp_path / "parts"
+    journal = Journal(file)
+    journal.add("one", [{"n": 1}])
+    journal.add("two", [{"n": 2}])
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-5])
+    again = Journal(file)
+    assert again.done == {"one": [{"n": 1}]}
+    again.add("two", [{"n": 2}])
+    assert file.read_bytes() == whole
+    file.write_text("something else\n")
+    with pytest.raises(UserError, match="no finished parts"):
+        Journal(file)
+
+
+def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:
+    unit = Evaluation(["go_to_goal"], [small]).units[0]
+    others = [
+        unit._replace(policy="go_to_goal:dt=0.1", walks="go_to_goal:dt=0.1"),
+        unit._replace(seeds=(1,)),
+        unit._replace(deterministic=True),
+        unit._replace(case=unit.case._replace(episodes=7)),
+        unit._replace(case=unit.case._replace(inputs="another floor plan")),
+    ]
+    assert len({digest(one) for one in [unit, *others]}) == 6
+    assert digest(unit) == digest(Evaluation(["go_to_goal"], [small]).units[0])
+    model, digests = f"{Path(small).parent}/sgan.mall", []
+    for digit in "01":
+        write_card(make_card("sgan.mall", sha256=64 * digit), f"{model}.yaml")
+        digests.append(digest(unit._replace(policy=model, walks=model)))
+    assert digests[0] != digests[1], "other weights under the same name"
+    before = digest(unit)
+    Path(small.rpartition(":")[0]).write_text(f"{SMALL}# changed")
+    assert digest(unit) != before
+
+
+def test_the_mean_of_cases_and_its_interval_by_hand() -> None:
+    # deviations 0.3, 0.4 below and 0.06, 0.08 above add up in squares: 0.5 / 2 and 0.1 / 2
+    assert mean_interval([0.5, 0.9], [(0.2, 0.56), (0.5, 0.98)]) == pytest.approx((0.45, 0.75))
+    case = {"suite": "goals", "physics": "compiled"}
+    seconds = {"wall": 1.0, "cpu": 0.5}
+    rows = [
+        {
+            "name": name,
+            "table": "t",
+            "case": case,
+            "n": 20,
+            "seconds": seconds,
+            "metrics": metrics,
+            "ci95": ci95,
+        }
+        for name, metrics, ci95 in (
+            ("orca", {"success": 0.5, "time_s": 9.0}, {"success": (0.2, 0.56)}),
+            ("orca", {"success": 0.9}, {"success": (0.5, 0.98)}),
+            ("go_to_goal", {"success": 1.0}, {}),
+        )
+    ]
+    mine, other = summary(rows)
+    assert (mine["name"], mine["n"], mine["cases"], other["n"]) == ("orca", 40, 2, 20)
+    assert mine["metrics"] == pytest.approx({"success": 0.7})  # not everybody has a time
+    assert mine["ci95"]["success"] == pytest.approx((0.45, 0.75))
+    assert other["ci95"] == {} and mine["seconds"] == {"wall": 2.0, "cpu": 1.0}
+
+
+def test_tables_and_pages_show_the_same_cells(small: str, tmp_path: Path) -> None:
+    assert (
+        cell({"case": {}, "metrics": {"x": 0.926}, "ci95": {"x": (0.88, 0.961)}}, "x") == "0.93 [0.88, 0.96]"
+    )
+    assert cell({"case": {"seen": "yes"}, "metrics": {"x": 123.4}, "ci95": {}}, "x") == "123*"
+    assert cell({"case": {}, "metrics": {}, "ci95": {}}, "x") == "-"
+    evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], Request(episodes=2))
+    evaluation.run()
+    report = {**evaluation.report(), "versions": {"pedzoo": "0", "torch": "0"}}
+    shown = {small: Shown(("success",), ("success", "failed", "nobody_has_it"), "episodes")}
+    head, own, each = pages(report, shown)
+    assert [row[0] for row in head.rows] == ["go_to_goal", "constant_velocity"]
+    assert own.head == ["policy", "n", "success"] and each.head == ["policy", "circle", "two"]
+    assert own.rows[0][1:] == ["4", head.rows[0][1]]
+    text = markdown(report, shown, ["pedzoo", "evaluate", "a b"])
+    assert "Made by `pedzoo evaluate 'a b'`" in text
+    assert all(f"| {' | '.join(row)} |" in text for page in (head, own, each) for row in page.rows)
+
+
+@pytest.mark.parametrize("columns", [80, 120, 200])
+def test_tables_fit_the_terminal(
+    columns: int, small: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, as far as rich is concerned
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["evaluate", "go_to_goal", "--suite", small, "--episodes", "2"]) == 0
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert max(map(len, plain.splitlines())) <= columns
+    assert ("[0.34," in plain or "[0.34, 1.00]" in plain) and "…" not in plain
+
+
+def test_progress_goes_up_to_the_end(small: str) -> None:
+    steps: list[Step] = []
+    pedzoo.evaluate("go_to_goal", small, episodes=2, progress=steps.append)
+    done = [step.done for step in steps]
+    assert (done[0], steps[0].label) == (0.0, f"{small} circle: go_to_goal")
+    assert done == sorted(done) and math.isclose(done[-1], 1.0)
+    assert (steps[-1].units, steps[-1].total, steps[-1].left) == (2, 2, pytest.approx(0.0, abs=1e-6))
+
+
+def test_density_and_speed_are_drawn_where_there_is_a_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PEDZOO_DATA", raising=False)
+    file = tmp_path / "density.png"
+    assert main(["evaluate", "go_to_goal", "--suite", "cards", "--plot", str(file)]) == 2
+    assert "which is not asked for" in capsys.readouterr().err
+    curve = [{"density_per_m2": 0.1, "speed_m_per_s": None, "real_speed_m_per_s": 1.0, "real_share": 1.0}]
+    case = {"suite": "replay", "fold": "embedded", "simulated": "all"}
+    plot_density_speed([{"name": name, "case": case, "density_speed": curve} for name in ("a", "real")], file)
+    assert file.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(UserError, match="evaluate the suite replay"):
+        plot_density_speed([{"name": "a", "case": case}], file)

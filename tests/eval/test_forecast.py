@@ -1,0 +1,199 @@
+"""The open-loop table: which rows, in which order, under which protocol, and what must repeat."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+import torch
+from helpers.batches import random_weights
+
+from pedzoo.cli.main import main
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.eval.forecast import forecast
+from pedzoo.metrics.displacement import displacement_error
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.zoo.loading import save_weights
+
+SAMPLED = {"ade_sampled_m", "fde_sampled_m", "sample_distance_m"} | {
+    f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")
+}
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Two models with random weights: ``plain`` without a goal, ``goal`` for destinations."""
+    folder = tmp_path_factory.mktemp("weights")
+    options: dict[str, dict[str, Any]] = {
+        "plain": {"residual": "constant_velocity"},
+        "goal": {"goal_dim": 4, "goal_protocol": "destination", "residual": "bent_line", "map": "patch"},
+    }
+    found = {}
+    for name, given in options.items():
+        found[name] = str(folder / f"{name}.safetensors")
+        save_weights(random_weights(SGAN(**given)), found[name])
+    return found
+
+
+def make_data(goal: str = "none", **options: Any) -> TrajectoryDataModule:
+    return TrajectoryDataModule(**{"goal": goal, "batch_size": 256} | options)
+
+
+def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str, str]) -> None:
+    seen = []
+    data = make_data("destination")
+    names = [weights["plain"], weights["goal"]]
+    report = forecast(names, data, samples=3, seed=5, progress=lambda *step: seen.append(step))
+    rows = report["rows"]
+    assert [row["name"] for row in rows] == ["constant_velocity", *names, "straight_line", "bent_line"]
+    assert report["protocol"] == data.protocol | {"split": "test", "samples": 3}
+    assert report["protocol"]["goal"] == "destination" and report["protocol"]["fold"] == "embedded"
+    assert report["seeds"] == [5]
+    batches = len(data.test_dataloader())
+    assert seen == [(row["name"], i + 1, batches) for row in rows for i in range(batches)]
+    for row in rows:
+        assert row["n"] == len(data.sets["test"].rows)
+        assert set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} | SAMPLED
+        assert all(0 <= value < 100 for value in row["metrics"].values()), row
+        assert row["case"] == {}
+    json.dumps(report, allow_nan=False)
+
+
+def test_without_goals_there_are_no_lines_to_them(weights: dict[str, str]) -> None:
+    rows = forecast([weights["plain"]], make_data(), samples=0)["rows"]
+    assert [row["name"] for row in rows] == ["constant_velocity", weights["plain"]]
+    assert all(set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} for row in rows)
+    assert [row["name"] for row in forecast(["constant_velocity"], make_data(), 0)["rows"]] == [
+        "constant_velocity"
+    ]
+
+
+def test_constant_velocity_by_hand() -> None:
+    """One sample of a deterministic model is its mode, its best one too, and no sample differs."""
+    data = make_data()
+    row = forecast([], data, samples=3)["rows"][0]
+    distances = []
+    for batch in data.test_dataloader():
+        agents = agents_of(batch)
+        history, there = agents["history"], agents["mask"]
+        step = history[:, :, 7] - history[:, :, 6]
+        for k in range(8):
+            reached = history[:, :, 7] + (k + 1) * step
+            distances.append(torch.hypot(*(reached - agents["future"][:, :, k])[there].unbind(-1)))
+    errors = torch.stack([torch.cat(distances[k::8]) for k in range(8)])
+    metrics = row["metrics"]
+    assert metrics["ade_m"] == pytest.approx(errors.mean().item(), rel=1e-5)
+    assert metrics["fde_m"] == pytest.approx(errors[-1].mean().item(), rel=1e-5)
+    assert metrics["next_step_m"] == pytest.approx(errors[0].mean().item(), rel=1e-5)
+    assert metrics["sample_distance_m"] == 0.0
+    for name in ("ade_sampled_m", "min_ade_3_scene_m", "min_ade_3_agent_m"):
+        assert metrics[name] == metrics["ade_m"]
+    for name in ("fde_sampled_m", "min_fde_3_scene_m", "min_fde_3_agent_m"):
+        assert metrics[name] == metrics["fde_m"]
+
+
+def test_samples_count_and_repeat_with_their_seed(weights: dict[str, str]) -> None:
+    name, data = weights["plain"], make_data(batch_size=64)
+    first, again, other = (forecast([name], data, 3, seed)["rows"][1]["metrics"] for seed in (0, 0, 1))
+    assert first == again
+    for key in ("ade_m", "fde_m", "next_step_m"):  # of the mode, which has no noise
+        assert first[key] == other[key]
+    for key in SAMPLED:
+        assert first[key] != other[key]
+    assert first["sample_distance_m"] > 1e-3
+    assert first["min_ade_3_agent_m"] < first["min_ade_3_scene_m"] < first["ade_sampled_m"]
+    assert (
+        forecast(["bent_line", name], make_data("window_end", batch_size=64), 3)["rows"][2]["metrics"]
+        == first
+    )
+
+
+def test_mode_and_samples_are_those_of_the_model(weights: dict[str, str]) -> None:
+    from pedzoo.models.zoo.loading import load
+
+    data = make_data(batch_size=4096)
+    metrics = forecast([weights["plain"]], data, 3, seed=2)["rows"][1]["metrics"]
+    (batch,) = list(data.test_dataloader())
+    agents, model = agents_of(batch), load(weights["plain"])
+    with torch.no_grad():
+        paths = {
+            "ade_m": model.mode(batch, 8),
+            "ade_sampled_m": model.sample(batch, 3, 8, torch.Generator().manual_seed(2)),
+        }
+    for name, path in paths.items():
+        error = displacement_error(path, agents["history"], agents["future"]).transpose(1, 2)[agents["mask"]]
+        assert metrics[name] == pytest.approx(error.mean().item(), rel=1e-5)
+
+
+def test_a_model_asked_for_another_goal_says_so(weights: dict[str, str]) -> None:
+    rows = {row["name"]: row for row in forecast(list(weights.values()), make_data("window_end"), 1)["rows"]}
+    assert rows[weights["goal"]]["case"] == {"note": "trained for destination goals"}
+    assert rows[weights["plain"]]["case"] == {} and rows["bent_line"]["case"] == {}
+
+
+def test_lines_know_whether_the_goal_is_timed() -> None:
+    timed, free = (
+        {row["name"]: row["metrics"] for row in forecast([], make_data(goal), 0)["rows"]}
+        for goal in ("window_end", "destination")
+    )
+    for name in ("straight_line", "bent_line"):
+        assert timed[name]["fde_m"] < 1e-5 < free[name]["fde_m"]
+    assert timed["bent_line"]["ade_m"] < timed["straight_line"]["ade_m"]
+    assert timed["constant_velocity"] == free["constant_velocity"]
+
+
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_any_split_is_counted_whole(split: str) -> None:
+    data = make_data()
+    report = forecast([], data, 0, split=cast("Any", split))
+    assert report["protocol"]["split"] == split
+    assert report["rows"][0]["n"] == len(data.sets[cast("Any", split)].rows)
+
+
+def test_unknown_positions_do_not_count(weights: dict[str, str]) -> None:
+    partly = forecast([weights["plain"]], make_data(people="present", min_people=1), 3)["rows"]
+    complete = forecast([weights["plain"]], make_data(), 3)["rows"]
+    for some, all_ in zip(partly, complete, strict=True):
+        assert some["n"] > all_["n"]
+        assert all(0 <= value < 100 for value in some["metrics"].values())
+
+
+def test_what_cannot_be_forecast_is_refused(weights: dict[str, str]) -> None:
+    with pytest.raises(UserError, match=r"goal\.safetensors needs a goal.*trained on destination"):
+        forecast([weights["goal"]], make_data())
+    with pytest.raises(UserError, match="bent_line needs a goal"):
+        forecast(["bent_line"], make_data())
+    with pytest.raises(UserError, match="random_future goals are for training"):
+        forecast([], make_data("random_future"))
+    with pytest.raises(UserError, match="unknown model 'bent_lime': did you mean 'bent_line'"):
+        forecast(["bent_lime"], make_data())
+    with pytest.raises(UserError, match="samples -1: expected at least 0"):
+        forecast([], make_data(), samples=-1)
+
+
+def test_the_command_writes_what_the_function_returns(
+    weights: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    argv = ["forecast", weights["goal"], "--data.fold", "embedded", "--data.goal", "window_end"]
+    assert main([*argv, "--data.batch_size", "256", "--samples", "3", "--seed", "4", "--json", str(out)]) == 0
+    written = json.loads(out.read_text())
+    direct = forecast([weights["goal"]], make_data("window_end"), 3, 4)
+    assert written["command"] == "forecast" and "torch" in written["versions"]
+    assert {key: written[key] for key in direct} == json.loads(json.dumps(direct))
+    printed = capsys.readouterr().out
+    assert "goal window_end" in printed and "constant_velocity" in printed and "bent_line" in printed
+    assert written["rows"][1]["case"] == {"note": "trained for destination goals"}
+
+
+def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    argv = ["forecast", weights["plain"], weights["goal"], "--samples", "1", "--json", str(out)]
+    assert main([*argv, "--data.fold", "embedded"]) == 0
+    written = json.loads(out.read_text())
+    assert written["protocol"]["goal"] == "destination"
+    assert all(row["case"] == {} for row in written["rows"])

@@ -1,0 +1,169 @@
+"""Who goes first through a door: values computed by hand, and ORCA's mirror images."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+import torch
+from helpers.walks import made
+from torch import Tensor
+
+from pedzoo.core.draws import Draws
+from pedzoo.core.registry import SCENARIOS
+from pedzoo.eval.rollout import rollout
+from pedzoo.metrics import door
+from pedzoo.metrics.closed_loop import closed_loop
+from pedzoo.metrics.ratios import summarised
+from pedzoo.metrics.smoothness import velocities
+from pedzoo.sim.rollout import Rollout
+
+INF = float("inf")
+BOTH = torch.tensor([[0, 1]])
+GATE = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]], dtype=torch.float64)
+
+
+def walk(*corners: tuple[float, float, float]) -> Tensor:
+    """Return the path (1 + T, 2) of who is at x, y at these times, seconds, and walks straight in between."""
+    points = []
+    for (x0, y0, t0), (x1, y1, t1) in pairwise(corners):
+        share = torch.arange(round(10 * (t1 - t0)), dtype=torch.float64) / round(10 * (t1 - t0))
+        points.append(torch.stack((x0 + share * (x1 - x0), y0 + share * (y1 - y0)), dim=-1))
+    return torch.cat((*points, torch.tensor([corners[-1][:2]], dtype=torch.float64)))
+
+
+def passed(*paths: Tensor, gate: Tensor = GATE) -> list[float]:
+    path = torch.stack(paths).unsqueeze(0)
+    scored = torch.ones(*path.shape[:2], path.shape[2] - 1, dtype=torch.bool)
+    return door.passing_seconds(path, scored, gate)[0].tolist()
+
+
+def metrics(walked: Rollout) -> dict[str, float]:
+    return summarised(closed_loop(walked, 0.4))[0]
+
+
+def test_people_pass_when_they_cross_the_line_between_the_jambs_for_good() -> None:
+    straight = walk((-0.53, 0.4, 0.0), (3.47, 0.4, 4.0))  # crosses between two points
+    there_and_back = walk((-1.0, 0.0, 0.0), (1.0, 0.0, 2.0), (-1.0, 0.0, 4.0))
+    at_last = walk((1.0, 0.0, 0.0), (-0.5, 0.0, 1.5), (0.5, 0.0, 2.5), (-1.0, 0.0, 4.0))
+    beside = walk((-1.0, 0.43, 0.0), (1.0, 0.43, 4.0))
+    waits = walk((-1.0, 0.0, 0.0), (-0.2, 0.0, 4.0))
+    assert passed(straight, there_and_back, at_last, beside, waits) == pytest.approx(
+        [0.53, INF, 3.0, INF, INF]
+    )
+
+
+def test_who_is_not_there_does_not_pass() -> None:
+    path = walk((-1.0, 0.0, 0.0), (1.0, 0.0, 2.0)).view(1, 1, 21, 2)
+    scored = torch.ones(1, 1, 20, dtype=torch.bool)
+    scored[0, 0, 8:] = False
+    assert door.passing_seconds(path, scored, GATE).tolist() == [[INF]]
+
+
+def test_pair_is_of_the_nearest_from_either_side() -> None:
+    start = (
+        torch.tensor([[-3.0, 0.0], [2.0, 0.5], [-2.5, 0.1], [1.0, 0.0], [-1.0, 0.0]]).double().unsqueeze(0)
+    )
+    mask = torch.tensor([[True, True, True, True, False]])
+    pair, met = door.pair(start, mask, GATE)
+    assert pair.tolist() == [[2, 3]] and met.tolist() == [True]
+    assert door.pair(start, mask & (start[..., 0] < 0), GATE)[1].tolist() == [False]
+
+
+def test_symmetry_index_of_who_waits_until_the_other_is_through() -> None:
+    waits, goes = walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))
+    path = torch.stack((waits, goes)).unsqueeze(0)
+    scored = torch.ones(1, 2, 50, dtype=torch.bool)
+    index, known = door.symmetry_index(path, scored, GATE, BOTH)
+    # the sum of both grows by 0.1 m at each of 50 points: 2.55 m in the mean
+    assert known.all() and float(index) == pytest.approx(2.55 / 2.5)
+    scored[0, 0, 25:] = False
+    assert float(door.symmetry_index(path, scored, GATE, BOTH)[0]) == pytest.approx(1.3 / 2.5)
+    metres, known = door.asymmetry(path, scored, GATE, BOTH)
+    assert known.all() and float(metres) == pytest.approx(1.3)
+    mirrored = torch.stack((goes, -goes)).unsqueeze(0)
+    assert float(door.symmetry_index(mirrored, scored, GATE, BOTH)[0]) == 0.0
+    assert not door.symmetry_index(path, scored & False, GATE, BOTH)[1]
+
+
+def test_yield_delay_and_whether_the_faster_goes_first() -> None:
+    seconds = torch.tensor([[3.0, 4.5], [4.5, 3.0], [3.0, INF], [3.0, 4.0], [2.0, 2.0]], dtype=torch.float64)
+    speeds = torch.tensor([[1.2, 1.4], [1.2, 1.4], [1.4, 1.2], [1.3, 1.34], [1.3, 1.4]])
+    assert door.yield_delay(seconds).tolist() == [1.5, 1.5, INF, 1.0, 0.0]
+    first, known = door.faster_first(seconds, speeds)
+    assert known.tolist() == [True, True, False, False, True]
+    assert first.tolist() == [False, True, False, False, False]
+
+
+def test_yielder_speed_is_the_least_of_the_second_before_they_pass() -> None:
+    first = walk((2.0, 0.0, 0.0), (-2.0, 0.0, 4.0), (-2.0, 0.0, 8.0))
+    # slows down to 0.25 m/s, passes at 5.2 s, and stands only behind the door
+    second = walk((-2.0, 0.0, 0.0), (-0.8, 0.0, 1.2), (-0.4, 0.0, 2.8), (1.6, 0.0, 4.8), (1.6, 0.0, 8.0))
+    path = torch.stack((first, second)).unsqueeze(0)
+    scored = torch.ones(1, 2, 80, dtype=torch.bool)
+    seconds = door.passing_seconds(path, scored, GATE)
+    assert seconds[0].tolist() == pytest.approx([2.0, 3.2])
+    assert float(door.yielder_speed(*velocities(path, scored), seconds, 0.4)) == pytest.approx(0.25)
+    unknown = torch.tensor([[2.0, INF]], dtype=torch.float64)
+    assert float(door.yielder_speed(*velocities(path, scored), unknown, 0.4)) == INF
+
+
+def test_specific_flow_is_persons_per_width_and_time_between_first_and_last() -> None:
+    seconds = torch.tensor([[2.0, 1.0, INF, 3.5], [1.0, INF, INF, INF], [1.0, 1.0, INF, INF]]).double()
+    through, room = door.flow(seconds, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.8]).expand(3, 5))
+    assert through.tolist() == [3, 0, 0] and room.tolist() == pytest.approx([0.8 * 2.5, 0.0, 0.0])
+
+
+def test_metrics_of_somebody_who_yields() -> None:
+    quick = walk((-2.5, 0.0, 0.0), (2.5, 0.0, 4.0), (2.5, 0.0, 8.0))
+    slow = walk((2.6, 0.3, 0.0), (1.0, 0.3, 2.0), (1.0, 0.3, 4.0), (-2.2, 0.3, 8.0))
+    path = torch.stack((slow, quick)).unsqueeze(0)
+    found = metrics(made(path, gate=GATE, pref_speed=torch.tensor([[0.9, 1.3]])))
+    assert found["yield_delay_s"] == pytest.approx(5.25 - 2.0)
+    assert found["faster_first"] == 1.0
+    assert found["yielder_speed_m_per_s"] == pytest.approx(0.0, abs=1e-6)
+    assert found["specific_flow_per_m_s"] == pytest.approx(2 / (0.85 * 3.25))
+    alone = metrics(made(path[:, :1], gate=GATE))
+    assert not {"symmetry_index", "yield_delay_s", "faster_first", "specific_flow_per_m_s"} & set(alone)
+    assert "symmetry_index" not in metrics(made(path))
+
+
+def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
+    """The sum of both grows by 0.1 m at each point; the second arrives at the 21st."""
+    path = torch.stack((walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))))
+    reached = (torch.arange(50) >= 20).long() * torch.tensor([[[0], [1]]])
+    found = metrics(made(path.unsqueeze(0), gate=GATE, reached=reached))
+    assert found["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
+    assert found["symmetry_index"] == pytest.approx(2.55 / 2.5)
+
+
+def test_nobody_yields_where_orca_walks_in_mirror_images() -> None:
+    policy, alike = "orca:radius=0.1,jitter=0,dt=0.4", "door:speed_std=0,jitter=0"
+    walked, _ = rollout(policy, alike, "compiled", 1)
+    found = metrics(walked)
+    assert found["success"] == 1.0
+    assert found["symmetry_index"] < 1e-3 and found["yield_delay_s"] < 1e-3 and found["symmetry_m"] < 1e-3
+    assert "faster_first" not in found  # they like to walk as fast as each other
+    yields, _ = rollout(policy, f"{alike},speed_ratio=0.6", "compiled", 1)
+    found = metrics(yields)
+    assert found["faster_first"] == 1.0 and found["symmetry_index"] > 0.1 and found["yield_delay_s"] > 1.0
+
+
+@pytest.mark.parametrize("name", ["door", "room_exit"])
+def test_gates_are_as_wide_as_the_free_cells_between_the_jambs(name: str) -> None:
+    scenario = SCENARIOS.get(name)(width=[0.75, 0.9, 1.2])
+    scenario.prepare(0.25)
+    draws = Draws.of(0, torch.arange(12))
+    gates = scenario.gate(draws)
+    rows = scenario.bank.index(scenario.layout(draws).map_id)
+    assert gates is not None and len(set(gates[:, 4].tolist())) == 3
+    for gate, row in zip(gates, rows.tolist(), strict=True):
+        grid = scenario.bank.grids[row]
+        x0, y0, _ = grid.origin
+        wall = grid.cells[:, math.floor((float(gate[0]) - x0) / grid.resolution + 1e-6)]
+        free = [y0 + (i + 0.5) * grid.resolution for i, cell in enumerate(wall) if cell == 0]
+        inside = [y for y in free if abs(y) < 1.5]
+        assert len(inside) * grid.resolution == pytest.approx(float(gate[4]))
+        assert sum(inside) / len(inside) == pytest.approx(float(gate[1]), abs=1e-6)
+    assert gates[:, 2:4].tolist() == [[1.0, 0.0]] * 12

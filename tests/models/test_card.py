@@ -1,0 +1,192 @@
+"""Model cards: what is written comes back, wrong ones are refused with a reason, the page says it all."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from helpers.model_cards import make_card
+
+from pedzoo.core.errors import UserError
+from pedzoo.models.zoo.card import read_card, write_card
+from pedzoo.models.zoo.card_page import page
+
+
+def written(path: Path, **changed: Any) -> Path:
+    """Write a card whose values need not make sense; ``...`` leaves a key out."""
+    values = asdict(make_card()) | changed
+    path.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not ...}))
+    return path
+
+
+def measured(row: dict[str, Any] | None = None, **changed: Any) -> dict[str, Any]:
+    """Return an evaluation with something else in it, or in its row."""
+    report = make_card().evaluations[0] | changed
+    return report | {"rows": [report["rows"][0] | (row or {})]}
+
+
+def test_a_card_is_the_same_when_read_again(tmp_path: Path) -> None:
+    card = make_card()
+    write_card(card, tmp_path / "new" / "a.yaml")
+    assert read_card(tmp_path / "new" / "a.yaml") == card
+    write_card(read_card(tmp_path / "new" / "a.yaml"), tmp_path / "b.yaml")
+    assert (tmp_path / "b.yaml").read_bytes() == (tmp_path / "new" / "a.yaml").read_bytes()
+    assert (tmp_path / "b.yaml").read_text().startswith("name: sgan_goal.zara1\narchitecture: sgan\n")
+    assert os.listdir(tmp_path / "new") == ["a.yaml"]
+
+
+def test_small_numbers_are_numbers_again_and_shared_parts_are_written_out(tmp_path: Path) -> None:
+    versions = {"pedzoo": "0.1.0"}
+    report = {"command": "x", "protocol": {"lr": 1e-07}, "seeds": [0], "versions": versions, "rows": []}
+    write_card(make_card(evaluations=[report, report], versions=versions), tmp_path / "a.yaml")
+    assert read_card(tmp_path / "a.yaml").evaluations[1]["protocol"]["lr"] == 1e-07
+    assert "&" not in (tmp_path / "a.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"licence": ...}, "licence is missing"),
+        ({"license": "MIT"}, "unknown key 'license': did you mean 'licence'"),
+        ({"size": "many"}, "size is 'many', expected a whole number"),
+        ({"size": True}, "size is True, expected a whole number"),
+        ({"versions": {"torch": 2}}, "versions 'torch' is 2, expected a text"),
+        (
+            {"training": make_card().training | {"epoch": 1.5}},
+            "epoch is 1.5, expected a whole n",
+        ),
+        ({"url": 3}, "url is 3, expected a text or null"),
+        ({"url": "file:///etc/passwd"}, "expected an address at http"),
+        ({"sha256": "abc"}, "expected 64 digits"),
+        ({"name": "../sgan.zara1"}, "expected ARCHITECTURE.TAG"),
+        ({"file": "../sgan.safetensors"}, "expected the plain name of a .safetensors file beside the card"),
+        ({"file": "/etc/sgan.safetensors"}, "no path"),
+        ({"file": "..\\sgan.safetensors"}, "no path"),
+        ({"file": "a/../sgan.safetensors"}, "no path"),
+        ({"file": "sgan.safetensors\n"}, "no path"),
+        ({"file": ".safetensors"}, "no path"),
+        ({"file": "sgan.pkl"}, r"expected the plain name of a \.safetensors file"),
+        ({"architecture": "social_vrnn"}, "architecture 'social_vrnn': its config is of 'sgan'"),
+        ({"config": {"architecture": "sgan"}}, "config init is missing"),
+        ({"config": {"architecture": "sgan", "init": {}, "hook": "x"}}, "unknown config key 'hook'"),
+        ({"config": ["sgan"]}, "config is .'sgan'., expected a mapping"),
+        ({"training": {"config": "sgan"}}, "training fold is missing"),
+        ({"data": make_card().data | {"licence": "?"}}, "unknown data key 'licence'"),
+        ({"data": make_card().data | {"recordings": [["a"]]}}, "data recordings are .*expected names"),
+        ({"evaluations": [{"rows": []}]}, "evaluations command is missing"),
+        ({"evaluations": ["good"]}, "evaluations is 'good', expected a mapping"),
+        ({"evaluations": [measured(command=["a"])]}, "evaluations command is .'a'., expected a text"),
+        (
+            {"evaluations": [measured({"metrics": {"ade_m": "low"}})]},
+            "metrics 'ade_m' is 'low', expected a num",
+        ),
+        (
+            {"evaluations": [measured({"ci95": {"ade_m": [1.0]}})]},
+            "ci95 'ade_m' is .1.0., expected 2 n",
+        ),
+        ({"evaluations": [measured({"ci95": {"ade_m": None}})]}, "ci95 'ade_m' is None, expected 2 numbers"),
+        ({"training": make_card().training | {"seeds": {0: "low"}}}, "seeds 0 is 'low', expected a number"),
+        ({"url": "https://host/a b"}, "expected an address at http"),
+    ],
+)
+def test_a_wrong_card_is_refused_with_the_reason(
+    changed: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match=rf"model card .*bad\.yaml': .*{message}"):
+        read_card(written(tmp_path / "bad.yaml", **changed))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "it is None, expected a mapping of name, architecture"),
+        ("[1, 2]", "expected a mapping"),
+        ("name: [", "cannot be read"),
+        ("name: !!python/object/apply:os.mkdir [trapped]", "cannot be read: could not determine"),
+        ("[" * 100_000, "at most 20 levels"),
+        ("\x00", "cannot be read"),
+    ],
+)
+def test_what_is_no_card_is_refused_and_nothing_in_it_runs(
+    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.yaml").write_text(text)
+    with pytest.raises(UserError, match=message):
+        read_card("bad.yaml")
+    assert os.listdir() == ["bad.yaml"]
+    with pytest.raises(UserError, match="no model card at"):
+        read_card("none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (".nan", "nan: expected plain values"),
+        ("2026-11-21", "expected plain values"),
+        ("2026-11-99", "cannot be read: day is out of range"),
+        ("!!timestamp soon", "cannot be read"),
+        ("!!bool perhaps", "cannot be read"),
+        ("!!int many", "cannot be read"),
+        ("9" * 5000, "cannot be read: Exceeds the limit"),
+        ("!!binary aGk=", "expected plain values"),
+        ("{1.5: x}", "expected plain values"),
+        (r'"\e[2J"', "x1b.*expected no control characters"),
+        (r'{"\b": 1}', "expected no control characters"),
+        ("&a [*a]", "expected no references"),
+        ("[&b [x, x, x], &c [*b, *b, *b], [*c, *c, *c]]", "expected no references"),
+    ],
+)
+def test_values_that_json_cannot_hold_and_endless_ones_are_refused(
+    value: str, message: str, tmp_path: Path
+) -> None:
+    path = written(tmp_path / "bad.yaml", versions=...)
+    path.write_text(f"{path.read_text()}\nversions: {{torch: {value}}}\n")
+    with pytest.raises(UserError, match=message):
+        read_card(path)
+
+
+def test_a_file_that_is_far_too_large_is_not_even_parsed(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_bytes(b"x" * 3_000_000)
+    with pytest.raises(UserError, match="larger than 2 MB"):
+        read_card(tmp_path / "bad.yaml")
+
+
+def test_a_page_says_everything_and_its_tables_hold() -> None:
+    card = make_card(licence="MIT | or not")
+    text = page(card)
+    for part in (
+        "# sgan_goal.zara1",
+        'pedzoo.load("sgan_goal.zara1")',
+        card.sha256,
+        "192,920 bytes",
+        "0: 0.0612, 1: 0.0605",
+        "pedzoo fit --config sgan_goal --data.pred_len 8",
+        "biwi_eth, biwi_hotel",
+        "for research",
+        "0.975 [0.871, 0.996]",
+        r"MIT \| or not",
+    ):
+        assert part in text
+    blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
+    assert len(blocks) == 8  # two evaluations and six sections
+    for lines in blocks:
+        assert len({line.replace(r"\|", "").count("|") for line in lines}) == 1
+    assert "Not measured yet." in page(make_card(evaluations=[]))
+
+
+def test_cards_are_read_without_torch(tmp_path: Path) -> None:
+    write_card(make_card(), tmp_path / "a.yaml")
+    code = (
+        "import sys; from pedzoo.models.zoo.card import read_card;"
+        "from pedzoo.models.zoo.card_page import page;"
+        "page(read_card('a.yaml'));"
+        "assert not {'torch', 'numpy', 'rich'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)

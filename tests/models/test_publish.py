@@ -1,0 +1,274 @@
+"""From a training run to weights with their card: what its records say, and the same bytes every time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from helpers.batches import make_batch, random_weights
+from helpers.model_cards import make_card
+
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.data.datasets.eth_ucy import EthUcy
+from pedzoo.data.provenance import provenance
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.export.publish import describe, publish, zoo_name
+from pedzoo.models.export.run_record import options_of
+from pedzoo.models.zoo.card import read_card
+from pedzoo.models.zoo.loading import config_of, load, save_weights
+
+PROTOCOL = {"fold": "zara1", "obs_len": 8, "pred_len": 8, "goal": "window_end", "clock": "benchmark"}
+OPTIONS: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
+
+
+def make_run(runs: Path, seed: int = 0, values: tuple[float, ...] = (0.3, 0.2), **changed: Any) -> Path:
+    """Make the folder of a run that validated every third epoch, as fit does; return best.ckpt."""
+    run = runs / "sgan_goal" / f"zara1-seed{seed}"
+    (run / "checkpoints").mkdir(parents=True)
+    model = random_weights(SGAN(**OPTIONS), seed=seed)
+    content = {
+        "pedzoo": config_of(model, protocol=PROTOCOL),
+        "state_dict": {f"generator.{key}": value for key, value in model.state_dict().items()},
+        "epoch": 3 * len(values) - 1,
+        "global_step": 60,
+    }
+    torch.save(content, run / "checkpoints" / "best.ckpt")
+    data: dict[str, Any] = {"fold": "zara1", "files": None, "root": f"/somewhere/{seed}"}
+    config = {"seed_everything": seed, "monitor": "val/ade", "monitor_mode": "min", "runs": str(runs)}
+    config |= {"model": {"lr": 0.001}, "data": data}
+    (run / "config.yaml").write_text(yaml.safe_dump(config | changed))
+    command = ["pedzoo", "fit", "--config", "sgan_goal", "--seed_everything", str(seed), "--runs", str(runs)]
+    command += ["--data.fold=zara1", "--model.lr=0.001", "--rollout.scenarios", "null"]
+    (run / "versions.json").write_text(json.dumps({"command": command, "versions": {"torch": "2.13.0"}}))
+    rows = ["epoch,step,train/loss,val/ade"]
+    for i, value in enumerate(values):
+        rows += [f"{3 * i},{10 * i},0.5,", f"{3 * i + 2},{10 * i + 9},,{value}"]
+    (run / "metrics.csv").write_text("\n".join(rows) + "\n")
+    return run / "checkpoints" / "best.ckpt"
+
+
+def test_the_card_says_what_the_run_recorded(tmp_path: Path) -> None:
+    checkpoint = make_run(tmp_path / "runs")
+    command = ["pedzoo", "fit", "--config", "sgan_goal", "--seed_everything", "0", "--data.fold=zara1"]
+    path = publish(checkpoint, tmp_path / "zoo")
+    assert path == tmp_path / "zoo" / "sgan_goal.zara1.yaml"
+    card, weights = read_card(path), path.with_suffix(".safetensors")
+    assert card.sha256 == hashlib.sha256(weights.read_bytes()).hexdigest()
+    assert card.size == weights.stat().st_size
+    assert card.training == {
+        "config": "sgan_goal",
+        "fold": "zara1",
+        "clock": "benchmark",
+        "goal": "window_end",
+        "seed": 0,
+        "seeds": {0: 0.2},
+        "chosen_by": "val/ade",
+        "value": 0.2,
+        "step": 60,
+        "epoch": 5,
+        "command": [*command, "--model.lr=0.001", "--rollout.scenarios", "null"],
+        "overrides": {"model.lr": "0.001"},
+    }
+    assert card.config["protocol"] == PROTOCOL and card.config["init"]["goal_dim"] == 4
+    assert card.config["training"] == {
+        "config": "sgan_goal", "fold": "zara1", "seed": 0, "chosen_by": "val/ade"
+    }  # fmt: skip
+    assert card.versions == {"torch": "2.13.0"} and card.evaluations == []
+    batch, noise = make_batch((3, 2)), torch.Generator()
+    one, other = (load(file).sample(batch, 2, 8, noise.manual_seed(0)) for file in (checkpoint, weights))
+    assert torch.equal(one, other)
+
+
+def test_a_checkpoint_published_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    checkpoint = make_run(tmp_path / "runs")
+    one, other = publish(checkpoint, tmp_path / "a"), publish(checkpoint, tmp_path / "b")
+    for suffix in (".yaml", ".safetensors"):
+        assert one.with_suffix(suffix).read_bytes() == other.with_suffix(suffix).read_bytes()
+
+
+def test_all_seeds_of_the_same_training_are_on_the_card(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    make_run(runs, 0, (0.3, 0.25))
+    checkpoint = make_run(runs, 1, (0.3, 0.2))
+    make_run(runs, 2, (0.1,))  # not finished
+    make_run(runs, 3, (0.1, 0.1), model={"lr": 0.002})  # another training
+    make_run(runs, 4, (0.22, 0.3), rollout={"scenarios": None})
+    (runs / "sgan_goal" / "zara1-seed5").mkdir()  # just begun
+    card = read_card(publish(checkpoint, tmp_path / "zoo"))
+    assert card.training["seeds"] == {0: 0.25, 1: 0.2, 4: 0.22}
+    assert card.training["seed"] == 1 and card.training["value"] == 0.2
+
+
+def test_a_resumed_run_keeps_how_it_began(tmp_path: Path) -> None:
+    checkpoint = make_run(tmp_path / "runs", 0, (0.15, 0.2, 0.18))
+    run = checkpoint.parents[1]
+    (run / "before-resume-1").mkdir()
+    lines = (run / "metrics.csv").read_text().splitlines()
+    (run / "before-resume-1" / "metrics.csv").write_text("\n".join(lines[:3]))
+    (run / "metrics.csv").write_text("\n".join([lines[0], *lines[3:]]))
+    (run / "versions.json").rename(run / "before-resume-1" / "versions.json")
+    again = {"command": ["pedzoo", "fit", "--resume", "runs/x"], "versions": {"torch": "2.14.0"}}
+    (run / "versions.json").write_text(json.dumps(again))
+    card = read_card(publish(checkpoint, tmp_path / "zoo"))
+    assert card.training["seeds"] == {0: 0.15} and card.training["value"] == 0.18
+    assert card.training["command"][:4] == ["pedzoo", "fit", "--config", "sgan_goal"]
+    assert card.versions == {"torch": "2.14.0"}
+
+
+def test_a_run_that_began_with_other_weights_saw_what_they_saw(tmp_path: Path) -> None:
+    base = publish(make_run(tmp_path / "base"), tmp_path / "zoo")
+    embedded = {"fold": "embedded", "files": None}
+    for began in (
+        f"{base.parent}/sgan_goal.zara1",
+        str(tmp_path / "base/sgan_goal/zara1-seed0/checkpoints/best.ckpt"),
+    ):
+        checkpoint = make_run(tmp_path / f"runs{len(began)}", weights=began, data=embedded)
+        content = torch.load(checkpoint, weights_only=True)
+        content["pedzoo"]["protocol"] = PROTOCOL | {"fold": "embedded"}
+        torch.save(content, checkpoint)
+        data = read_card(publish(checkpoint, tmp_path / "tuned")).data
+        assert data["recordings"] == sorted([*provenance("zara1")["recordings"], "plaza_train"])
+        assert "Pellegrini" in data["citation"] and "synthetic" in data["source"]
+    checkpoint = make_run(tmp_path / "lost", weights="gone/sgan.zara1", data=embedded)
+    with pytest.raises(
+        UserError, match=r"began with 'gone/sgan\.zara1', and the card has to say what they saw"
+    ):
+        publish(checkpoint, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_commands_on_cards_have_no_names_of_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A checkpoint that was published is called by its zoo name, and a shipped config's file by its own."""
+    began = make_run(tmp_path / "base", seed=1)
+    weights = publish(began, tmp_path / "zoo").with_suffix(".safetensors")
+    monkeypatch.setattr("pedzoo.models.export.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
+    checkpoint = make_run(tmp_path / "runs", weights=str(began))
+    file = checkpoint.parents[1] / "versions.json"
+    record = json.loads(file.read_text())
+    record["command"][3] = "/elsewhere/configs/sgan_goal.yaml"
+    record["command"] += ["--weights", str(began)]
+    file.write_text(json.dumps(record))
+    training = read_card(publish(checkpoint, tmp_path / "tuned")).training
+    assert training["command"][2:4] == ["--config", "sgan_goal"]
+    assert training["command"][-2:] == ["--weights", "sgan_goal.zara1"]
+    assert training["overrides"]["weights"] == "sgan_goal.zara1"
+
+
+def test_measurements_stay_as_long_as_the_weights_are_the_same(tmp_path: Path) -> None:
+    checkpoint, measured = make_run(tmp_path / "runs"), make_card().evaluations
+    path = publish(checkpoint, tmp_path, measured=measured)
+    assert read_card(publish(checkpoint, tmp_path)).evaluations == measured
+    assert read_card(publish(checkpoint, tmp_path, measured=[])).evaluations == []
+    publish(checkpoint, tmp_path, measured=measured)
+    other = make_run(tmp_path / "runs", 1)
+    assert publish(other, tmp_path) == path and read_card(path).evaluations == []
+
+
+def test_what_cannot_be_published_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    checkpoint = make_run(tmp_path / "runs")
+    with pytest.raises(UserError, match=r"'a/b\.c': expected ARCHITECTURE\.TAG"):
+        publish(checkpoint, tmp_path / "zoo", name="a/b.c")
+    alone = tmp_path / "alone" / "best.ckpt"
+    alone.parent.mkdir()
+    alone.write_bytes(checkpoint.read_bytes())
+    with pytest.raises(
+        UserError, match=r"not in the folder of its run: .* has no config\.yaml and no metrics"
+    ):
+        publish(alone, tmp_path / "zoo")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "sgan_goal.zara1.yaml").write_text("name: [")
+    with pytest.raises(UserError, match=r"model card .* cannot be read"):
+        publish(checkpoint, tmp_path / "there", name="sgan_goal.zara1")
+    assert not list((tmp_path / "there").glob("*.safetensors"))
+    content = torch.load(checkpoint, weights_only=True)
+    content["pedzoo"]["architecture"] = "own.py:Mine"
+    torch.save(content, checkpoint)
+    with pytest.raises(UserError, match="never make a file of code run"):
+        publish(checkpoint, tmp_path / "zoo")
+    assert not (tmp_path / "zoo").exists()
+
+
+def test_weights_whose_run_is_gone_are_described_by_themselves(tmp_path: Path) -> None:
+    weights = tmp_path / "sgan_goal.zara1.safetensors"
+    known = {"config": "sgan_goal", "fold": "zara1", "seed": 2, "chosen_by": "val/ade"}
+    save_weights(random_weights(SGAN(**OPTIONS)), weights, protocol=PROTOCOL, training=known)
+    before = weights.read_bytes()
+    card = read_card(describe(weights, make_card().evaluations))
+    assert weights.read_bytes() == before and card.sha256 == hashlib.sha256(before).hexdigest()
+    assert card.training["seed"] == 2 and card.training["clock"] == "benchmark"
+    assert card.training["command"] is None and card.training["seeds"] is None
+    assert "biwi_eth" in card.data["recordings"] and card.evaluations == make_card().evaluations
+    weights.rename(tmp_path / "mine.safetensors")
+    with pytest.raises(UserError, match="'mine': expected ARCHITECTURE"):
+        describe(tmp_path / "mine.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        ({}, "sgan_goal.zara1"),
+        ({"goal": "destination"}, "sgan_goal.zara1_destination"),
+        ({"pred_len": 12, "goal": "none"}, "sgan_goal.zara1_pred12"),
+        ({"clock": "true"}, "sgan_goal.zara1_true"),
+        ({"fold": "eth_ucy", "clock": "true"}, "sgan_goal.eth_ucy"),
+        ({"fold": "eth_ucy"}, "sgan_goal.eth_ucy_benchmark"),
+    ],
+)
+def test_names_say_what_was_not_seen_and_what_is_unusual(changed: dict[str, Any], name: str) -> None:
+    assert zoo_name("sgan_goal", PROTOCOL | changed) == name
+    assert zoo_name("sgan_goal_destination", PROTOCOL | {"goal": "destination"}).endswith("_destination")
+
+
+@pytest.mark.parametrize(
+    ("config", "fold", "name"),
+    [
+        ("open_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.eth_ucy_way"),
+        ("open_loop/sgan_goal_map", "zara1", "sgan_goal_map.zara1_way"),
+        ("closed_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.indoor"),
+        ("closed_loop/sgan_goal", "hotel", "sgan_goal.indoor_hotel"),
+        ("ppo/sgan_goal", "eth_ucy", "sgan_goal.eth_ucy_ppo"),
+    ],
+)
+def test_controllers_are_named_after_what_they_are_for(config: str, fold: str, name: str) -> None:
+    assert zoo_name(config, PROTOCOL | {"fold": fold, "clock": "true"}) == name
+    assert zoo_name(config, PROTOCOL | {"fold": fold}) == f"{name}_benchmark"
+
+
+def test_options_are_read_as_they_were_typed() -> None:
+    command = ["pedzoo", "fit", "-c", "sgan", "--a=1", "--b", "-2", "--flag", "--d", "x", "y"]
+    assert [(option.key, option.value) for option in options_of(command)] == [
+        ("config", "sgan"), ("a", "1"), ("b", "-2"), ("flag", "true"), ("d", "x y")
+    ]  # fmt: skip
+
+
+def test_recordings_on_cards_are_those_of_the_folds(shared: Path) -> None:
+    for fold in ("eth", "hotel", "univ", "zara1", "zara2", "eth_ucy"):
+        lists = EthUcy(fold, str(shared / "data")).lists
+        folds = lists if fold == "eth_ucy" else [fold]
+        files = {Path(file).stem for one in folds for file in lists[one]["train"]}
+        said = provenance(fold)["recordings"]
+        assert said == sorted(name.removesuffix("_train") for name in files), fold
+    assert "CC BY-NC" in provenance("zara1", plans=True)["terms"]
+    assert provenance(None, ["data/mall.csv"])["recordings"] == ["mall.csv"]
+    assert "synthetic" in provenance("embedded")["source"]
+
+
+def test_a_real_run_is_published_and_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    short = ["trainer.limit_train_batches=1", "trainer.limit_val_batches=1", "trainer.max_epochs=1"]
+    short += ["trainer.check_val_every_n_epoch=1", "trainer.enable_progress_bar=false", "model.samples=2"]
+    fit = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--rollout.scenarios", "null"]
+    assert main([*fit, *(f"--{option}" for option in short)]) == 0
+    card = read_card(publish("runs/sgan_goal/embedded-seed0/checkpoints/best.ckpt", "zoo"))
+    assert card.name == "sgan_goal.embedded" and card.data["recordings"] == ["plaza_train"]
+    assert card.training["seeds"] == {0: card.training["value"]} and card.training["epoch"] == 0
+    assert card.training["overrides"]["model.samples"] == "2"
+    assert load(Path("zoo") / card.file).goal_protocol == "window_end"

@@ -1,0 +1,402 @@
+"""Models from folders and addresses: found by one call, checked, kept, and refused with the reason."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from helpers.batches import make_batch, random_weights
+from helpers.server import Site, serving
+from safetensors.torch import save_file
+
+from pedzoo.core import fetch
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import weight_files
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.base import Forecaster
+from pedzoo.models.export.publish import describe
+from pedzoo.models.zoo.card import ModelCard, read_card, write_card
+from pedzoo.models.zoo.loading import list_models, load, obtain, save_weights
+from pedzoo.models.zoo.saved import saved_config
+from pedzoo.models.zoo.store import find
+from pedzoo.policies.load import load_policy
+
+NAME = "sgan_goal.mall"
+OPTIONS: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of this test's own, and an empty current folder."""
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(fetch, "WAITS", (0.0,))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for variable in ("PEDZOO_OFFLINE", "PEDZOO_ZOO", "HF_TOKEN"):
+        monkeypatch.delenv(variable, raising=False)
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def site() -> Iterator[Site]:
+    with serving() as running:
+        yield running
+
+
+@pytest.fixture
+def model() -> Forecaster:
+    return random_weights(SGAN(**OPTIONS)).eval()
+
+
+def made(model: Forecaster, folder: Path, name: str = NAME) -> ModelCard:
+    """Write weights and their card into a folder and return the card."""
+    save_weights(model, folder / f"{name}.safetensors")
+    return read_card(describe(folder / f"{name}.safetensors"))
+
+
+def changed(folder: Path, **values: Any) -> None:
+    """Change a card by hand, whether it makes sense or not."""
+    path = folder / f"{NAME}.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | values))
+
+
+def serve(site: Site, folder: Path, below: str) -> None:
+    """Put all files of a folder on a site."""
+    for path in folder.iterdir():
+        site.put(f"{below}/{path.name}", path.read_bytes())
+
+
+def same(one: Forecaster, other: Forecaster) -> bool:
+    batch, noise = make_batch((3, 2)), torch.Generator()
+    return torch.equal(*(m.sample(batch, 2, 8, noise.manual_seed(0)) for m in (one, other)))
+
+
+def test_a_folder_is_loaded_by_its_path(model: Forecaster, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = Path("mine")
+    made(model, folder)
+    (folder / "config.yaml").write_text("no: card")
+    assert obtain("mine") == folder / f"{NAME}.safetensors"
+    for name in (f"mine/{NAME}", "mine", "./mine", str(folder.absolute()), folder):
+        assert same(load(name), model)
+    made(model, folder, "sgan_goal.square")
+    with pytest.raises(UserError, match=r"folder 'mine' .*say which: mine/sgan_goal\.mall, mine/sgan_goal"):
+        load("mine")
+    with pytest.raises(UserError, match=r"model of 'mine' 'sgan_goal\.mal': did you mean 'sgan_goal\.mall'"):
+        load("mine/sgan_goal.mal")
+    Path("none").mkdir()
+    with pytest.raises(UserError, match="unknown model 'none'"):
+        load("none")
+    with pytest.raises(UserError, match="'none' is not that of one model: no card in it"):
+        load("./none")
+    monkeypatch.setenv("PEDZOO_ZOO", " elsewhere, mine ")
+    assert same(load(NAME), model)
+    assert {NAME, "sgan_goal.square"} <= set(list_models("sgan_goal.*"))
+
+
+def test_a_folder_named_like_an_architecture_does_not_hide_it(model: Forecaster) -> None:
+    made(model, Path("sgan"))
+    with pytest.raises(UserError, match="'sgan' is an architecture"):
+        load("sgan")
+    assert same(load("./sgan"), model)
+
+
+def test_a_model_of_the_web_is_fetched_once_and_found_offline(
+    model: Forecaster, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made(model, tmp_path / "zoo")
+    serve(site, tmp_path / "zoo", "our/zoo")
+    address = f"{site.url}/our/zoo/{NAME}"
+    assert same(load(address), model)
+    assert [path for path, _ in site.asked] == [f"our/zoo/{NAME}.yaml", f"our/zoo/{NAME}.safetensors"]
+    assert same(load(address), model) and same(load(f"{address}.safetensors"), model)
+    assert same(load(NAME), model) and NAME in list_models()
+    assert load_policy(f"{address}:noise=step").noise == "step"  # pyright: ignore[reportAttributeAccessIssue]
+    assert len(site.asked) == 2
+    site.pages.clear()
+    monkeypatch.setenv("PEDZOO_OFFLINE", "1")
+    assert same(load(address), model) and same(load(NAME), model)
+    with pytest.raises(UserError, match=r"sgan\.mall\.yaml is not there, and PEDZOO_OFFLINE forbids"):
+        load(f"{site.url}/our/zoo/sgan.mall")
+
+
+def test_what_else_lies_in_the_cache_is_no_model(
+    model: Forecaster, site: Site, tmp_path: Path, home: Path
+) -> None:
+    made(model, tmp_path / "zoo")
+    site.put(f"{NAME}.yaml", (tmp_path / "zoo" / f"{NAME}.yaml").read_bytes())
+    find(f"{site.url}/{NAME}")
+    for junk in (
+        "sgan.a.yaml",
+        "hf/sgan.b.yaml",
+        "hf/me/sgan.c.yaml",
+        "http/sgan.d.yaml",
+        "http/host/notes.yaml",
+    ):
+        (home / "models" / junk).parent.mkdir(parents=True, exist_ok=True)
+        (home / "models" / junk).write_text("x: 1")
+    assert set(list_models()) == {*weight_files(), NAME}
+    with pytest.raises(UserError, match=r"unknown model 'sgan_goal\.mal': did you mean 'sgan_goal\.mall'"):
+        obtain("sgan_goal.mal")
+
+
+def test_damaged_weights_are_fetched_anew(model: Forecaster, site: Site, tmp_path: Path) -> None:
+    made(model, tmp_path / "zoo")
+    serve(site, tmp_path / "zoo", "zoo")
+    kept = obtain(f"{site.url}/zoo/{NAME}")
+    kept.write_bytes(kept.read_bytes()[:100])
+    assert same(load(NAME), model)
+
+
+def test_the_same_name_from_two_places_has_to_be_told_apart(
+    model: Forecaster, site: Site, tmp_path: Path
+) -> None:
+    made(model, tmp_path / "zoo")
+    for below in ("a", "b"):
+        serve(site, tmp_path / "zoo", below)
+        obtain(f"{site.url}/{below}/{NAME}")
+    with pytest.raises(UserError, match=f"fetched from 2 places, say which: {site.url}/a/{NAME} or "):
+        load(NAME)
+
+
+def test_models_of_the_hub(
+    model: Forecaster, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_ENDPOINT", site.url)
+    monkeypatch.setenv("HF_TOKEN", "secret")
+    made(model, tmp_path / "zoo")
+    serve(site, tmp_path / "zoo", "me/walkers/resolve/main")
+    serve(site, tmp_path / "zoo", "me/walkers/resolve/v2")
+    assert same(load(f"hf://me/walkers/{NAME}"), model)
+    assert same(load(f"hf://me/walkers@v2/{NAME}"), model)
+    assert {headers.get("Authorization") for _, headers in site.asked} == {"Bearer secret"}
+    with pytest.raises(UserError, match=r"add /ARCH\.TAG"):
+        site.put("me/walkers/resolve/v3/README.md", b"---\nlicense: mit\n---\n# Walkers\n")
+        load("hf://me/walkers@v3")
+    readme = f"---\nlicense: mit\nmodel_name: {NAME}\n---\n# Walkers\n"
+    site.put("me/walkers/resolve/main/README.md", readme.encode())
+    assert same(load("hf://me/walkers"), model)
+    for wrong in (
+        "hf://me",
+        "hf://../walkers",
+        "hf://me/walkers@",
+        "hf://me/walkers/a/sgan.b",
+        "hf://me/w/sgan",
+    ):
+        with pytest.raises(UserError, match=r"expected (hf://OWNER/REPO|ARCHITECTURE)"):
+            load(wrong)
+
+
+def test_the_token_of_the_hub_is_for_the_hub_alone(
+    model: Forecaster, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    card = made(model, tmp_path / "zoo")
+    with serving() as other:
+        monkeypatch.setenv("HF_ENDPOINT", site.url)
+        monkeypatch.setenv("HF_TOKEN", "secret")
+        weights = (tmp_path / "zoo" / card.file).read_bytes()
+        write_card(replace(card, url=other.put("w", weights)), tmp_path / "zoo" / f"{NAME}.yaml")
+        serve(site, tmp_path / "zoo", "me/walkers/resolve/main")
+        assert same(load(f"hf://me/walkers/{NAME}"), model)
+        assert len(other.asked) == 1 and "Authorization" not in other.asked[0][1]
+
+
+def test_weights_at_another_address_than_the_card(model: Forecaster, site: Site) -> None:
+    card = made(model, Path("mine"))
+    (Path("mine") / card.file).rename("elsewhere")
+    with pytest.raises(UserError, match=r"has no weights: its card expects .*sgan_goal\.mall\.safetensors'"):
+        load("mine")
+    write_card(replace(card, url=site.put("large", Path("elsewhere").read_bytes())), f"mine/{NAME}.yaml")
+    assert same(load("mine"), model) and same(load("mine"), model)
+    assert len(site.asked) == 1
+
+
+def test_a_source_of_the_user_is_searched_for_names(
+    model: Forecaster, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made(model, tmp_path / "zoo")
+    serve(site, tmp_path / "zoo", "zoo")
+    monkeypatch.setenv("PEDZOO_ZOO", f"{site.url}/zoo/")
+    assert same(load(NAME), model)
+    with pytest.raises(UserError, match=r"did you mean 'sgan_goal\.mall'.*PEDZOO_ZOO: .*mal\.yaml: 404"):
+        load("sgan_goal.mal")
+    monkeypatch.setenv("PEDZOO_ZOO", f"gone,{tmp_path}/zoo")
+    with pytest.raises(UserError, match=r"PEDZOO_ZOO: no folder 'gone'$"):
+        load("sgan_goal.mal")
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a" * 300 + ".b", "x/" + "a" * 300, "https://[::1/sgan.b"])
+def test_names_that_nothing_can_have_are_refused_as_others_are(name: str) -> None:
+    with pytest.raises(UserError):
+        load(name)
+
+
+def test_who_misspells_is_shown_the_family_and_not_all_there_is() -> None:
+    known = {"sgan_goal": r"known: sgan_goal\.eth, .*, sgan_goal\.zara2$"}
+    known |= {"sgan_gaol.zara1": r"did you mean 'sgan_goal\.zara1'\? known: sgan_goal\.eth, "}
+    known |= {"orca": r"known: sgan\.\*, sgan_goal\.\*, "}
+    for name, message in known.items():
+        with pytest.raises(UserError, match=message) as caught:
+            obtain(name)
+        assert "sgan_goal_map.zara1" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        ("https://host", "HOST/FOLDER"),
+        ("https:///zoo/sgan.x", "HOST/FOLDER"),
+        ("https://user:word@host/zoo/sgan.x", "HOST/FOLDER"),
+        ("https://host/zoo/sgan.x?token=1", "HOST/FOLDER"),
+        ("https://host/zoo/", "HOST/FOLDER"),
+        ("https://host/zoo/../../sgan.x", "may lead out of"),
+    ],
+)
+def test_addresses_of_another_form_are_refused(url: str, expected: str) -> None:
+    with pytest.raises(UserError, match=expected):
+        load(url)
+
+
+def test_what_is_not_trained_says_nothing_of_its_training() -> None:
+    assert saved_config("constant_velocity") == {} and saved_config("own.py:Mine") == {}
+    assert saved_config("sgan_goal.zara1")["protocol"]["fold"] == "zara1"
+    with pytest.raises(UserError, match=r"did you mean 'sgan_goal\.zara1'"):
+        saved_config("sgan_gaol.zara1")
+
+
+def test_tampered_weights_are_refused(model: Forecaster, site: Site, tmp_path: Path) -> None:
+    card = made(model, Path("mine"))
+    weights = Path("mine") / card.file
+    data = bytearray(weights.read_bytes())
+    data[-1] ^= 1
+    weights.write_bytes(data)
+    with pytest.raises(UserError, match=r"have sha256 .*, but their card says .*: get both anew"):
+        load("mine")
+    serve(site, Path("mine"), "zoo")
+    with pytest.raises(UserError, match=r"not have the expected content.*if the model has changed there"):
+        load(f"{site.url}/zoo/{NAME}")
+    assert not list((tmp_path / "home").rglob("*.safetensors"))
+
+
+def test_the_sum_of_another_file_is_refused(model: Forecaster) -> None:
+    made(model, Path("mine"))
+    other = made(random_weights(SGAN(**OPTIONS), seed=1), Path("other"))
+    changed(Path("mine"), sha256=other.sha256)
+    with pytest.raises(UserError, match=f"but their card says {other.sha256}"):
+        load("mine")
+
+
+def test_a_pickle_under_the_name_of_weights_is_refused_and_not_run(model: Forecaster) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple:
+            return Path.mkdir, (Path("trapped"),)
+
+    card = made(model, Path("mine"))
+    weights = Path("mine") / card.file
+    for protocol in (0, 2, 4):
+        weights.write_bytes(pickle.dumps(Trap(), protocol))
+        changed(Path("mine"), sha256=fetch.sha256_of(weights), size=weights.stat().st_size)
+        with pytest.raises(UserError, match="cannot be read"):
+            load("mine")
+    assert not Path("trapped").exists()
+
+
+def test_a_card_that_climbs_out_of_its_folder_is_refused(
+    model: Forecaster, site: Site, tmp_path: Path
+) -> None:
+    card = made(model, Path("mine"))
+    (Path("mine") / card.file).rename("outside.safetensors")
+    for file in ("../outside.safetensors", str(Path("outside.safetensors").absolute())):
+        changed(Path("mine"), file=file)
+        with pytest.raises(UserError, match=r"expected the plain name of a \.safetensors file"):
+            load("mine")
+    serve(site, Path("mine"), "zoo")
+    with pytest.raises(UserError, match=rf"{site.url}/zoo/{NAME}: model card .*no path"):
+        load(f"{site.url}/zoo/{NAME}")
+    assert not list((tmp_path / "home").rglob("*.yaml"))
+
+
+def test_configs_with_unknown_keys_and_cards_of_others_are_refused(model: Forecaster) -> None:
+    card = made(model, Path("mine"))
+    changed(Path("mine"), config=card.config | {"hook": "x"})
+    with pytest.raises(UserError, match="unknown config key 'hook'"):
+        load("mine")
+    changed(Path("mine"), config=card.config | {"init": {"wings": 2}})
+    with pytest.raises(
+        UserError, match=r"card of 'sgan_goal\.mall' is not that of its weights.* config init"
+    ):
+        load("mine")
+    changed(Path("mine"), config=card.config | {"architecture": "bent_line"}, architecture="bent_line")
+    with pytest.raises(UserError, match="they differ in config architecture"):
+        load("mine")
+    changed(Path("mine"), config=card.config, architecture="bent_line")
+    with pytest.raises(UserError, match="architecture 'bent_line': its config is of 'sgan'"):
+        load("mine")
+    changed(Path("mine"), architecture="sgan")
+    Path(f"mine/{NAME}.yaml").rename("mine/sgan_goal.square.yaml")
+    with pytest.raises(UserError, match=r"is of 'sgan_goal\.mall': the file must have the model's name"):
+        load("mine")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("init", OPTIONS | {"wings": 2}, "'sgan' cannot be built .*'wings'.*another version"),
+        (
+            "init",
+            {"goal_dim": 5, "goal_protocol": "window_end"},
+            "weights of another architecture than 'sgan'",
+        ),
+        ("init", {"encoder_dim": "wide"}, "'sgan' cannot be built with the arguments .*wide"),
+        ("init", {"encoder_dim": 10**9}, "'sgan' cannot be built with the arguments"),
+        ("architecture", "sgam", "unknown model 'sgam': did you mean 'sgan'"),
+        ("architecture", "own.py:Mine", "never makes code run"),
+    ],
+)
+def test_weights_and_cards_that_agree_on_something_wrong_are_refused(
+    key: str, value: Any, message: str, model: Forecaster
+) -> None:
+    card = made(model, Path("mine"))
+    config, weights = card.config | {key: value}, Path("mine") / card.file
+    save_file(model.state_dict(), weights, {"config": json.dumps(config)})
+    changed(Path("mine"), config=config, architecture=config["architecture"])
+    changed(Path("mine"), sha256=fetch.sha256_of(weights), size=weights.stat().st_size)
+    with pytest.raises(UserError, match=message):
+        load("mine")
+
+
+def test_a_page_in_place_of_a_card_is_not_kept(model: Forecaster, site: Site, tmp_path: Path) -> None:
+    site.put(f"zoo/{NAME}.yaml", b"<html>log in, please</html>")
+    with pytest.raises(UserError, match="expected a mapping of name, architecture"):
+        load(f"{site.url}/zoo/{NAME}")
+    made(model, tmp_path / "zoo")
+    serve(site, tmp_path / "zoo", "zoo")
+    site.pages[f"zoo/{NAME}.safetensors"].cuts = [1000]
+    assert same(load(f"{site.url}/zoo/{NAME}"), model)
+
+
+def test_models_are_found_without_torch(model: Forecaster) -> None:
+    made(model, Path("mine"))
+    code = (
+        "import sys; from pedzoo.models.zoo.store import find, names, obtain; names(); obtain('mine');"
+        "assert find('mine').card.architecture == 'sgan'; assert not {'torch', 'numpy'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_every_shipped_card_is_that_of_its_weights() -> None:
+    for name in weight_files():
+        entry = find(name)
+        assert entry
+        told, built = entry.card.config["init"], load(name).config
+        # options that came later are off in older weights
+        assert told.items() <= built.items() and not any(built[key] for key in built.keys() - told.keys())
+        assert entry.card.data["terms"] and entry.card.training["seed"] is not None

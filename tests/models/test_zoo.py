@@ -1,0 +1,304 @@
+"""Models by name and file: what is saved comes back bit by bit, and what is damaged is refused in words."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from helpers.batches import make_batch, random_weights
+from safetensors.torch import load_file, save_file
+
+import pedzoo
+from pedzoo.core.errors import UserError
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.base import Forecaster
+from pedzoo.models.export.publish import describe
+from pedzoo.models.zoo import loading as zoo
+from pedzoo.models.zoo import store
+from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.loading import fill, list_models, load, save_weights
+
+OPTIONS: dict[str, Any] = {
+    "bottleneck_dim": 8,
+    "goal_dim": 4,
+    "goal_protocol": "destination",
+    "frame": "heading",
+}
+
+OWN_MODEL = """
+import torch
+from torch import nn
+from pedzoo.models.base import Forecaster, arguments
+
+class Drifting(Forecaster):
+    stochastic = False
+
+    def __init__(self, speed: float = 0.25):
+        super().__init__()
+        self.config = arguments(locals())
+        self.speed = nn.Parameter(torch.tensor(speed))
+
+    def sample(self, batch, samples, steps, generator=None):
+        mask = batch["agents", "mask"]
+        path = torch.zeros(len(mask), samples, mask.shape[1], steps, 2)
+        return path + self.speed * mask[:, None, :, None, None]
+
+class Forgetful(Forecaster):
+    pass
+
+class Needy(Forecaster):
+    def __init__(self, size):
+        super().__init__()
+
+class Table:
+    pass
+"""
+
+
+@pytest.fixture
+def model() -> Forecaster:
+    return random_weights(SGAN(**OPTIONS)).eval()
+
+
+@pytest.fixture
+def checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder in the place of the shipped one."""
+    folder = tmp_path / "checkpoints"
+    folder.mkdir()
+    monkeypatch.setattr(store, "shipped", lambda name: tmp_path / name)
+    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
+    return folder
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """Somebody's file with models of their own."""
+    path = tmp_path / "own.py"
+    path.write_text(OWN_MODEL)
+    return path
+
+
+def answers(model: Forecaster) -> torch.Tensor:
+    return model.sample(make_batch((3, 2)), 4, 8, torch.Generator().manual_seed(0))
+
+
+def ship(model: Forecaster, folder: Path, name: str) -> None:
+    """Save weights as the shipped ones are, with their card."""
+    save_weights(model, folder / f"{name}.safetensors")
+    describe(folder / f"{name}.safetensors")
+
+
+def test_saved_and_loaded_is_the_same_model(model: Forecaster, tmp_path: Path) -> None:
+    path = tmp_path / "new" / "folder" / "mine.safetensors"
+    digest = save_weights(model, path, protocol={"fold": "zara1"})
+    again = load(path)
+    assert torch.equal(answers(again), answers(model))
+    assert not again.training
+    assert again.config == model.config and again.goal_protocol == "destination"
+    assert digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    config = read_config(path)
+    assert config["protocol"] == {"fold": "zara1"} and config["architecture"] == "sgan"
+
+
+def test_the_same_model_gives_the_same_bytes(model: Forecaster, tmp_path: Path) -> None:
+    first, second = tmp_path / "a.safetensors", tmp_path / "b.safetensors"
+    save_weights(model, first, training={"seed": 1}, protocol={"fold": "eth"})
+    save_weights(load(first), second, protocol={"fold": "eth"}, training={"seed": 1})
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_failing_write_leaves_the_old_file(
+    model: Forecaster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "mine.safetensors"
+    save_weights(model, path)
+    before = path.read_bytes()
+
+    def full(self: Path, data: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(data[:10])
+        raise OSError(28, "No space left on device")
+
+    random_weights(model, seed=1)
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", full)
+        with pytest.raises(OSError, match="No space"):
+            save_weights(model, path)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == [path.name]
+    save_weights(model, path)
+    assert path.read_bytes() != before and os.listdir(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize("keep", [0, 5, 200, -1])
+def test_truncated_weights_are_refused(model: Forecaster, tmp_path: Path, keep: int) -> None:
+    path = tmp_path / "cut.safetensors"
+    save_weights(model, path)
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(UserError, match=r"cut\.safetensors' cannot be read .*cut off"):
+        load(str(path))
+
+
+@pytest.mark.parametrize("keep", [0, 5, 200, -1])
+def test_truncated_checkpoints_are_refused(tmp_path: Path, keep: int) -> None:
+    path = tmp_path / "cut.ckpt"
+    torch.save({"pedzoo": {}, "state_dict": {"generator.x": torch.zeros(500)}}, path)
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(UserError, match=r"cut\.ckpt' cannot be read .*cut off"):
+        load(str(path))
+
+
+def test_absent_files_are_named(tmp_path: Path) -> None:
+    for name in ("none.safetensors", "none.ckpt"):
+        with pytest.raises(UserError, match=f"no .* at .*{name}"):
+            load(str(tmp_path / name))
+    with pytest.raises(UserError, match=r"no weights at .*none\.safetensors"):
+        read_config(tmp_path / "none.safetensors")
+
+
+def test_weights_of_others_are_refused(model: Forecaster, tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+    save_file(model.state_dict(), path)
+    with pytest.raises(UserError, match="no pedzoo config"):
+        load(str(path))
+    unknown = '{"architecture": "sgan", "init": {}, "hook": "x"}'
+    for damaged in ("{", "[]", "{}", '{"architecture": "sgan", "init": 3}', unknown):
+        save_file(model.state_dict(), path, {"config": damaged})
+        with pytest.raises(UserError, match="config that cannot be read"):
+            load(str(path))
+
+
+def test_weights_of_another_architecture_are_refused(model: Forecaster, tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+
+    def written(**changed: Any) -> str:
+        config = {"architecture": "sgan", "init": OPTIONS} | changed
+        save_file(model.state_dict(), path, {"config": json.dumps(config)})
+        return str(path)
+
+    assert torch.equal(answers(load(written())), answers(model))
+    with pytest.raises(
+        UserError, match=r"other\.safetensors' holds weights of another architecture than 'sgan'"
+    ):
+        load(written(init={**OPTIONS, "encoder_dim": 48}))
+    with pytest.raises(UserError, match=r"another architecture.*pooling"):
+        load(written(init={**OPTIONS, "bottleneck_dim": 0}))
+    with pytest.raises(UserError, match="another architecture"):
+        load(written(architecture="constant_velocity", init={}))
+    with pytest.raises(UserError, match="unknown model 'sgam': did you mean 'sgan'"):
+        load(written(architecture="sgam"))
+    with pytest.raises(UserError, match=r"'sgan' cannot be built .*'wings'.*another version"):
+        load(written(init={"wings": 2}))
+
+
+def test_checkpoints_of_others_are_refused_and_nothing_in_them_runs(tmp_path: Path) -> None:
+    path = tmp_path / "other.ckpt"
+    for content in ({"state_dict": {}}, [1, 2], torch.zeros(3)):
+        torch.save(content, path)
+        with pytest.raises(UserError, match="not written by pedzoo"):
+            load(str(path))
+
+    class Trap:
+        def __reduce__(self) -> tuple:
+            return os.mkdir, (str(tmp_path / "trapped"),)
+
+    torch.save({"pedzoo": Trap()}, path)
+    with pytest.raises(UserError, match=r"other\.ckpt' cannot be read"):
+        load(str(path))
+    noise = bytes(torch.randint(256, (400,), generator=torch.Generator().manual_seed(0)).tolist())
+    for garbage in (pickle.dumps(Trap(), 2), noise, b"PK\x03\x04" + noise, b"version https://git-lfs"):
+        path.write_bytes(garbage)
+        with pytest.raises(UserError, match=r"other\.ckpt' cannot be read"):
+            load(str(path))
+    assert not (tmp_path / "trapped").exists()
+
+
+def test_a_checkpoint_of_fit_holds_its_generator(model: Forecaster, tmp_path: Path) -> None:
+    path = tmp_path / "last.ckpt"
+    state = {f"generator.{key}": value for key, value in model.state_dict().items()}
+    state |= {"iteration": torch.zeros(()), "discriminator.x": torch.zeros(2)}
+    torch.save({"pedzoo": zoo.config_of(model), "state_dict": state}, path)
+    assert torch.equal(answers(load(str(path))), answers(model))
+
+
+def test_shipped_weights_are_listed_loaded_by_name_and_checked(model: Forecaster, checkpoints: Path) -> None:
+    assert list_models() == []
+    with pytest.raises(UserError, match="'sgan' is an architecture; name its weights: none yet"):
+        load("sgan")
+    ship(model, checkpoints, "sgan_goal.zara1")
+    ship(model, checkpoints, "sgan.zara1")
+    assert list_models() == ["sgan.zara1", "sgan_goal.zara1"] and list_models("sgan.*") == ["sgan.zara1"]
+    assert torch.equal(answers(pedzoo.load("sgan_goal.zara1")), answers(model))
+    with pytest.raises(UserError, match=r"name its weights: sgan\.zara1"):
+        load("sgan")
+    with pytest.raises(UserError, match=r"unknown model 'sgan_goal\.zara2': did you mean 'sgan_goal\.zara1'"):
+        load("sgan_goal.zara2")
+    with pytest.raises(UserError, match=r"did you mean 'constant_velocity'.* known: .*sgan_goal\.\*"):
+        load("constant_speed_velocity")
+    save_weights(random_weights(model, seed=1), checkpoints / "sgan.zara1.safetensors")
+    with pytest.raises(UserError, match=r"sgan\.zara1\.safetensors' have sha256 .* card says .*reinstall"):
+        load("sgan.zara1")
+    (checkpoints / "sgan.zara1.yaml").unlink()
+    with pytest.raises(UserError, match=r"unknown model 'sgan\.zara1': did you mean 'sgan_goal\.zara1'"):
+        load("sgan.zara1")
+
+
+def test_really_shipped_weights_load_and_answer() -> None:
+    batch = make_batch((3, 2))
+    for name in list_models():
+        found = load(name)
+        assert found.sample(batch, 2, 8).isfinite().all()
+        assert zoo.architecture_of(found) in zoo.MODELS.names()
+
+
+def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> None:
+    model = load(f"{own}:Drifting")
+    assert model.sample(make_batch((2,)), 3, 8).unique().tolist() == [0.25]
+    random_weights(model)
+    save_weights(model, tmp_path / "mine.safetensors")
+    again = fill(load(f"{own}:Drifting"), load_file(tmp_path / "mine.safetensors"), "mine")
+    assert torch.equal(answers(again), answers(model))
+    for name, message in {
+        "Forgetful": "cannot be saved: keep its arguments",
+        "Needy": "cannot be built .*'size'",
+        "Table": "is no model: expected a subclass",
+        "Drifter": "did you mean 'Drifting'",
+    }.items():
+        with pytest.raises(UserError, match=message):
+            save_weights(load(f"{own}:{name}"), tmp_path / "x.safetensors")
+    with pytest.raises(UserError, match="no file"):
+        load(f"{tmp_path / 'none.py'}:Drifting")
+
+
+def test_no_map_and_no_frozen_network_is_saved(alexnet: Path, tmp_path: Path) -> None:
+    """AlexNet's convolutions are ImageNet's, and floor plans are their owners'."""
+    from pedzoo.data.datamodule import TrajectoryDataModule
+
+    data = TrajectoryDataModule()
+    data.setup("test")
+    batch = next(iter(data.test_dataloader()))
+    for kind in ("patch", "alexnet"):
+        model = SGAN(map=kind)
+        untouched = {key: value.clone() for key, value in model.state_dict().items()}
+        model.sample(batch, 1, 8)
+        assert model.state_dict().keys() == untouched.keys()
+        path = tmp_path / f"{kind}.safetensors"
+        save_weights(model, path)
+        parameters = sum(value.numel() for value in model.parameters())
+        assert parameters < 60_000
+        assert path.stat().st_size < 4 * parameters + 8_000
+        assert torch.equal(load(path).mode(batch, 8), model.eval().mode(batch, 8))
+
+
+def test_weights_never_make_a_file_of_code_run(own: Path, tmp_path: Path) -> None:
+    path = tmp_path / "drifting.safetensors"
+    save_weights(load(f"{own}:Drifting"), path)
+    own.write_text("raise SystemExit('this must not run')")
+    with pytest.raises(UserError, match="never makes code run"):
+        load(str(path))

@@ -1,0 +1,207 @@
+"""Clauses 8 and 10 of the loop contract, for every physics backend and for wide bodies too."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from helpers.bodies import BACKENDS, Wide, commands, free_places, put
+from torch import Tensor
+
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.kinematics import blended, limited
+from pedzoo.core.registry import PHYSICS
+from pedzoo.maps.bank import MapBank
+from pedzoo.sim.dynamics import SKIN
+from pedzoo.sim.engine.base import People, Physics
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env, make_physics
+from pedzoo.sim.motion import Motion
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.state import State
+
+WIDTHS = (0.15, 0.5)
+MAP = "apartment.7"
+
+
+def home(
+    width: float, scenes: int, people: int = 5, map: str = MAP, physics: str = "compiled"
+) -> PedestrianEnv:
+    """Return the environment of an apartment after its reset, with bodies of one radius."""
+    env = make_env(Wide(map, width), scenes, warm_start="static")
+    env.reset()
+    return env
+
+
+def backend(name: str, env: PedestrianEnv) -> Physics:
+    """Return another backend on an environment's floor plans."""
+    if name == "bullet":
+        pytest.importorskip("pybullet")
+    return make_physics(name, env.scenario, 0.15)
+
+
+def decided(env: PedestrianEnv, state: State, wanted: Tensor) -> Tensor:
+    """Return the velocities (2, S, B, A) that the kernel makes of commands (B, A, 2)."""
+    command = limited(wanted.movedim(-1, 0), state.top_speed)
+    return limited(blended(state.velocity.movedim(-1, 0), command, env.rules.ticks), state.top_speed)
+
+
+def moved(state: State, motion: Motion) -> State:
+    past = torch.cat((state.past[:, :, motion.trace.shape[2] :], motion.trace), dim=2)
+    return state._replace(past=past, velocity=(past[:, :, -1] - past[:, :, -2]) / 0.1)
+
+
+def test_the_registry_lists_them_all() -> None:
+    assert PHYSICS.names() == sorted(BACKENDS)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("other", ["torch", "bullet"])
+def test_backends_move_agents_alike(other: str, width: float) -> None:
+    """Random commands for 8 s in an apartment: traces of each decision are equal to 1e-4 m.
+
+    At a corner a rounded digit decides whether a stride is taken. Decisions that differ for it are 0.2 to
+    1 %, as many as torch itself has after a shift of 1e-6 m, and differ by a stride or two.
+    """
+    env = home(width, scenes=4 if other == "bullet" else 24)
+    ours, theirs = env.physics, backend(other, env)
+    state = put(env.state, free_places(env, width))
+    generator = torch.Generator().manual_seed(1)
+    apart, rounded, flags = [], [], []
+    for _ in range(20):
+        args = decided(env, state, commands(env, generator)), state.controlled, env.rules.substeps
+        one, two = ours.advance(state, *args), theirs.advance(state, *args)
+        shift = 1e-6 * torch.randn(state.position.shape, generator=generator)
+        nearly = Torch(env.bank).advance(put(state, state.position + shift), *args)
+        apart.append((one.trace - two.trace).norm(dim=-1).amax(-1))
+        rounded.append((nearly.trace - one.trace).norm(dim=-1).amax(-1) > 1e-4)
+        for key in ("agent_contact", "wall_contact", "reached"):
+            flags.append(getattr(one, key) == getattr(two, key))
+        state = moved(state, one)
+    off, stride = torch.stack(apart), float(env.state.top_speed.max()) * 0.1
+    rounding = float(torch.stack(rounded).float().mean())
+    assert (off > 1e-4).float().mean() <= 1.5 * rounding + 2e-3 and rounding < 0.02
+    assert off.max() < 2 * stride
+    assert torch.stack(flags).float().mean() > 0.998
+    theirs.close()
+
+
+def hold(env: PedestrianEnv, physics: Physics, width: float, steps: int) -> float:
+    """Return the least distance to a wall at trace points, above what a body is held at, metres."""
+    state = put(env.state, free_places(env, width))
+    generator, least = torch.Generator().manual_seed(2), math.inf
+    for _ in range(steps):
+        velocity = decided(env, state, commands(env, generator))
+        motion = physics.advance(state, velocity, state.mask, env.rules.substeps)
+        gap, _ = env.bank.closest_wall(motion.trace.flatten(1, 2), state.map_id, state.pose)
+        least = min(least, float(gap.min()) - (width - SKIN))
+        state = moved(state, motion)
+    return least
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("kind", [Torch, Compiled])
+def test_walls_hold_against_random_commands_at_top_speed(kind: type[Physics], width: float) -> None:
+    env = home(width, 8)
+    assert hold(env, kind(env.bank), width, 500) > -1e-3
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("kind", [Torch, Compiled])
+def test_walls_hold_in_a_shared_building(shared: Path, kind: type[Physics], width: float) -> None:
+    env = home(width, 8, map=str(shared / "maps" / "igibson_rs.yaml"))
+    assert hold(env, kind(env.bank), width, 500) > -1e-3
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_gradients_of_torch_are_those_of_finite_differences(width: float) -> None:
+    """Of positions after 0.4 s with respect to velocities, near walls and away from them."""
+    env = home(width, 6)
+    physics = Torch(env.bank)
+    state = put(env.state, free_places(env, width - SKIN, seed=3))
+    generator = torch.Generator().manual_seed(0)
+    weight = torch.randn(*state.mask.shape, 4, 2, generator=generator)
+
+    def total(velocity: Tensor) -> Tensor:
+        spread = velocity.movedim(-1, 0).unsqueeze(1).expand(-1, 4, -1, -1)
+        return (physics.advance(state, spread, state.mask, env.rules.substeps).trace * weight).sum((2, 3))
+
+    velocity = (0.7 * commands(env, generator)).requires_grad_()
+    (gradient,) = torch.autograd.grad(total(velocity).sum(), velocity)
+    for axis in range(2):
+        shift = torch.zeros_like(velocity)
+        shift[..., axis] = 2e-3
+        with torch.no_grad():
+            found = (total(velocity + shift) - total(velocity - shift)) / 4e-3
+        error = (found - gradient[..., axis]).abs()
+        assert (error < 0.02).float().mean() > 0.9  # a corner has two gradients
+    free = gradient.abs().sum(-1) > 0
+    assert free.float().mean() > 0.95
+
+
+RADII = torch.tensor([[0.15, 0.5, 0.25]])
+
+
+def people_at(places: list[list[float]]) -> People:
+    position = torch.tensor([places])
+    mask = torch.ones(position.shape[:2], dtype=torch.bool)
+    return People(position, mask, torch.tensor([[-1]]), identity_pose(1), RADII[:, : len(places)])
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 2), (0, 2)])
+def test_agents_touch_at_the_sum_of_their_radii(name: str, first: int, second: int) -> None:
+    if name == "bullet":
+        pytest.importorskip("pybullet")
+    physics: Physics = PHYSICS.get(name)(MapBank())
+    both = float(RADII[0, first] + RADII[0, second])
+    for apart, touch in ((both - 2e-4, True), (both + 2e-4, False)):
+        places = [[9.0 * slot, -7.0] for slot in range(3)]
+        places[first], places[second] = [0.0, 0.0], [0.6 * apart, 0.8 * apart]
+        people = people_at(places)
+        found = physics.contacts(people.position[:, :, None, None], people).agent[0, :, 0]
+        assert found.tolist() == [touch and slot in (first, second) for slot in range(3)]
+        assert float(physics.distances(people).agent[0, first]) == pytest.approx(apart, abs=1e-4)
+    physics.close()
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_rays_meet_bodies_as_wide_as_they_are(name: str) -> None:
+    if name == "bullet":
+        pytest.importorskip("pybullet")
+    physics: Physics = PHYSICS.get(name)(MapBank())
+    people = people_at([[0.0, 0.0], [3.0, 0.0], [0.0, 2.0]])
+    origin = torch.tensor([[[0.0, 0.0], [0.0, 0.0], [1.5, 0.3], [3.3, 0.0], [3.0, -2.0]]])
+    direction = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
+    found = physics.rays(people, origin, direction, 4.0)
+    # the wide body ahead, that of 0.25 m to the left, a chord of the wide one, out of it, and from below
+    expected = [2.5, 1.75, 1.5 - 0.4, 4.0, 1.5]
+    assert found[0].tolist() == pytest.approx(expected, abs=2e-3)
+    physics.close()
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_walls_are_touched_at_the_own_radius(name: str, width: float) -> None:
+    env = home(width, 40)
+    physics = backend(name, env)
+    generator = torch.Generator().manual_seed(4)
+    grid = env.bank.grids[0]
+    ends = np.array([[0, 0], grid.cells.shape[::-1]], dtype=np.float64)
+    low, high = torch.from_numpy(grid.cells_to_map(ends)).float()
+    place = low + (high - low) * torch.rand(40, 5, 2, generator=generator)
+    gap, _ = env.bank.closest_wall(place, env.state.map_id, env.state.pose)
+    people: Any = People(
+        place, torch.ones(40, 5, dtype=torch.bool), env.state.map_id.unsqueeze(1), env.state.pose,
+        torch.full((40, 5), width),
+    )  # fmt: skip
+    found = physics.contacts(place[:, :, None, None], people).wall[..., 0]
+    clear = (gap - width).abs() > 1e-3
+    assert torch.equal(found[clear], (gap < width)[clear])
+    assert 0.1 < found.float().mean() < 0.9
+    physics.close()

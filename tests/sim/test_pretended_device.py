@@ -1,0 +1,115 @@
+"""The step path on a device that is not the CPU: no value is read back, and no tensor lies elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import pytest
+import torch
+from helpers.pretend import DEVICE, HostReadError, MixedDevicesError, There, pretended
+from test_safety_walks import ROOM, crowd
+from torch import Tensor
+
+from pedzoo.core.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.safety import kept_clear_in_torch
+from pedzoo.policies.learned.yielding import yielding
+from pedzoo.sim import kernel
+from pedzoo.sim.make import make_env
+
+SCENES = {
+    "planner and walls": "goals:map=apartment.7,people=5,goals=2,pool=6",
+    "several maps": "door:people=4,width=[0.8,1.2]",
+    "no walls": "circle:people=4",
+    "people who wait": "standing:people=2",
+    "playback": "replay:fold=embedded",
+}
+
+
+def values(tensor: Tensor) -> Tensor:
+    """Return what a tensor on the device holds."""
+    assert isinstance(tensor, There)
+    return tensor.here
+
+
+@pytest.mark.parametrize("scenes", SCENES)
+@pytest.mark.parametrize("wheels", [False, True])
+def test_steps_on_a_device_are_those_on_the_cpu(scenes: str, wheels: bool) -> None:
+    """Seven decisions, some of them into walls and others. After the first one nothing is copied there."""
+    env = make_env(SCENES[scenes], num_envs=3, physics="torch")
+    action = 1.2 * env.reset(seed=0)["agents", "desired_velocity"]
+    env.scenario.planner.compiled = False
+    rules = replace(env.rules, wheels=wheels)
+    with pretended():
+        state, asked = env.state.to(DEVICE), action.to(DEVICE)
+        remote = replace(kernel.rules_of(env.scenario, rules.ticks, rules.substeps, DEVICE), wheels=wheels)
+        state, _, _ = kernel.step(state, asked, env.physics, remote)
+    expected, guided, _ = kernel.step(env.state, action, env.physics, rules)
+    moved = 0.0
+    for _ in range(6):
+        with pretended(copies=False):
+            state, guidance, events = kernel.step(state, asked, env.physics, remote)
+            asked = 1.2 * guidance.desired_velocity
+        before = expected.position
+        expected, guided, seen = kernel.step(expected, action, env.physics, rules)
+        action = 1.2 * guided.desired_velocity
+        moved += float((expected.position - before).abs().max())
+        for mine, other in zip((*state, *events), (*expected, *seen), strict=True):
+            torch.testing.assert_close(values(mine), other, atol=1e-4, rtol=1e-4, equal_nan=True)
+    assert moved > 0.3
+
+
+@pytest.mark.parametrize("walled", [False, True])
+def test_the_safety_layer_on_a_device(walled: bool) -> None:
+    """Its look ahead for robots, too."""
+    steps = crowd(6, scenes=20, mixed=True)
+    bank = MapBank([ROOM] if walled else [])
+    plan, pose = torch.full((20,), ROOM.map_id if walled else -1), identity_pose(20)
+    found = []
+    for device in (torch.device("cpu"), DEVICE):
+        with pretended():
+            asked = Steps(*(part.to(device) for part in steps if part is not None))
+            walls = bank.to(device).walls_around(plan.to(device), pose.to(device))
+        with pretended(copies=False):
+            found.append(kept_clear_in_torch(asked._replace(step=yielding(asked, walls)), walls))
+    assert (found[0] - steps.step).abs().max() > 0.1
+    torch.testing.assert_close(values(found[1]), found[0], atol=1e-4, rtol=1e-4)
+
+
+ONES = torch.ones(2)
+
+FAULTS: dict[str, tuple[Callable[[Tensor], object], type[Exception]]] = {
+    "bool": (lambda place: bool(place.isfinite().all()), HostReadError),
+    "item": (lambda place: place[0, 0, 0].item(), HostReadError),
+    "nonzero": (lambda place: (place > 0).nonzero(), HostReadError),
+    "a mask": (lambda place: place[place > 0], HostReadError),
+    "cpu": (lambda place: place.cpu(), HostReadError),
+    "a constant elsewhere": (lambda place: place + ONES, MixedDevicesError),
+    "an index elsewhere": (lambda place: place[:, torch.tensor([0, 1])], MixedDevicesError),
+    "a new tensor elsewhere": (lambda place: place.minimum(torch.zeros(2)), MixedDevicesError),
+    "a copy": (lambda place: place + ONES.to(place), MixedDevicesError),
+    "numbers from a list": (lambda place: torch.tensor([1.0, 2.0], device=place.device), MixedDevicesError),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_a_step_raises(fault: str) -> None:
+    """What the tests above would say if somebody put it into the step."""
+    env = make_env("door:people=4", num_envs=2, physics="torch")
+    action = env.reset(seed=0)["agents", "desired_velocity"]
+    does, error = FAULTS[fault]
+
+    def guide(right: Callable[..., Any], state: Any) -> Any:
+        does(state.position)
+        return right(state)
+
+    with pretended():
+        state, asked = env.state.to(DEVICE), action.to(DEVICE)
+        kernel.step(state, asked, env.physics, env.rules)
+    faulty = replace(env.rules, guide=partial(guide, env.rules.guide))
+    with pretended(copies=False), pytest.raises(error):
+        kernel.step(state, asked, env.physics, faulty)

@@ -1,0 +1,355 @@
+"""Weights in training walk: what is logged and when, by many processes too, and training does not notice."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import math
+import os
+import pickle
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import lightning as L
+import pytest
+import torch
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from torch import Tensor, nn
+
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.eval.closed_loop import row
+from pedzoo.eval.rollout import rollout
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.train.modules.plain import PlainModule
+from pedzoo.train.validation.closed_loop import METRICS, ClosedLoopValidation
+from pedzoo.train.validation.stage import Stage, share
+from pedzoo.viz.video import read_video
+
+ROOT = Path(__file__).parents[2]
+FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]
+QUICK = ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=1"]
+QUICK += ["--trainer.check_val_every_n_epoch=1", "--model.samples=2", "--model.generator.best_k=2"]
+QUICK += ["--rollout.episodes=2"]
+SUCCESS = "rollout/door/success"
+BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
+    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
+    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Every test writes its runs into a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def measured(run: Path, name: str = SUCCESS) -> list[dict[str, str]]:
+    """Return the rows of a run's CSV that have a value of ``name``."""
+    with (run / "metrics.csv").open() as file:
+        return [row for row in csv.DictReader(file) if row.get(name)]
+
+
+def history(run: Path) -> Iterator[dict[str, Any]]:
+    """Yield what an offline run of Weights & Biases has logged, from its file: LevelDB's log of messages."""
+    import wandb
+    from wandb.proto import wandb_internal_pb2 as messages
+
+    wandb.teardown()  # its process may still be writing
+    (file,) = run.glob("wandb/offline-run-*/run-*.wandb")
+    data, at, message = file.read_bytes(), 7, b""
+    while at + 7 <= len(data):
+        if (left := 32768 - at % 32768) < 7:
+            at += left
+            continue
+        length, kind = struct.unpack("<HB", data[at + 4 : at + 7])
+        message += data[at + 7 : at + 7 + length]
+        at += 7 + length
+        if kind in (1, 4):  # whole, or the last part
+            record = cast("Any", messages).Record.FromString(message)
+            message = b""
+            if record.WhichOneof("record_type") == "history":
+                items = ((item.key or "/".join(item.nested_key), item) for item in record.history.item)
+                yield {key: json.loads(item.value_json) for key, item in items}
+
+
+def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere: Path) -> None:
+    """ADE, FDE and success of an epoch stand together; picture and video are really there."""
+    assert main([*FIT, *QUICK, "--wandb", "offline", "--rollout.video", "true", *BEST]) == 0
+    run = Path("runs/sgan_goal/embedded-seed0")
+    (found,) = measured(run)
+    assert 0 < float(found["val/ade"]) < 1 and float(found["val/fde"]) >= 0 and found["epoch"] == "0"
+    assert {f"rollout/door/{name}" for name in METRICS} <= set(found)
+    assert 0 <= float(found[SUCCESS]) <= 1
+    assert (run / "checkpoints" / "best.ckpt").is_file()
+    assert "- door" in (run / "config.yaml").read_text()
+
+    logged = list(history(run))
+    (together,) = (entry for entry in logged if SUCCESS in entry)
+    for name in (SUCCESS, "val/ade", "val/fde"):
+        assert together[name] == pytest.approx(float(found[name]))
+    files = next(run.glob("wandb/offline-run-*/files"))
+    seen = {key: value for entry in logged for key, value in entry.items() if key.startswith("rollout/door/")}
+    assert (files / seen["rollout/door/ways/filenames"][0]).read_bytes().startswith(b"\x89PNG")
+    frames, size = read_video(files / seen["rollout/door/video/videos"][0]["path"])
+    assert frames > 20 and size[0] > 400
+
+
+@pytest.mark.parametrize(
+    ("physics", "scenarios"),
+    [("compiled", ("door:width=0.9,people=3", "circle:people=2")), ("bullet", ("door",))],
+)
+def test_values_are_those_of_pedzoo_rollout(physics: str, scenarios: tuple[str, ...]) -> None:
+    """The weights of the latest epoch walk, not those of an earlier one, and validate says the same again."""
+    if physics == "bullet":
+        pytest.importorskip("pybullet")
+    options = [f"--rollout.physics={physics}", f"--rollout.scenarios={','.join(scenarios)}"]
+    assert main([*FIT, *QUICK, "--trainer.max_epochs=2", "--model.lr=0.05", *options]) == 0
+    run = Path("runs/sgan_goal/embedded-seed0")
+    last = str(run / "checkpoints" / "last.ckpt")
+    assert main(["validate", "--ckpt_path", last, "--json", "validate.json"]) == 0
+    rows = json.loads(Path("validate.json").read_text())["rows"]
+    assert "case" not in rows[0] and rows[0]["metrics"]["ade"] > 0
+    for name, again in zip(scenarios, rows[1:], strict=True):
+        first, second = measured(run, f"rollout/{name}/success")
+        walked, env = rollout(last, name, physics, 2)
+        wanted = row(last, walked, env.decision_dt)["metrics"]
+        env.physics.close()
+        for metric in METRICS:
+            key = f"rollout/{name}/{metric}"
+            assert float(second[key]) == pytest.approx(wanted.get(metric, math.nan), rel=1e-5, nan_ok=True)
+        assert first[f"rollout/{name}/least_distance_m"] != second[f"rollout/{name}/least_distance_m"]
+        assert again["case"]["scenario"] == name and again["case"]["physics"] == physics and again["n"] == 2
+        assert again["metrics"] == pytest.approx({key: wanted[key] for key in METRICS if key in wanted})
+
+
+class Noisy(SGAN):
+    """Draws from torch's own generator, in validation and while walking."""
+
+    def next_steps(self, batch: Any, noise: Any, steps: int, horizon: int) -> Tensor:  # noqa: D102
+        found = super().next_steps(batch, noise, steps, horizon)
+        return found + 1e-3 * torch.randn_like(found)
+
+
+def make_module() -> PlainModule:
+    torch.manual_seed(0)
+    settings: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end", "residual": "bent_line"}
+    model = Noisy(best_k=2, bottleneck_dim=4, map="patch", map_dropout=0.5, **settings)
+    return PlainModule(model, samples=2)
+
+
+def make_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
+    limits = {"limit_train_batches": 2, "limit_val_batches": 1, "max_epochs": 2, "log_every_n_steps": 1}
+    quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
+    saving = any(isinstance(callback, ModelCheckpoint) for callback in callbacks)
+    options = {"accelerator": "cpu", "enable_checkpointing": saving} | limits | quiet | options
+    return L.Trainer(callbacks=list(callbacks), **options)
+
+
+def make_data() -> TrajectoryDataModule:
+    return TrajectoryDataModule(goal="window_end", batch_size=8, rotate=True)
+
+
+class Watch(Callback):
+    """Notes what a rollout could leave behind: random state and modes, before and after it."""
+
+    def __init__(self) -> None:
+        """Nothing noted yet."""
+        self.noted: list[Any] = []
+
+    def on_train_batch_start(  # noqa: D102
+        self, trainer: L.Trainer, pl_module: L.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        self.note(pl_module)
+
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: D102
+        self.note(pl_module)
+
+    def note(self, module: L.LightningModule) -> None:
+        """Note it."""
+        self.noted += [torch.get_rng_state().tolist(), [part.training for part in module.modules()]]
+
+
+def test_training_does_not_notice(tmp_path: Path) -> None:
+    """Weights, optimizer, random state and modes are bit-equal with and without rollouts."""
+    ends, noted = [], []
+    for callbacks in ([], [ClosedLoopValidation(["door", "circle:people=2"], episodes=1)]):
+        module, watch = make_module(), Watch()
+        trainer = make_trainer(*callbacks, watch)
+        trainer.fit(module, make_data())
+        assert (SUCCESS in trainer.callback_metrics) == bool(callbacks)
+        optimizer = [v for s in trainer.optimizers[0].state.values() for v in s.values()]
+        ends.append([*module.state_dict().values(), *optimizer, torch.get_rng_state()])
+        noted.append(watch.noted)
+    assert noted[0] == noted[1] and len(noted[0]) >= 12
+    assert len(ends[0]) > 20 and all(torch.equal(a, b) for a, b in zip(*ends, strict=True))
+
+
+class Scripted(ClosedLoopValidation):
+    """Nobody walks; the shares of success are given."""
+
+    def __init__(self, script: list[float], **options: Any) -> None:
+        """Log ``script``, one value per rollout."""
+        super().__init__(["door"], **options)
+        self.script = list(script)
+
+    def check(self, model: Any, data: Any = None) -> None:
+        """Everybody may walk."""
+
+    def _measure(self, *_: Any) -> dict[str, Tensor]:
+        return {"success": torch.tensor(self.script.pop(0))}
+
+
+@pytest.mark.parametrize(
+    "check", [{"check_val_every_n_epoch": 1}, {"check_val_every_n_epoch": 2}, {"val_check_interval": 1}]
+)
+def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check: dict[str, Any], tmp_path: Path) -> None:
+    """Every second validation has a rollout; the last value stays visible and is not taken for a new one."""
+
+    def fit(script: list[float], epochs: int, resume: Path | None = None) -> tuple[ModelCheckpoint, Scripted]:
+        best = ModelCheckpoint(tmp_path, "best", monitor=SUCCESS, mode="max", enable_version_counter=False)
+        last = ModelCheckpoint(tmp_path, "last", save_on_train_epoch_end=True, enable_version_counter=False)
+        walks = Scripted(script, every=2)
+        limits = {"max_epochs": epochs, "limit_train_batches": 1}
+        make_trainer(walks, best, last, **limits, **check).fit(make_module(), make_data(), ckpt_path=resume)
+        assert not walks.script
+        return best, walks
+
+    every = check.get("check_val_every_n_epoch", 1)
+    fit([math.nan, 0.9, 0.5], 5 * every)
+    assert torch.load(tmp_path / "best.ckpt", weights_only=True)["epoch"] == 3 * every - 1
+    # a resumed run measures its first validation, the sixth in all, and then keeps the rhythm
+    best, walks = fit([0.8, 0.95], 7 * every, resume=tmp_path / "last.ckpt")
+    assert torch.load(tmp_path / "best.ckpt", weights_only=True)["epoch"] == 7 * every - 1
+    assert best.best_model_score == pytest.approx(0.95) and walks.state_dict() == {"validations": 7}
+
+
+def test_epochs_without_a_rollout_log_nothing() -> None:
+    options = ["--trainer.max_epochs=3", "--rollout.every=2", "--rollout.episodes=1", *BEST]
+    assert main([*FIT, *QUICK, *options]) == 0
+    run = Path("runs/sgan_goal/embedded-seed0")
+    assert [row["epoch"] for row in measured(run)] == ["0", "2"]
+    assert [row["epoch"] for row in measured(run, "val/ade")] == ["0", "1", "2"]
+
+
+def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    walked: list[int] = []
+    walk = Stage.walk
+
+    def counted(self: Stage, walker: Any, deterministic: bool) -> Any:
+        found = walk(self, walker, deterministic)
+        walked.append(len(cast("Any", found).rollout.failed))
+        return found
+
+    monkeypatch.setattr(Stage, "walk", counted)
+    assert main([*FIT, "--trainer.fast_dev_run", "true"]) == 0
+    assert walked == [1] and not Path("runs").exists()
+
+
+def test_environments_are_made_once_and_closed_whatever_happens() -> None:
+    pytest.importorskip("pybullet")
+    callback = ClosedLoopValidation(["door"], episodes=2, physics="bullet")
+    backends: set[Any] = set()
+
+    class End(Callback):
+        def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+            backends.add(cast("Any", callback._stages[0]._env).physics)
+            for copied in (copy.deepcopy(callback), pickle.loads(pickle.dumps(callback))):
+                assert copied.names == callback.names and not copied._stages
+            if trainer.current_epoch == 1:
+                raise KeyError("something went wrong")
+
+    with pytest.raises(KeyError, match="something went wrong"):
+        make_trainer(callback, End(), num_sanity_val_steps=0).fit(make_module(), make_data())
+    make_trainer(callback, End(), max_epochs=1).fit(make_module(), make_data())  # it can be used again
+    assert len(backends) == 2 and all(one._closed for one in backends) and not callback._stages
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--rollout.scenarios", "dor"], "unknown scenario 'dor': did you mean 'door'?"),
+        (["--rollout.scenarios", "door:wide=2"], "unknown setting of scenario door 'wide'"),
+        (["--rollout.scenarios", "door,door"], "'door' is given twice"),
+        (["--rollout.physics", "bulet"], "did you mean 'bullet'?"),
+        (["--rollout.every", "0"], "--rollout.every 0"),
+        (["--rollout.episodes", "0"], "--rollout.episodes 0"),
+        (["--rollout.evry", "2"], "did you mean --rollout.every?"),
+        (["--data.obs_len", "6"], "people walk by the last 8 steps, and --data.obs_len is 6"),
+        (["--monitor", "rollout/door/sucess"], "did you mean 'rollout/door/success'?"),
+        (["--monitor", "rollout/circle/success"], "rollout/circle/success"),
+        (["--monitor", SUCCESS], "its best value is the max: add --monitor_mode max"),
+        (["--monitor", "rollout/door/deadlock", "--monitor_mode=max"], "add --monitor_mode min"),
+        (["--monitor", SUCCESS, "--rollout.scenarios", "null"], "set --rollout.scenarios"),
+    ],
+)
+def test_what_cannot_be_is_told_before_the_training(
+    options: list[str], told: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
+) -> None:
+    assert main([*FIT, *QUICK, "--wandb", "offline", *options]) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+    assert not list(elsewhere.iterdir())
+
+
+def test_a_model_that_gives_no_numbers_is_refused_at_the_start() -> None:
+    module = make_module()
+    cast("nn.Parameter", cast("SGAN", module.generator).decoder.output.bias).data.fill_(math.nan)
+    with pytest.raises(UserError, match="Noisy gives no numbers in door"):
+        make_trainer(ClosedLoopValidation(["door"])).fit(module, make_data())
+
+
+def test_processes_share_all_episodes() -> None:
+    for episodes in (1, 5, 16, 17):
+        for processes in (1, 2, 3, 8):
+            shares = [share(episodes, rank, processes) for rank in range(processes)]
+            assert [n for first, count in shares for n in range(first, first + count)] == list(
+                range(episodes)
+            )
+            assert max(count for _, count in shares) - min(count for _, count in shares) <= 1
+
+
+def test_two_processes_train_and_walk_like_one(elsewhere: Path) -> None:
+    """Through the real command line: equal weights in both, one run folder, and one process's numbers."""
+    words = [*FIT, *QUICK, "--rollout.episodes=3", "--trainer.accelerator", "cpu", "--trainer.devices", "2"]
+    words += [
+        "--trainer.strategy=ddp_find_unused_parameters_true",
+        "--trainer.callbacks",
+        "helpers.witness.Witness",
+    ]
+    # all of it: whether 1 is one batch or the whole depends on the order of types that Python has kept of a
+    # union of int and float, and so on what else was tested in this process
+    words += ["--trainer.limit_val_batches=1.0"]
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    env = {key: value for key, value in os.environ.items() if key not in ("LOCAL_RANK", "PEDZOO_RUN")}
+    command = [sys.executable, "-m", "pedzoo.cli.main", *words]
+    done = subprocess.run(
+        command, env=env | {"PYTHONPATH": paths}, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr and done.stdout.count("next: pedzoo forecast") == 1
+    assert done.stdout.count("run folder:") == 1
+    (run,) = Path("runs/sgan_goal").iterdir()
+    weights = [torch.load(f"weights-{rank}.pt", weights_only=True) for rank in range(2)]
+    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0] if "score" not in key)
+    assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt"}
+
+    alone = ["--trainer.devices", "1", "--trainer.strategy", "auto", "--trainer.callbacks", "null"]
+    last = str(run / "checkpoints" / "last.ckpt")
+    assert main(["validate", "--ckpt_path", last, "--json", "one.json", *alone]) == 0
+    forecast, walk = (row["metrics"] for row in json.loads(Path("one.json").read_text())["rows"])
+    (both,) = measured(run)
+    for prefix, metrics in (("val", forecast), ("rollout/door", walk)):
+        assert len(metrics) > 5
+        for key, value in metrics.items():
+            assert float(both[f"{prefix}/{key}"]) == pytest.approx(value, rel=1e-5), key

@@ -1,0 +1,449 @@
+"""PPO in the loop: densities, values, advantages, who counts, what a training does and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import lightning as L
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.distributions import Normal
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import rotate
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.train.rl.actor import Spread, actor
+from pedzoo.train.rl.critic import Critic
+from pedzoo.train.rl.experience import Gatherer, rated
+from pedzoo.train.rl.objective import advantages, clipped
+from pedzoo.train.rl.ppo import PPOModule
+from pedzoo.train.rl.rewards import Reward
+
+CPU = torch.device("cpu")
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
+    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
+    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+    pytest.mark.filterwarnings("ignore:.*is smaller than the logging interval"),
+]
+
+
+def small(**more: Any) -> SGAN:
+    """Return an untrained generator whose output is not zero."""
+    torch.manual_seed(0)
+    model = SGAN(
+        embedding_dim=4, encoder_dim=8, decoder_dim=8, mlp_dim=8, noise_dim=4, goal_dim=4, best_k=2,
+        goal_protocol="window_end", frame="heading", residual="bent_line", **more,
+    )  # fmt: skip
+    nn.init.normal_(model.decoder.output.weight, std=0.02)
+    return model
+
+
+def gatherer(model: SGAN, scenario: str = "hallway", scenes: int = 3, steps: int = 5) -> Gatherer:
+    """Return scenes in which a model gathers experience."""
+    acting = actor(Walker(model), Spread(0.2))
+    return Gatherer(make_scenario(scenario), acting, scenes, steps)
+
+
+@pytest.fixture(scope="module")
+def lived() -> TensorDict:
+    """Two people at a door until some of them have left: (B, T) = (4, 24)."""
+    model = small()
+    nn.init.zeros_(model.decoder.output.weight)
+    found = gatherer(model, "door:people=2", 4, 24).gather(1)
+    gone = ~found["next", "agents", "controlled"] & found["agents", "controlled"]
+    assert gone.any() and not gone.all()
+    return found
+
+
+def no_value(batch: TensorDict) -> TensorDict:
+    """Stand for a critic that expects nothing."""
+    batch["agents", "value"] = torch.zeros(*batch["agents", "mask"].shape, 1)
+    return batch
+
+
+def told(**info: Any) -> TensorDict:
+    """Return one scene of two people who stand 0.5 m apart, as the environment tells of it."""
+    trace = torch.tensor([[0.0, 0.0], [0.5, 0.0]]).view(1, 2, 1, 2).expand(1, 2, 4, 2)
+    nothing = torch.zeros(1, 2, 4, dtype=torch.bool)
+    seen = {"trace": trace, "agent_contact": nothing, "wall_contact": nothing} | info
+    people = {
+        "info": TensorDict(seen, (1, 2)),
+        "reward": torch.tensor([[[0.4], [-0.6]]]),
+        "velocity": torch.tensor([[[1.0, 0.0], [0.0, 2.0]]]),
+        "pref_speed": torch.tensor([[[1.2], [1.5]]]),
+        "mask": torch.ones(1, 2, dtype=torch.bool),
+        "controlled": torch.ones(1, 2, dtype=torch.bool),
+    }
+    return TensorDict(
+        {"agents": TensorDict(people, (1, 2)), "failed": torch.zeros(1, 1, dtype=torch.bool)}, (1,)
+    )
+
+
+@pytest.mark.parametrize(
+    ("weights", "more"),
+    [
+        ({}, (0.0, 0.0)),
+        ({"people": 2.0}, (-2.0, 0.0)),
+        ({"walls": 3.0}, (0.0, -3.0)),
+        # nearest other at 0.5 m: half of the way from 1 m to contact of centres
+        ({"near": 4.0, "near_distance": 1.0}, (-2.0, -2.0)),
+        ({"near": 4.0, "near_distance": 0.5}, (0.0, 0.0)),
+        # from (1, 0) to (1, 0), and from (1, 0) to (0, 2)
+        ({"effort": 0.1}, (0.0, -0.5)),
+        ({"overspeed": 2.0}, (0.0, -1.0)),
+        ({"arrival": 5.0}, (0.0, 5.0)),
+    ],
+)
+def test_reward_adds_weighted_terms_to_that_of_the_environment(
+    weights: dict[str, float], more: tuple[float, float]
+) -> None:
+    before, touching = told(), torch.zeros(1, 2, 4, dtype=torch.bool)
+    before["agents", "velocity"] = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
+    after = told(
+        agent_contact=touching.index_fill(1, torch.tensor([0]), True),
+        wall_contact=touching.index_fill(1, torch.tensor([1]), True),
+    )
+    after["agents", "controlled"] = torch.tensor([[True, False]])
+    expected = torch.tensor([[0.4, -0.6]]) + torch.tensor([more])
+    torch.testing.assert_close(Reward(**weights)(before, after), expected)
+
+
+def test_untrained_critic_expects_what_somebody_alone_earns(lived: TensorDict) -> None:
+    critic = Critic(0.9)
+    # 6.5 steps of 0.52 m, each worth 0.9 of the one before
+    way, speed = torch.tensor([[3 * 0.52]]), torch.tensor([[1.3]])
+    assert critic.alone(way, speed).item() == pytest.approx(0.52 * (1 + 0.9 + 0.81), rel=1e-5)
+    assert Critic(1.0).alone(way, speed).item() == pytest.approx(3 * 0.52)
+    env = make_env("door:people=2", 2)
+    now = env.reset()
+    value = critic(now)["agents", "value"]
+    people = now["agents"]
+    expected = critic.alone(people["info", "way"].unsqueeze(-1), people["pref_speed"])
+    torch.testing.assert_close(value, expected)
+
+
+def trained_critic() -> Critic:
+    torch.manual_seed(1)
+    critic = Critic(0.9)
+    for parameter in critic.parameters():
+        nn.init.normal_(parameter, std=0.3)
+    return critic
+
+
+def test_critic_does_not_notice_turns_shifts_order_and_padding() -> None:
+    critic, env = trained_critic(), make_env("circle:people=4", 2)
+    now = cast("TensorDict", env.reset())
+    value = critic(now.clone())["agents", "value"]
+    assert value.std() > 0.01
+
+    angle = torch.tensor(0.7)
+    direction = torch.stack((angle.cos(), angle.sin()))
+    turned = now.clone()
+    for key in ("history", "goal", "velocity", "desired_velocity"):
+        shift = 3.0 if key in ("history", "goal") else 0.0
+        turned["agents", key] = rotate(now["agents", key], direction) + shift
+    torch.testing.assert_close(critic(turned)["agents", "value"], value, rtol=1e-3, atol=1e-4)
+
+    order = torch.tensor([2, 0, 3, 1])
+    shuffled = now.clone()
+    shuffled["agents"] = now["agents"][:, order]
+    torch.testing.assert_close(critic(shuffled)["agents", "value"], value[:, order])
+
+    padded = now.clone()
+    mask = torch.tensor([[True, True, True, False]] * 2)
+    padded["agents", "mask"] = mask
+    three = now.clone()
+    three["agents"] = now["agents"][:, :3]
+    found = critic(padded)["agents", "value"]
+    torch.testing.assert_close(found[:, :3], critic(three)["agents", "value"])
+    assert (found[:, 3] == 0).all()
+
+
+def test_likelihoods_of_updates_are_those_of_collecting() -> None:
+    """The noise of the generator is the same again: nothing has changed, and every ratio is 1."""
+    model = small()
+    found = gatherer(model).gather(3)
+    flat = cast("TensorDict", found.exclude("next").flatten(0, 1))
+    action, stored = flat["agents", "action"].clone(), flat["agents", "log_prob"].clone()
+    acting = actor(Walker(model), Spread(0.2))
+    again = acting.get_dist(flat).log_prob(action)
+    torch.testing.assert_close(again, stored)
+    assert torch.equal(flat["agents", "action"], action)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        loc = Walker(model)(flat.clone())["agents", "action"]
+    torch.testing.assert_close(stored, Normal(loc, 0.2).log_prob(action).sum(-1))
+
+
+def test_people_whom_the_policy_does_not_move_have_a_fixed_distribution() -> None:
+    model, env = small(), make_env("hallway", 2)
+    now = cast("TensorDict", env.reset())
+    now["agents", "controlled"][:, 0] = False
+    acting, other = (actor(Walker(model), Spread(std)) for std in (0.2, 0.4))
+    given = torch.ones(2, 2, 2)
+    one, two = (policy.get_dist(now.clone()).log_prob(given) for policy in (acting, other))
+    assert torch.equal(one[:, 0], two[:, 0]) and not torch.equal(one[:, 1], two[:, 1])
+    assert one[0, 0].item() == pytest.approx(-1 - math.log(2 * math.pi), rel=1e-5)
+
+
+def test_experience_depends_on_seed_and_weights_alone() -> None:
+    model = small()
+    first, second = gatherer(model), gatherer(model)
+
+    def gathered(where: Gatherer, seed: int) -> TensorDict:
+        torch.manual_seed(0)
+        return where.gather(seed)
+
+    one, two = gathered(first, 5), gathered(first, 6)
+    again = gathered(second, 5)
+    assert (one == again).all() and not torch.equal(one["agents", "history"], two["agents", "history"])
+    assert (gathered(first, 5) == again).all()
+    with torch.no_grad():
+        model.decoder.output.weight += 0.05
+    moved = gathered(first, 5)
+    assert torch.equal(moved["scene_key"][:, 0], one["scene_key"][:, 0])
+    assert not torch.equal(moved["agents", "action"], one["agents", "action"])
+
+
+def test_processes_share_the_scenes_of_a_seed() -> None:
+    model = small()
+    acting = actor(Walker(model), Spread(0.2))
+    scenario = make_scenario("hallway")
+    keys = [
+        Gatherer(scenario, acting, 2, 1, rank=rank, processes=2).gather(0)["scene_key"][:, 0, 0]
+        for rank in range(2)
+    ]
+    both = Gatherer(scenario, acting, 4, 1).gather(0)["scene_key"][:, 0, 0]
+    assert torch.equal(torch.cat(keys), both)
+
+
+def test_advantages_are_those_of_everybodys_own_episode(lived: TensorDict) -> None:
+    """An oracle with loops: rewards end when a person leaves or when a new episode begins."""
+    gamma, lam = 0.9, 0.8
+    critic = trained_critic()
+    found = rated(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(0, (4, 24))
+    people, after = agents_of(found), cast("TensorDict", lived["next", "agents"])
+    scored = people["scored"]
+    assert torch.equal(scored, lived["agents", "controlled"]) and not scored.all()
+    last = critic(lived["next"].clone().flatten(0, 1))["agents", "value"].detach().view(4, 24, 2)
+    expected = torch.zeros(4, 24, 2)
+    for b in range(4):
+        for a in range(2):
+            ahead = 0.0
+            for t in reversed(range(24)):
+                if not scored[b, t, a]:
+                    ahead = 0.0
+                    continue
+                left = not bool(after["controlled"][b, t, a])
+                over = left or bool(lived["next", "done"][b, t, 0])
+                terminal = left or bool(lived["next", "terminated"][b, t, 0])
+                follows = 0.0 if terminal else float(last[b, t, a])
+                surprise = (
+                    float(after["reward"][b, t, a, 0]) + gamma * follows - float(people["value"][b, t, a, 0])
+                )
+                ahead = surprise + (0.0 if over else gamma * lam * ahead)
+                expected[b, t, a] = ahead
+    target = torch.where(scored, expected + people["value"][..., 0], 0.0)
+    torch.testing.assert_close(people["value_target"][..., 0], target, rtol=1e-4, atol=1e-4)
+    known = expected[scored]
+    normal = torch.where(scored, (expected - known.mean()) / known.std(), 0.0)
+    torch.testing.assert_close(people["advantage"][..., 0], normal, rtol=1e-3, atol=1e-3)
+
+
+def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
+    """What the next one earns is not the previous one's."""
+    data: Any = lived[:1, :2].clone()
+    for where in (data, data["next"]):
+        where["agents", "controlled"][:] = True
+        where["failed"][:] = False
+    for name in ("done", "terminated"):
+        data["next", name][:] = False
+    data["next", "agents", "reward"][:] = torch.tensor([1.0, 10.0]).view(1, 2, 1, 1)
+    data["next", "agents", "id"][0, 0, 0] = 7
+    found: Any = rated(data, Reward(), no_value, advantages(1.0, 1.0, CPU)).unflatten(0, (1, 2))
+    target = found["agents", "value_target"][0, 0, :, 0]
+    assert target.tolist() == [1.0, 11.0]
+
+
+def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
+    data: Any = lived[:1, :2].clone()
+    data["agents", "controlled"][:] = True
+    data["next", "failed"][0, 1] = True
+    data["next", "agents", "reward"][0, 1] = torch.nan
+    found: Any = rated(data, Reward(), no_value, advantages(0.9, 0.9, CPU)).unflatten(0, (1, 2))
+    assert found["agents", "scored"][0].all(-1).tolist() == [True, False]
+    assert found["agents", "advantage"].isfinite().all()
+
+
+@pytest.fixture
+def frames(lived: TensorDict) -> tuple[Callable[[TensorDict], tuple[Tensor, list[Tensor]]], TensorDict]:
+    """A loss with its gradients, as a function of decisions, and decisions."""
+    model, critic, spread = small(), trained_critic(), Spread(0.2)
+    loss = clipped(actor(Walker(model), spread), critic, 0.2, 0.01, 1.0, CPU)
+    parameters = [*model.parameters(), *critic.parameters(), *spread.parameters()]
+
+    def terms(decisions: TensorDict) -> tuple[Tensor, list[Tensor]]:
+        found = loss(decisions.clone())
+        value = torch.stack([found[f"loss_{key}"] for key in ("objective", "critic", "entropy")])
+        return value.detach(), list(torch.autograd.grad(value.sum(), parameters, allow_unused=True))
+
+    return terms, rated(lived.clone(), Reward(), critic, advantages(0.9, 0.9, CPU))
+
+
+def test_who_does_not_count_has_no_part_in_loss_and_gradient(frames: Any) -> None:
+    terms, decisions = frames
+    other = decisions.clone()
+    idle = ~other["agents", "scored"]
+    assert idle.any()
+    for key, value in (("action", 50.0), ("advantage", 30.0), ("value_target", -20.0), ("log_prob", -1.0)):
+        other["agents", key][idle] = value
+    (one, slopes), (two, others) = terms(decisions), terms(other)
+    assert torch.equal(one, two) and (one != 0).all()
+    for slope, again in zip(slopes, others, strict=True):
+        assert slope is again is None or torch.equal(slope, again)
+
+
+def test_loss_is_a_mean_over_those_who_count(frames: Any) -> None:
+    """Scenes without anybody who counts change nothing: divided by people, not by slots."""
+    terms, decisions = frames
+    empty = decisions.clone()
+    empty["agents", "scored"][:] = False
+    both = cast("TensorDict", torch.cat((decisions, empty)))
+    torch.testing.assert_close(terms(both)[0], terms(decisions)[0])
+    entropy = 1 + math.log(2 * math.pi) + 2 * math.log(0.2)
+    assert float(terms(decisions)[0][2]) == pytest.approx(-0.01 * entropy, rel=1e-4)
+
+
+class Slow(Reward):
+    """A reward that has no gradient: 1 for walking slower than 0.8 m/s."""
+
+    def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
+        """Return it."""
+        return (torch.linalg.vector_norm(agents_of(after)["velocity"], dim=-1) < 0.8).float()
+
+
+class Broken(Reward):
+    """A reward that is no number."""
+
+    def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
+        """Return it."""
+        return super().__call__(before, after) * torch.nan
+
+
+def trained(module: PPOModule, iterations: int, **settings: Any) -> dict[str, float]:
+    """Train without a validation, and return what was logged last."""
+    data = TrajectoryDataModule("embedded", goal="window_end", batch_size=8)
+    trainer = L.Trainer(
+        max_epochs=1, limit_train_batches=iterations, limit_val_batches=0, logger=False, accelerator="cpu",
+        enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False, **settings,
+    )  # fmt: skip
+    trainer.fit(module, data)
+    return {key: float(value) for key, value in trainer.callback_metrics.items()}
+
+
+def recordings() -> TensorDict:
+    """Return the first batch that `trained` is given."""
+    data = TrajectoryDataModule("embedded", goal="window_end", batch_size=8)
+    data.setup("fit")
+    return next(iter(data.train_dataloader()))
+
+
+def test_learns_from_a_reward_without_a_gradient() -> None:
+    module = PPOModule(
+        small(), ["hallway"], Slow(), envs=16, steps=8, lr=1e-2, warmup=1, std=0.3, gamma=0.5, final_lr=1.0
+    )
+    first = trained(module, 1)["train/reward"]
+    trained(module, 14)
+    last = trained(module, 1)["train/reward"]
+    assert first < 0.3 and last > first + 0.3
+
+
+def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
+    module = PPOModule(small(), ["hallway"], Broken(), envs=2, steps=4, passes=2, minibatches=3)
+    before = {key: value.clone() for key, value in module.generator.state_dict().items()}
+    found = trained(module, 2)
+    assert int(module.skipped) == 2 * 2 * 3 and found["train/skipped"] > 0
+    assert all(torch.equal(before[key], value) for key, value in module.generator.state_dict().items())
+
+
+def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
+    """The generator's own loss of the batch that the data give, per scene and weighed."""
+    batch, weights = recordings(), []
+    for weight in (0.0, 20.0):
+        settings: dict[str, Any] = {"passes": 1, "minibatches": 1, "recorded": weight}
+        module = PPOModule(small(), ["hallway"], Reward(), envs=2, steps=2, **settings)
+        random = module.random()
+        torch.randperm(4, generator=random)
+        expected = weight * module.generator.loss(batch, random).item() / 8
+        found = trained(module, 1)
+        assert found.get("train/recorded", 0.0) == pytest.approx(expected, rel=1e-4)
+        weights.append(torch.cat([value.detach().flatten() for value in module.generator.parameters()]))
+    assert not torch.equal(*weights)
+
+
+FIT = ["fit", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false", "--data.batch_size=8"]
+FIT += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--rollout.episodes=2"]
+FIT += ["--model.envs=2", "--model.steps=3", "--model.samples=2", "--model.passes=2", "--model.minibatches=2"]
+FIT += ["--model.scenarios", "[hallway,circle:people=3]", "--monitor=val/ade", "--monitor_mode=min"]
+FIT += ["--rollout.scenarios", "hallway", "--trainer.check_val_every_n_epoch=1"]
+CONFIG = str(Path(__file__).parents[2] / "configs" / "ppo" / "sgan_goal.yaml")
+
+
+def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A resumed run ends with the very weights of an uninterrupted one; both walk by their name."""
+    monkeypatch.chdir(tmp_path)
+    start = [*FIT, "--config", CONFIG, "--weights", "sgan_goal.eth_ucy"]
+    assert main([*start, "--trainer.max_epochs=2", "--model.final_lr=1", "--runs=whole"]) == 0
+    assert main([*start, "--trainer.max_epochs=1", "--model.final_lr=1", "--runs=parts"]) == 0
+    (whole,), (parts,) = (list(Path(name).glob("*/*")) for name in ("whole", "parts"))
+    assert main(["fit", "--resume", str(parts), "--trainer.max_epochs=2"]) == 0
+    states = [
+        torch.load(run / "checkpoints" / "last.ckpt", weights_only=False)["state_dict"]
+        for run in (whole, parts)
+    ]
+    assert states[0].keys() == states[1].keys()
+    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
+    assert int(states[0]["iteration"]) == 4 and "spread.log" in states[0]
+    assert not any(key.startswith("_") for key in states[0])
+    logged = (whole / "metrics.csv").read_text()
+    assert "rollout/hallway/success" in logged and "train/reward" in logged and "nan" not in logged
+    tuned, origin = pedzoo.load(str(whole / "checkpoints" / "last.ckpt")), pedzoo.load("sgan_goal.eth_ucy")
+    assert not torch.equal(next(tuned.parameters()), next(origin.parameters()))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"scenarios": []}, "at least one"),
+        ({"scenarios": ["dor"]}, "door"),
+        ({"envs": 0}, "--model.envs 0"),
+        ({"envs": 1, "steps": 2}, "--model.minibatches 4"),
+        ({"std": 0.0}, "--model.std 0.0"),
+        ({"clip_ratio": 1.0}, "--model.clip_ratio 1.0"),
+        ({"gamma": 1.5}, "--model.gamma 1.5"),
+    ],
+)
+def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
+    settings = {"scenarios": ["hallway"], "reward": Reward()} | options
+    with pytest.raises(UserError, match=said):
+        PPOModule(small(), **settings)
+
+
+def test_negative_weights_are_refused() -> None:
+    with pytest.raises(UserError, match="people -1"):
+        Reward(people=-1)
+    with pytest.raises(UserError, match="near_distance"):
+        Reward(near_distance=0)

@@ -1,0 +1,388 @@
+"""Training: resumed runs, learning rates, who gets which gradient, records, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import lightning as L
+import pytest
+import torch
+from helpers.batches import changed, make_batch, random_weights
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from torch import Tensor
+from torch.optim import Optimizer
+
+import pedzoo
+from pedzoo.cli.main import main
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.base import Forecaster
+from pedzoo.models.blocks.discriminator import Discriminator
+from pedzoo.train.modules.gan import GANModule
+from pedzoo.train.modules.module import ForecastModule
+from pedzoo.train.modules.plain import PlainModule
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
+    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
+    pytest.mark.filterwarnings("ignore:.*no pre-optimization state was saved"),  # which nobody here wants
+    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
+    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+]
+
+QUICK = ["--data.fold", "embedded", "--data.batch_size", "8", "--model.samples", "2"]
+QUICK += ["--model.generator.best_k", "3", "--trainer.limit_train_batches", "3"]
+QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.limit_val_batches", "1"]
+QUICK += ["--trainer.enable_progress_bar", "false"]
+CONSTANT = ["--model.warmup", "1", "--model.final_lr", "1"]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Every test writes its runs into a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def make_module(kind: str, **options: Any) -> ForecastModule:
+    """Return a small training of ``kind`` gan, global or plain, always the same."""
+    torch.manual_seed(0)
+    model = SGAN(best_k=3, bottleneck_dim=8)
+    options = {"warmup": 2, "samples": 2} | options
+    if kind == "plain":
+        return PlainModule(model, **options)
+    return GANModule(model, Discriminator("global" if kind == "global" else "local"), **options)
+
+
+def make_data(**options: Any) -> TrajectoryDataModule:
+    return TrajectoryDataModule(**{"batch_size": 8, "rotate": True, "mirror": True} | options)
+
+
+def make_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
+    limits = {"limit_train_batches": 3, "limit_val_batches": 1, "max_epochs": 2, "num_sanity_val_steps": 0}
+    quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
+    options = limits | quiet | {"accelerator": "cpu", "log_every_n_steps": 1} | options
+    saving = any(isinstance(callback, ModelCheckpoint) for callback in callbacks)
+    return L.Trainer(callbacks=list(callbacks), enable_checkpointing=saving, **options)
+
+
+class PowerCutError(Exception):
+    """The run ends in the middle."""
+
+
+class Cut(Callback):
+    """Ends a run in the middle of an epoch."""
+
+    def __init__(self, epoch: int) -> None:
+        """Cut in ``epoch``."""
+        self.epoch = epoch
+
+    def on_train_batch_start(  # noqa: D102
+        self, trainer: L.Trainer, pl_module: L.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        if trainer.current_epoch == self.epoch and batch_idx == 1:
+            raise PowerCutError
+
+
+class Rates(Callback):
+    """Writes down the learning rates of all optimizers whenever they stepped."""
+
+    found: list[list[float]]
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: D102
+        self.found, self.steps = [], 0
+
+    def on_train_batch_end(  # noqa: D102
+        self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any
+    ) -> None:
+        if trainer.global_step > self.steps:
+            self.steps = trainer.global_step
+            self.found.append([optimizer.param_groups[0]["lr"] for optimizer in trainer.optimizers])
+
+
+def leaves(value: Any) -> Iterator[Any]:
+    """Yield all values in nested containers."""
+    if isinstance(value, dict):
+        for key in value:
+            yield key
+            yield from leaves(value[key])
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from leaves(item)
+    else:
+        yield value
+
+
+def assert_same_end(first: Path, second: Path) -> None:
+    """Check that two checkpoints have bit-equal weights and optimizer states."""
+    one, two = (torch.load(path, weights_only=True) for path in (first, second))
+    for key in ("state_dict", "optimizer_states"):
+        pairs = list(zip(leaves(one[key]), leaves(two[key]), strict=True))
+        assert sum(isinstance(a, Tensor) for a, _ in pairs) > 10
+        assert all(torch.equal(a, b) if isinstance(a, Tensor) else a == b for a, b in pairs)
+    assert one["global_step"] == two["global_step"] and one["epoch"] == two["epoch"]
+
+
+@pytest.mark.parametrize("kind", ["global", "plain"])
+def test_a_cut_run_ends_as_an_uninterrupted_one(kind: str, tmp_path: Path) -> None:
+    def run(folder: str, *more: Callback, resume: Path | None = None) -> Path:
+        saver = ModelCheckpoint(
+            tmp_path / folder, "last", save_on_train_epoch_end=True, enable_version_counter=False
+        )
+        trainer = make_trainer(saver, *more, max_epochs=4)
+        trainer.fit(make_module(kind), make_data(), ckpt_path=resume)
+        return tmp_path / folder / "last.ckpt"
+
+    whole = run("whole")
+    with pytest.raises(PowerCutError):
+        run("cut", Cut(2))
+    torch.manual_seed(99)  # another process, another state of everything global
+    resumed = run("cut", resume=tmp_path / "cut" / "last.ckpt")
+    assert torch.load(resumed, weights_only=True)["state_dict"]["iteration"] == 12
+    assert_same_end(whole, resumed)
+    state = torch.load(resumed, weights_only=True)["state_dict"]
+    assert any(not torch.equal(state[key], value) for key, value in make_module(kind).state_dict().items())
+
+
+@pytest.mark.parametrize("config", ["sgan", "plain"])
+def test_fit_twice_two_epochs_is_fit_four(config: str, tmp_path: Path) -> None:
+    model = ["--config", "sgan"] if config == "sgan" else ["--config", str(_plain_config(tmp_path))]
+    fit = ["fit", *model, *QUICK, *CONSTANT, "--trainer.max_epochs"]
+    assert main([*fit, "4", "--runs", "whole"]) == 0
+    assert main([*fit, "2", "--runs", "halves"]) == 0
+    whole, halves = (next(tmp_path.glob(f"{name}/*/*/checkpoints/last.ckpt")) for name in ("whole", "halves"))
+    assert main(["fit", "--resume", str(halves.parent.parent), "--trainer.max_epochs", "4"]) == 0
+    assert_same_end(whole, halves)
+    with (whole.parent.parent / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    wanted = {"val/ade", "val/fde", "val/next_step", "val/min_ade_2_scene", "val/min_fde_2_agent"}
+    wanted |= (
+        {"train/variety", "train/adversarial", "train/discriminator"} if config == "sgan" else {"train/loss"}
+    )
+    for name in wanted:
+        values = [float(row[name]) for row in rows if row[name]]
+        assert len(values) == 4 and all(math.isfinite(value) and value > 0 for value in values), name
+    assert len({row["val/ade"] for row in rows if row["val/ade"]}) == 4
+    found = pedzoo.load(str(whole))
+    assert isinstance(found, SGAN) and found.losses.best_k == 3
+
+
+def _plain_config(folder: Path) -> Path:
+    path = folder / "plain.yaml"
+    path.write_text(
+        "model:\n  class_path: pedzoo.train.modules.plain.PlainModule\n  init_args:\n    generator:\n"
+        "      class_path: pedzoo.models.architectures.sgan.SGAN\n"
+    )
+    return path
+
+
+def test_the_command_line_wins_over_a_checkpoint_and_strangers_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", "--config", "sgan", *QUICK, *CONSTANT, "--trainer.max_epochs", "1"]) == 0
+    last = next(tmp_path.glob("runs/*/*/checkpoints/last.ckpt"))
+    run = last.parent.parent
+    assert _rates(last) == [1e-3, 1e-3]
+    rates = ["--model.lr", "5e-4", "--model.lr_discriminator", "2e-4"]
+    assert main(["fit", "--resume", str(run), *rates, "--trainer.max_epochs", "2"]) == 0
+    assert _rates(last) == [5e-4, 2e-4]
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    capsys.readouterr()
+    for options, message in (
+        (["--model.generator.encoder_dim", "48"], "another architecture (encoder_dim: 32 there, 48 here)"),
+        (["--model.generator.noise", "agent"], "noise: scene there, agent here"),
+        (["--model.discriminator.kind", "global"], "of another training than GANModule as configured"),
+        (["--model.discriminator.hidden_dim", "32"], "discriminator.classifier.0.weight"),
+    ):
+        assert main(["fit", "--resume", str(run), *options, "--trainer.max_epochs", "3"]) == 2
+        err = capsys.readouterr().err
+        assert message in err and "use its own --config" in err and err.count("\n") == 1
+        assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    plain = ["fit", "--config", str(_plain_config(tmp_path)), *QUICK, "--ckpt_path", str(last)]
+    assert main(plain) == 2
+    assert "of another training than PlainModule" in capsys.readouterr().err
+    truncated = tmp_path / "cut.ckpt"
+    truncated.write_bytes(last.read_bytes()[:-200])
+    assert main(["fit", "--config", "sgan", *QUICK, "--ckpt_path", str(truncated)]) == 2
+    assert "cannot be read" in capsys.readouterr().err
+    torch.save({"state_dict": {}, "pytorch-lightning_version": "2.6.0"}, tmp_path / "other.ckpt")
+    assert main(["fit", "--config", "sgan", *QUICK, "--ckpt_path", "other.ckpt"]) == 2
+    assert "not written by pedzoo" in capsys.readouterr().err
+    assert len(list(tmp_path.glob("runs/*/*"))) == 1
+
+
+def _rates(checkpoint: Path) -> list[float]:
+    states = torch.load(checkpoint, weights_only=True)["optimizer_states"]
+    return [state["param_groups"][0]["lr"] for state in states]
+
+
+def test_losses_may_change_when_a_run_goes_on(tmp_path: Path) -> None:
+    saver = ModelCheckpoint(tmp_path, "last", save_on_train_epoch_end=True)
+    make_trainer(saver, max_epochs=1).fit(make_module("gan"), make_data())
+    module = make_module("gan", adversarial_weight=0.0)
+    cast("SGAN", module.generator).config["best_k"] = 2
+    cast("SGAN", module.generator).losses.best_k = 2
+    make_trainer(max_epochs=2).fit(module, make_data(), ckpt_path=tmp_path / "last.ckpt")
+    assert int(module.iteration) == 6
+
+
+def test_weight_zero_leaves_the_discriminator_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = cast("GANModule", make_module("global", adversarial_weight=0.0))
+    before = {key: value.clone() for key, value in module.state_dict().items()}
+
+    def forbidden(*_: Any) -> Tensor:
+        raise AssertionError("the discriminator was called")
+
+    monkeypatch.setattr(Discriminator, "forward", forbidden)
+    trainer = make_trainer()
+    trainer.fit(module, make_data())
+    same = {key for key, value in module.state_dict().items() if torch.equal(value, before[key])}
+    assert same == {key for key in before if key.startswith("discriminator.")}
+    assert not trainer.optimizers[1].state and trainer.global_step == 6
+    assert set(trainer.logged_metrics) >= {"train/variety", "val/ade"}
+    assert "train/discriminator" not in trainer.logged_metrics
+
+
+@pytest.mark.parametrize("kind", ["gan", "global"])
+def test_each_step_has_gradients_for_its_own_network_only(kind: str) -> None:
+    module = cast("GANModule", make_module(kind))
+    kept: dict[str, Tensor] = {}
+
+    class Watch(Callback):
+        def on_before_optimizer_step(
+            self, trainer: L.Trainer, pl_module: L.LightningModule, optimizer: Optimizer
+        ) -> None:
+            judge = dict(module.discriminator.named_parameters())
+            if optimizer is trainer.optimizers[1]:
+                assert all(p.grad is None for p in module.generator.parameters())
+                assert not any(p.requires_grad for p in module.generator.parameters())
+                kept.update({key: cast("Tensor", p.grad).clone() for key, p in judge.items()})
+            else:
+                assert all(p.grad is not None and p.requires_grad for p in module.generator.parameters())
+                assert not any(p.requires_grad for p in judge.values())
+                assert kept and all(
+                    torch.equal(cast("Tensor", judge[key].grad), g) for key, g in kept.items()
+                )
+
+    trainer = make_trainer(Watch(), max_epochs=1, limit_train_batches=1)
+    trainer.fit(module, make_data())
+    assert trainer.global_step == 2
+    assert all(p.requires_grad for p in module.parameters())
+
+
+def test_the_adversarial_loss_reaches_the_generator() -> None:
+    """With the same noise and discriminator, its weight changes the generator's step."""
+    ends = []
+    for weight in (1e-9, 5.0):
+        module = cast("GANModule", make_module("gan", adversarial_weight=weight))
+        # a score under zero has no slope: the published network may start there with everybody
+        torch.nn.init.ones_(cast("torch.nn.Linear", module.discriminator.classifier[2]).bias)
+        make_trainer(max_epochs=1, limit_train_batches=1).fit(module, make_data())
+        ends.append(torch.cat([p.detach().flatten() for p in module.generator.parameters()]))
+    assert not torch.equal(*ends)
+
+
+SCHEDULES = [
+    ("gan", {}, {"max_epochs": 3}, 9),
+    ("gan", {}, {"max_steps": 14, "max_epochs": -1}, 7),
+    ("gan", {}, {"max_steps": 8, "max_epochs": 3}, 4),
+    ("gan", {"adversarial_weight": 0.0}, {"max_steps": 7, "max_epochs": -1}, 7),
+    ("plain", {}, {"max_epochs": 3}, 9),
+    ("plain", {}, {"max_steps": 7, "max_epochs": -1}, 7),
+    ("plain", {}, {"max_epochs": 3, "limit_train_batches": 4, "accumulate_grad_batches": 2}, 12),
+]
+
+
+@pytest.mark.parametrize(("kind", "options", "limits", "iterations"), SCHEDULES, ids=str)
+def test_the_learning_rate_ends_with_the_training(
+    kind: str, options: dict[str, Any], limits: dict[str, Any], iterations: int
+) -> None:
+    rates = Rates()
+    module = make_module(kind, lr=1e-3, warmup=2, final_lr=0.1, **options)
+    make_trainer(rates, limit_val_batches=0, **{"limit_train_batches": 3} | limits).fit(module, make_data())
+    assert int(module.iteration) == iterations
+    every = limits.get("accumulate_grad_batches", 1)
+    wanted = []
+    for done in range(every - 1, iterations, every):
+        cosine = 0.1 + 0.9 * 0.5 * (1 + math.cos(math.pi * done / iterations))
+        wanted.append(1e-3 * cosine * min(1.0, (done + 1) / 2))
+    assert wanted[-1] < 0.3e-3
+    assert [found[0] for found in rates.found] == pytest.approx(wanted)
+    assert all(found[1:] in ([], [1e-3]) for found in rates.found)
+
+
+def test_a_training_without_an_end_has_a_constant_rate() -> None:
+    class Enough(Callback):
+        def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
+            trainer.should_stop = trainer.global_step >= 8
+
+    for kind in ("gan", "plain"):
+        trainer = make_trainer(Enough(), max_epochs=-1, limit_val_batches=0)
+        trainer.fit(make_module(kind, lr=2e-3), make_data())
+        assert trainer.optimizers[0].param_groups[0]["lr"] == 2e-3
+
+
+@pytest.mark.parametrize("kind", ["gan", "plain"])
+def test_checkpoints_within_an_epoch_count_their_iteration(kind: str, tmp_path: Path) -> None:
+    saver = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=2 if kind == "gan" else 1, save_top_k=-1)
+    make_trainer(saver, max_epochs=1).fit(make_module(kind), make_data())
+    found = {}
+    for path in tmp_path.glob("*.ckpt"):
+        checkpoint = torch.load(path, weights_only=True)
+        found[checkpoint["global_step"]] = int(checkpoint["state_dict"]["iteration"])
+    per_iteration = 2 if kind == "gan" else 1
+    assert len(found) == 3 and all(step == per_iteration * done for step, done in found.items())
+
+
+def test_another_goal_protocol_than_the_models_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    module = make_module("plain")
+    module.generator = SGAN(goal_dim=4, goal_protocol="window_end")
+    for goal in ("destination", "none"):
+        with pytest.raises(UserError, match=f"goals by '{goal}', but the model is built for 'window_end'"):
+            make_trainer().fit(module, make_data(goal=goal))
+    assert main(["fit", "--config", "sgan_goal", *QUICK, "--data.goal", "destination"]) == 2
+    assert "--model.generator.goal_protocol destination" in capsys.readouterr().err
+    make_trainer(max_epochs=1, limit_train_batches=1).fit(module, make_data(goal="random_future"))
+
+
+def test_batches_bring_the_floor_plans_of_the_data() -> None:
+    module, seen = make_module("gan"), []
+    module.generator = SGAN(map="patch", best_k=2)
+    assert module.generator.map is not None
+    module.generator.map.register_forward_pre_hook(lambda part, given: seen.append(given[0]))
+    data = make_data()
+    make_trainer(max_epochs=1, limit_train_batches=1).fit(module, data)
+    assert seen and all(bank is data.bank for bank in seen)
+
+
+def test_a_model_without_variety_loss_is_for_the_other_module() -> None:
+    with pytest.raises(UserError, match="has no variety loss: train it with PlainModule"):
+        GANModule(cast("SGAN", Forecaster()), Discriminator())
+
+
+def test_nobody_is_judged_by_positions_that_were_not_seen() -> None:
+    module = cast("GANModule", make_module("gan"))
+    random_weights(cast("Forecaster", module.discriminator))
+    batch = make_batch((2, 3), goal=False, partly=True)
+    agents = agents_of(batch)
+    unknown = ~agents["future_valid"] & agents["mask"][..., None]
+    elsewhere = changed(batch, future=agents["future"] + 5.0 * unknown.unsqueeze(-1))
+    losses = [
+        module.discriminator_loss(data, torch.Generator().manual_seed(0)) for data in (batch, elsewhere)
+    ]
+    assert losses[0].isfinite() and losses[0] > 0 and torch.equal(*losses)
+    nobody = changed(batch, future_valid=torch.zeros_like(agents["future_valid"]))
+    assert module.discriminator_loss(nobody, torch.Generator()).item() == 0.0
+
+
+@pytest.mark.parametrize("kind", ["global", "plain"])
+def test_partly_present_people_train(kind: str) -> None:
+    module = make_module(kind)
+    make_trainer().fit(module, make_data(people="present", min_people=1))
+    assert all(value.isfinite().all() for value in module.parameters())
