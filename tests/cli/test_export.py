@@ -13,7 +13,7 @@ import torch
 import yaml
 from helpers.batches import make_batch, random_weights
 from helpers.model_cards import make_card
-from test_publish import make_run
+from helpers.runs import make_run
 
 import pedzoo
 from pedzoo.cli.main import main

@@ -37,7 +37,7 @@ ELSEWHERE += [
         "reproduce table1 --out pages",  # tests/tools/test_reproduce.py
         "reproduce figure4 --out pages --quick",
         "fit --config closed_loop/sgan_goal_map",  # tests/train/test_configs.py
-        "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # tests/train/test_in_the_loop.py
+        "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # train/test_in_the_loop.py
         "fit --config closed_loop/sgan_goal_map --weights sgan_goal.zara1 --model.walking.walls 30",
         "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/train/test_ppo.py
     )

@@ -9,7 +9,7 @@ from textwrap import dedent
 
 import pytest
 import torch
-from test_in_the_loop import module, train
+from helpers.loop_training import module, train
 
 import pedzoo
 from pedzoo.cli.main import main

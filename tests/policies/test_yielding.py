@@ -9,7 +9,7 @@ from typing import cast
 
 import pytest
 import torch
-from test_batch import scene
+from helpers.scenes import scene
 from torch import Tensor
 
 from pedzoo.core.batch import PERSON, ROBOT

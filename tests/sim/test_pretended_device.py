@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 import torch
+from helpers.crowds import ROOM, crowd
 from helpers.pretend import DEVICE, HostReadError, MixedDevicesError, There, pretended
-from test_safety_walks import ROOM, crowd
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose

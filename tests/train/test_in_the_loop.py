@@ -14,13 +14,13 @@ import lightning as L
 import pytest
 import torch
 import yaml
+from helpers.loop_training import MEETING, module, small, train
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
@@ -37,7 +37,6 @@ QUICK += ["--data.batch_size", "4", "--data.unroll_batch_size", "4", "--data.unr
 QUICK += ["--trainer.limit_train_batches", "3", "--trainer.limit_val_batches", "1"]
 QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
 STILL = ["--rollout.scenarios", "null", "--monitor", "val/ade", "--monitor_mode", "min"]
-MEETING = "hallway:people=2,jitter=0"
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*does not have many workers"),
@@ -60,41 +59,6 @@ def fit(weights: str, *options: str, epochs: int = 1) -> Path:
     assert main([*words, *options]) == 0
     (run,) = set(Path().glob("runs/*/*")) - before
     return run
-
-
-def small() -> SGAN:
-    """Return an untrained controller, which walks straight to its goal."""
-    torch.manual_seed(0)
-    return SGAN(
-        embedding_dim=8, encoder_dim=16, decoder_dim=16, mlp_dim=16, noise_dim=4, noise="agent", goal_dim=8,
-        goal_protocol="window_end", frame="way", residual="bent_line", approach_dim=8, trait_dim=8, best_k=2,
-    )  # fmt: skip
-
-
-def module(model: SGAN | None = None, walking: LoopLosses | None = None, **options: Any) -> LoopModule:
-    """Return a training of two people who walk towards each other."""
-    defaults: dict[str, Any] = {"imitation": Imitation(displacement=0.1, distribution=0.0), "steps": 10}
-    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "keep": 1}
-    torch.manual_seed(0)  # the run's seed
-    courses = [Course(MEETING, scenes=6)]
-    return LoopModule(model or small(), courses, walking or LoopLosses(), **defaults | options)
-
-
-def train(trained: LoopModule, updates: int, *callbacks: Callback, **data: Any) -> L.Trainer:
-    """Train for some updates of one epoch, without validation."""
-    quiet: dict[str, Any] = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
-    quiet |= {"limit_val_batches": 0, "num_sanity_val_steps": 0, "enable_checkpointing": False}
-    trainer = L.Trainer(
-        accelerator="cpu",
-        max_epochs=1,
-        limit_train_batches=updates,
-        callbacks=list(callbacks),
-        log_every_n_steps=1,
-        **quiet,
-    )
-    settings = {"goal": "window_end", "batch_size": 4, "unroll": 4, "unroll_batch_size": 4} | data
-    trainer.fit(trained, TrajectoryDataModule(**settings))
-    return trainer
 
 
 def walked(model: SGAN) -> tuple[Segment, Tensor]:

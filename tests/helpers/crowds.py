@@ -1,0 +1,42 @@
+"""Crowds about a door, for the safety layer."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.geometry import limit_speed
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.policies.learned.clearance import Steps
+
+ROOM = rectangles(
+    [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
+)
+"""Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
+
+
+def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> Steps:
+    """Return people on a grid of 0.55 m about the door, going anywhere and coming from anywhere."""
+    random = torch.Generator().manual_seed(seed)
+    side = math.ceil(math.sqrt(people))
+    cell = torch.cartesian_prod(torch.arange(side), torch.arange(side))[:people] - (side - 1) / 2
+
+    def draw(*more: int) -> Tensor:
+        return torch.rand(scenes, people, *more, generator=random)
+
+    position = 0.55 * cell + 0.15 * (draw(2) - 0.5) + torch.rand(scenes, 1, 2, generator=random) - 0.5
+    longest = STEP_SECONDS * (1.3 + 0.4 * draw())
+    velocity = limit_speed(0.8 * torch.randn(position.shape, generator=random), longest / STEP_SECONDS)
+    step = 0.4 * torch.randn(position.shape, generator=random)
+    everybody, nobody = draw() >= 0, draw() > 1
+    if not mixed:
+        radius = torch.full_like(longest, BODY_RADIUS)
+        return Steps(position, step, longest, everybody, everybody, nobody, radius, nobody, velocity)
+    present = draw() > 0.1
+    moved = present & (draw() > 0.15)
+    return Steps(
+        position, step, longest, present, moved, draw() > 0.8, 0.12 + 0.1 * draw(), draw() > 0.85, velocity
+    )

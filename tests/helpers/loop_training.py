@@ -1,0 +1,53 @@
+"""Small trainings in the loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import Callback
+
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.train.loop.imitation import Imitation
+from pedzoo.train.loop.in_the_loop import LoopModule
+from pedzoo.train.loop.loop_losses import LoopLosses
+from pedzoo.train.loop.mixture import Course
+
+MEETING = "hallway:people=2,jitter=0"
+
+
+def small() -> SGAN:
+    """Return an untrained controller, which walks straight to its goal."""
+    torch.manual_seed(0)
+    return SGAN(
+        embedding_dim=8, encoder_dim=16, decoder_dim=16, mlp_dim=16, noise_dim=4, noise="agent", goal_dim=8,
+        goal_protocol="window_end", frame="way", residual="bent_line", approach_dim=8, trait_dim=8, best_k=2,
+    )  # fmt: skip
+
+
+def module(model: SGAN | None = None, walking: LoopLosses | None = None, **options: Any) -> LoopModule:
+    """Return a training of two people who walk towards each other."""
+    defaults: dict[str, Any] = {"imitation": Imitation(displacement=0.1, distribution=0.0), "steps": 10}
+    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "keep": 1}
+    torch.manual_seed(0)  # the run's seed
+    courses = [Course(MEETING, scenes=6)]
+    return LoopModule(model or small(), courses, walking or LoopLosses(), **defaults | options)
+
+
+def train(trained: LoopModule, updates: int, *callbacks: Callback, **data: Any) -> L.Trainer:
+    """Train for some updates of one epoch, without validation."""
+    quiet: dict[str, Any] = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
+    quiet |= {"limit_val_batches": 0, "num_sanity_val_steps": 0, "enable_checkpointing": False}
+    trainer = L.Trainer(
+        accelerator="cpu",
+        max_epochs=1,
+        limit_train_batches=updates,
+        callbacks=list(callbacks),
+        log_every_n_steps=1,
+        **quiet,
+    )
+    settings = {"goal": "window_end", "batch_size": 4, "unroll": 4, "unroll_batch_size": 4} | data
+    trainer.fit(trained, TrajectoryDataModule(**settings))
+    return trainer

@@ -1,0 +1,50 @@
+"""Scene batches of agents who have come straight to where they are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from pedzoo.core.batch import scene_batch
+from pedzoo.core.geometry import identity_pose
+from pedzoo.maps.bank import MapBank
+
+
+def scene(
+    position: Any,
+    velocity: Any,
+    desired: Any,
+    radius: Any = None,
+    kind: Any = None,
+    controlled: Any = None,
+    maps: MapBank | None = None,
+) -> TensorDict:
+    """Return scenes (B, A) of agents who have come straight to where they are."""
+    position, velocity, desired = (
+        torch.as_tensor(values, dtype=torch.float32) for values in (position, velocity, desired)
+    )
+    if position.dim() == 2:
+        position, velocity, desired = position[None], velocity[None], desired[None]
+    there = torch.ones(position.shape[:2], dtype=torch.bool)
+    ago = 0.4 * torch.arange(7.0, -1.0, -1.0).view(8, 1)
+    bank = MapBank() if maps is None else maps
+    map_id = bank.grids[0].map_id if bank.grids else -1
+    return scene_batch(
+        maps=bank,
+        map_id=torch.full((len(there), 1), map_id),
+        pose=identity_pose(len(there)),
+        history=position.unsqueeze(2) - ago * velocity.unsqueeze(2),
+        valid=there.unsqueeze(2).expand(-1, -1, 8),
+        mask=there,
+        velocity=velocity,
+        pref_speed=torch.full((*there.shape, 1), 1.3),
+        radius=None if radius is None else torch.as_tensor(radius).expand(there.shape).unsqueeze(-1),
+        kind=None if kind is None else torch.as_tensor(kind).expand(there.shape),
+        goal=position + 3.2 * desired,
+        desired_velocity=desired,
+        controlled=None if controlled is None else torch.as_tensor(controlled).expand(there.shape),
+        key=torch.zeros(len(there), 1, dtype=torch.long),
+        time=torch.zeros(len(there), 1),
+    )
