@@ -221,6 +221,16 @@ class PedestrianEnv(EnvBase):
             self._scenes = self._scenes.with_rows(rows, self._next(rows.cpu()))
         return self._observation(*self._scenes)
 
+    def _reset_proc_data(
+        self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        """Take what `_reset` returns as it is: all rows are in it; TorchRL would pick some, key by key."""
+        if tensordict is None:
+            return super()._reset_proc_data(tensordict, tensordict_reset)
+        self._complete_done(self.full_done_spec, tensordict_reset)
+        self._reset_check_done(tensordict, tensordict_reset)
+        return tensordict.exclude("_reset", inplace=True).update(tensordict_reset)
+
     def _next(self, rows: Tensor) -> _Scenes:
         """Return the next episodes of some rows.
 
