@@ -5,8 +5,13 @@ For tensors on the CPU; callers add gradients. Every function has its equal in t
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
+import re
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -18,17 +23,38 @@ from pedzoo.maps.walls.contenders import CONTENDERS
 def compiled(signature: str | None = None) -> Callable[[Any], Any]:
     """Return a decorator that compiles a function: at once for a signature, else when it is first called.
 
-    What is compiled is kept beside the source, or in numba's own folder where that cannot be written.
+    What is compiled is kept in the package, or in numba's own folder where that cannot be written.
     """
     njit: Any = numba.njit
 
     def decorate(function: Any) -> Any:
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _cache_folder()  # pyright: ignore
         try:
             return njit(signature, cache=True, error_model="numpy")(function)
         except RuntimeError:  # numba finds no folder at all to keep it in
             return njit(signature, error_model="numpy")(function)
+        finally:
+            numba.config.CACHE_DIR = before  # pyright: ignore
 
     return decorate
+
+
+@cache
+def _cache_folder() -> str:
+    """Return the folder of all loops as they are now: numba alone would not notice a change in another file."""
+    root = Path(__file__).parents[2]
+    marks = re.compile(rb"walls\.compiled import|^jit = compiled", re.MULTILINE)
+    imports = re.compile(rb"^from pedzoo\.([\w.]+) import", re.MULTILINE)
+    loops = [text for path in sorted(root.rglob("*.py")) if marks.search(text := path.read_bytes())]
+    names = {name.decode() for text in loops for name in imports.findall(text)}
+    files = [root.joinpath(*name.split(".")).with_suffix(".py") for name in sorted(names)]
+    texts = [*loops, *(file.read_bytes() for file in files if file.is_file())]
+    folder = root / "__pycache__" / f"numba-{hashlib.sha256(b''.join(texts)).hexdigest()[:16]}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return ""
+    return str(folder) if os.access(folder, os.W_OK) else ""
 
 
 jit = compiled()
