@@ -41,7 +41,7 @@ def compiled(signature: str | None = None) -> Callable[[Any], Any]:
 
 @cache
 def _cache_folder() -> str:
-    """Return the folder of all loops as they are now; numba alone does not notice a change in another file."""
+    """Return the folder of all loops as they are now; numba alone misses changes in other files."""
     root = Path(__file__).parents[2]
     marks = re.compile(rb"walls\.compiled import|^jit = compiled", re.MULTILINE)
     imports = re.compile(rb"^from pedzoo\.([\w.]+) import", re.MULTILINE)
