@@ -199,7 +199,8 @@ class PedestrianEnv(EnvBase):
             agents_of(now).pop("reward")
         for old, new in ((tensordict, now), (agents_of(tensordict), agents_of(now))):
             for name in set(old.keys()).difference(new.keys(), ("reward",)):
-                new.set(name, old.get(name))
+                value = old.get(name)
+                new.set(name, value.copy() if isinstance(value, TensorDictBase) else value)
         tensordict.set("next", after)
         return tensordict, now
 

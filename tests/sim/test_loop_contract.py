@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torchrl.envs import check_env_specs
+from torchrl.envs import EnvBase, check_env_specs
 from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.draws import Draws
@@ -438,6 +438,28 @@ def test_episodes_follow_one_another_in_a_long_rollout() -> None:
         assert found == expected.tolist()
     starts = long["time"][..., 0] == 0
     assert int(starts.sum()) == sum(map(len, keys))
+
+
+def test_step_and_maybe_reset_is_torchrls() -> None:
+    """Key by key, through many ends of scenes, with keys that a policy has added."""
+    mine, other = (make_env("circle:people=2,jitter=0.1", 3, "compiled", seed=2) for _ in range(2))
+    now, then = mine.reset(), other.reset()
+    ends = 0
+    for step in range(120):
+        for scenes in (now, then):
+            scenes["agents", "action"] = scenes["agents", "desired_velocity"]
+            scenes["memory"] = torch.full((3, 1), float(step))
+            scenes["agents", "note"] = torch.full((3, 2, 1), float(step))
+        (before, now), (earlier, then) = (
+            mine.step_and_maybe_reset(now),
+            EnvBase.step_and_maybe_reset(other, then),
+        )
+        ends += int(before["next", "done"].sum())
+        for one, two in ((before, earlier), (now, then)):
+            one, two = (part.exclude("maps", ("next", "maps")) for part in (one, two))
+            assert set(one.keys(True)) == set(two.keys(True))
+            assert bool((one == two).all()), step
+    assert ends >= 6
 
 
 def test_states_are_never_written_in_place() -> None:
