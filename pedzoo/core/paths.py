@@ -9,6 +9,9 @@ from pedzoo.core.errors import UserError, unknown
 
 _PACKAGE = Path(__file__).parents[1]
 
+CARD, WEIGHTS = "card.yaml", "weights.safetensors"
+"""Files of a model's own folder, which has the model's name."""
+
 
 def shipped(folder: str) -> Path:
     """Return ``configs`` or ``checkpoints``: beside the package in a checkout, inside it in a wheel."""
@@ -18,7 +21,7 @@ def shipped(folder: str) -> Path:
 
 def weight_files() -> dict[str, Path]:
     """Return the files of all shipped weights by name, in alphabetical order."""
-    return {path.stem: path for path in sorted(shipped("checkpoints").glob("*.safetensors"))}
+    return {path.parent.name: path for path in sorted(shipped("checkpoints").glob(f"*/{WEIGHTS}"))}
 
 
 def config_names() -> list[str]:

@@ -303,7 +303,8 @@ def test_wheel_holds_configs_and_checkpoints(elsewhere):
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     (wheel,) = elsewhere.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
-    shipped = [path for folder in ("configs", "checkpoints") for path in (ROOT / folder).rglob("*.*")]
+    folders = (ROOT / "configs", ROOT / "checkpoints")
+    shipped = [path for folder in folders for path in folder.rglob("*.*") if path.is_file()]
     shipped += [
         path.relative_to(ROOT / "pedzoo") for path in (ROOT / "pedzoo" / "data" / "embedded").glob("*.*")
     ]

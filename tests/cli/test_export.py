@@ -56,8 +56,9 @@ def test_a_run_becomes_weights_and_a_card_with_its_numbers(
     options = ["--to", folder, "--data.root", "recordings", "--json", str(tmp_path / "said.json")]
     assert main(["export", checkpoint, "--zoo", *options]) == 0
     assert asked == [checkpoint, "sgan_goal.zara1", "recordings"]
-    assert sorted(os.listdir(folder)) == ["sgan_goal.zara1.safetensors", "sgan_goal.zara1.yaml"]
-    card = read_card(f"{folder}/sgan_goal.zara1.yaml")
+    assert os.listdir(folder) == ["sgan_goal.zara1"]
+    assert sorted(os.listdir(f"{folder}/sgan_goal.zara1")) == ["card.yaml", "weights.safetensors"]
+    card = read_card(f"{folder}/sgan_goal.zara1/card.yaml")
     assert card.evaluations == make_card().evaluations and card.training["value"] == 0.2
     loaded = f'pedzoo.load("{folder}/sgan_goal.zara1")'
     assert loaded in capsys.readouterr().out
@@ -67,14 +68,14 @@ def test_a_run_becomes_weights_and_a_card_with_its_numbers(
     )
     said = json.loads((tmp_path / "said.json").read_text())
     assert said["command"] == "export" and said["files"] == [
-        f"{folder}/sgan_goal.zara1{end}" for end in (".safetensors", ".yaml")
+        f"{folder}/sgan_goal.zara1/{file}" for file in ("weights.safetensors", "card.yaml")
     ]
 
 
 def test_numbers_are_left_out_where_nobody_wants_them(tmp_path: Path) -> None:
     options = ["--to", str(tmp_path / "zoo"), "--name", "sgan_goal.mall", "--no-evaluation"]
     assert main(["export", str(make_run(tmp_path)), "--zoo", *options]) == 0
-    assert read_card(tmp_path / "zoo" / "sgan_goal.mall.yaml").evaluations == []
+    assert read_card(tmp_path / "zoo" / "sgan_goal.mall" / "card.yaml").evaluations == []
 
 
 def test_a_folder_for_the_hub_loads_again_and_is_the_same_when_written_again(
@@ -82,11 +83,19 @@ def test_a_folder_for_the_hub_loads_again_and_is_the_same_when_written_again(
 ) -> None:
     hub = tmp_path / "hub"
     assert main(["export", model, "--hub", str(hub)]) == 0
-    assert sorted(os.listdir(hub)) == ["README.md", "sgan.mall.safetensors", "sgan.mall.yaml"]
+    assert sorted(os.listdir(hub)) == ["README.md", "card.yaml", "weights.safetensors"]
     assert torch.equal(answers(pedzoo.load(hub)), answers(load(model)))
     before = {path.name: path.read_bytes() for path in hub.iterdir()}
     write_hub(str(hub), hub)
     assert {path.name: path.read_bytes() for path in hub.iterdir()} == before
+
+
+def test_a_folder_for_the_hub_replaces_files_of_an_earlier_layout(model: str) -> None:
+    folder = Path(model).parent
+    before = answers(load(model))
+    write_hub(model, folder)
+    assert sorted(os.listdir(folder)) == ["README.md", "card.yaml", "weights.safetensors"]
+    assert torch.equal(answers(load(folder)), before)
 
 
 def test_weights_of_a_hub_folder_are_its_own(model: str, tmp_path: Path) -> None:
@@ -95,7 +104,7 @@ def test_weights_of_a_hub_folder_are_its_own(model: str, tmp_path: Path) -> None
     card = read_card(path)
     write_card(replace(card, url="https://example.org/sgan.safetensors"), path)
     write_hub(model, tmp_path / "hub")
-    assert read_card(tmp_path / "hub" / "sgan.mall.yaml") == card
+    assert read_card(tmp_path / "hub" / "card.yaml") == replace(card, file="weights.safetensors")
 
 
 def test_the_front_matter_is_what_the_hub_reads() -> None:

@@ -20,7 +20,7 @@ from pedzoo.eval.card_numbers import compare, measure
 from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.forecast import forecast
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
-from pedzoo.models.zoo.store import find
+from pedzoo.models.zoo.store import find, weights_of
 
 NAME = "sgan_goal_map.zara1"
 DOOR = {"suites": ["door"], "episodes": 3, "physics": "compiled"}
@@ -56,7 +56,7 @@ def card_with(reports: list[dict[str, Any]], folder: str = "zoo") -> str:
     entry = find(NAME)
     assert entry
     Path(folder).mkdir(exist_ok=True)
-    shutil.copy(entry.folder / entry.card.file, folder)
+    shutil.copy(weights_of(entry), Path(folder) / entry.card.file)
     write_card(replace(entry.card, evaluations=reports), Path(folder) / f"{NAME}.yaml")
     return f"{folder}/{NAME}"
 
@@ -232,4 +232,4 @@ def test_the_card_of_a_shipped_model_is_true_on_recordings(
 def shipped() -> ModelCard:
     entry = find(NAME)
     assert entry
-    return read_card(entry.folder / f"{NAME}.yaml")
+    return read_card(entry.path)

@@ -28,8 +28,9 @@ def test_the_card_says_what_the_run_recorded(tmp_path: Path) -> None:
     checkpoint = make_run(tmp_path / "runs")
     command = ["pedzoo", "fit", "--config", "sgan_goal", "--seed_everything", "0", "--data.fold=zara1"]
     path = publish(checkpoint, tmp_path / "zoo")
-    assert path == tmp_path / "zoo" / "sgan_goal.zara1.yaml"
-    card, weights = read_card(path), path.with_suffix(".safetensors")
+    assert path == tmp_path / "zoo" / "sgan_goal.zara1" / "card.yaml"
+    card, weights = read_card(path), path.with_name("weights.safetensors")
+    assert card.name == "sgan_goal.zara1" and card.file == weights.name
     assert card.sha256 == hashlib.sha256(weights.read_bytes()).hexdigest()
     assert card.size == weights.stat().st_size
     assert card.training == {
@@ -59,8 +60,8 @@ def test_the_card_says_what_the_run_recorded(tmp_path: Path) -> None:
 def test_a_checkpoint_published_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     checkpoint = make_run(tmp_path / "runs")
     one, other = publish(checkpoint, tmp_path / "a"), publish(checkpoint, tmp_path / "b")
-    for suffix in (".yaml", ".safetensors"):
-        assert one.with_suffix(suffix).read_bytes() == other.with_suffix(suffix).read_bytes()
+    for name in ("card.yaml", "weights.safetensors"):
+        assert one.with_name(name).read_bytes() == other.with_name(name).read_bytes()
 
 
 def test_all_seeds_of_the_same_training_are_on_the_card(tmp_path: Path) -> None:
@@ -96,7 +97,7 @@ def test_a_run_that_began_with_other_weights_saw_what_they_saw(tmp_path: Path) -
     base = publish(make_run(tmp_path / "base"), tmp_path / "zoo")
     embedded = {"fold": "embedded", "files": None}
     for began in (
-        f"{base.parent}/sgan_goal.zara1",
+        str(base.parent),
         str(tmp_path / "base/sgan_goal/zara1-seed0/checkpoints/best.ckpt"),
     ):
         checkpoint = make_run(tmp_path / f"runs{len(began)}", weights=began, data=embedded)
@@ -119,7 +120,7 @@ def test_commands_on_cards_have_no_names_of_this_machine(
 ) -> None:
     """A checkpoint that was published is called by its zoo name, and a shipped config's file by its own."""
     began = make_run(tmp_path / "base", seed=1)
-    weights = publish(began, tmp_path / "zoo").with_suffix(".safetensors")
+    weights = publish(began, tmp_path / "zoo").with_name("weights.safetensors")
     monkeypatch.setattr("pedzoo.models.export.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
     checkpoint = make_run(tmp_path / "runs", weights=str(began))
     file = checkpoint.parents[1] / "versions.json"
@@ -154,11 +155,11 @@ def test_what_cannot_be_published_is_refused_and_leaves_nothing(tmp_path: Path) 
         UserError, match=r"not in the folder of its run: .* has no config\.yaml and no metrics"
     ):
         publish(alone, tmp_path / "zoo")
-    (tmp_path / "there").mkdir()
-    (tmp_path / "there" / "sgan_goal.zara1.yaml").write_text("name: [")
+    (there := tmp_path / "there" / "sgan_goal.zara1").mkdir(parents=True)
+    (there / "card.yaml").write_text("name: [")
     with pytest.raises(UserError, match=r"model card .* cannot be read"):
         publish(checkpoint, tmp_path / "there", name="sgan_goal.zara1")
-    assert not list((tmp_path / "there").glob("*.safetensors"))
+    assert not list(there.glob("*.safetensors"))
     content = torch.load(checkpoint, weights_only=True)
     content["pedzoo"]["architecture"] = "own.py:Mine"
     torch.save(content, checkpoint)
@@ -242,4 +243,4 @@ def test_a_real_run_is_published_and_loads(tmp_path: Path, monkeypatch: pytest.M
     assert card.name == "sgan_goal.embedded" and card.data["recordings"] == ["plaza_train"]
     assert card.training["seeds"] == {0: card.training["value"]} and card.training["epoch"] == 0
     assert card.training["overrides"]["model.samples"] == "2"
-    assert load(Path("zoo") / card.file).goal_protocol == "window_end"
+    assert load(Path("zoo") / card.name / card.file).goal_protocol == "window_end"

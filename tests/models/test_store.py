@@ -25,6 +25,7 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.export.publish import describe
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
+from pedzoo.models.zoo.hub import write_hub
 from pedzoo.models.zoo.loading import list_models, load, obtain, save_weights
 from pedzoo.models.zoo.saved import saved_config
 from pedzoo.models.zoo.store import find
@@ -63,6 +64,12 @@ def made(model: Forecaster, folder: Path, name: str = NAME) -> ModelCard:
     return read_card(describe(folder / f"{name}.safetensors"))
 
 
+def made_apart(model: Forecaster, folder: Path, name: str = NAME) -> ModelCard:
+    """Write weights and their card into the model's own folder below one and return the card."""
+    save_weights(model, folder / name / "weights.safetensors")
+    return read_card(describe(folder / name / "weights.safetensors"))
+
+
 def changed(folder: Path, **values: Any) -> None:
     """Change a card by hand, whether it makes sense or not."""
     path = folder / f"{NAME}.yaml"
@@ -70,9 +77,9 @@ def changed(folder: Path, **values: Any) -> None:
 
 
 def serve(site: Site, folder: Path, below: str) -> None:
-    """Put all files of a folder on a site."""
-    for path in folder.iterdir():
-        site.put(f"{below}/{path.name}", path.read_bytes())
+    """Put all files of a folder and its folders on a site."""
+    for path in filter(Path.is_file, folder.rglob("*")):
+        site.put(f"{below}/{path.relative_to(folder).as_posix()}", path.read_bytes())
 
 
 def same(one: Forecaster, other: Forecaster) -> bool:
@@ -100,6 +107,60 @@ def test_a_folder_is_loaded_by_its_path(model: Forecaster, monkeypatch: pytest.M
     monkeypatch.setenv("PEDZOO_ZOO", " elsewhere, mine ")
     assert same(load(NAME), model)
     assert {NAME, "sgan_goal.square"} <= set(list_models("sgan_goal.*"))
+
+
+def test_a_folder_of_its_own_is_loaded_by_its_path(
+    model: Forecaster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    card = made_apart(model, Path("mine"))
+    assert card.name == NAME and obtain("mine") == Path("mine") / NAME / "weights.safetensors"
+    for name in (f"mine/{NAME}", f"mine/{NAME}/", f"./mine/{NAME}", "mine"):
+        assert same(load(name), model)
+    made(other := random_weights(SGAN(**OPTIONS), seed=1).eval(), Path("mine"), "sgan_goal.square")
+    assert same(load("mine/sgan_goal.square"), other)
+    with pytest.raises(UserError, match=r"say which: mine/sgan_goal\.mall, mine/sgan_goal\.square"):
+        load("mine")
+    monkeypatch.setenv("PEDZOO_ZOO", "mine")
+    assert same(load(NAME), model) and {NAME, "sgan_goal.square"} <= set(list_models("sgan_goal.*"))
+    made(other, Path("mine"))
+    assert same(load(f"mine/{NAME}"), model) and same(load(NAME), model)
+    Path(f"mine/{NAME}.yaml").unlink()
+    (Path("mine") / NAME).rename("walkers.v2")
+    assert same(load("./walkers.v2"), model) and same(load("walkers.v2/weights.safetensors"), model)
+    Path("walkers.v2").rename("mine/sgan_goal.mal")
+    with pytest.raises(UserError, match=r"is of 'sgan_goal\.mall': the folder must have the model's name"):
+        load("sgan_goal.mal")
+
+
+def test_weights_of_another_folder_are_not_taken(model: Forecaster) -> None:
+    """Whatever a card calls its weights, beside card.yaml they are weights.safetensors."""
+    made_apart(model, Path("mine"))
+    folder = Path("mine") / NAME
+    path = folder / "card.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"file": f"{NAME}.safetensors"}))
+    assert obtain(f"mine/{NAME}") == folder / "weights.safetensors"
+    (folder / "weights.safetensors").rename(folder / f"{NAME}.safetensors")
+    with pytest.raises(UserError, match=r"has no weights: its card expects .*weights\.safetensors'"):
+        load(f"mine/{NAME}")
+
+
+@pytest.mark.parametrize("below", ["me/zoo/resolve/main", f"me/zoo/resolve/main/{NAME}"])
+def test_a_repository_of_the_hub_has_a_folder_or_is_one(
+    below: str, model: Forecaster, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made_apart(model, tmp_path / "zoo")
+    write_hub(str(tmp_path / "zoo" / NAME), tmp_path / "hub")
+    serve(site, tmp_path / "hub", below)
+    site.put("me/zoo/resolve/main/README.md", (tmp_path / "hub" / "README.md").read_bytes())
+    monkeypatch.setenv("HF_ENDPOINT", site.url)
+    assert same(load("hf://me/zoo"), model) and same(load(f"hf://me/zoo/{NAME}"), model)
+    if below.endswith(NAME):
+        assert same(load(f"{site.url}/me/zoo/resolve/main/{NAME}"), model)
+    site.pages.clear()
+    assert same(load("hf://me/zoo"), model)
+    monkeypatch.delenv("HF_ENDPOINT")
+    monkeypatch.setenv("PEDZOO_OFFLINE", "1")
+    assert NAME in list_models()
 
 
 def test_a_folder_named_like_an_architecture_does_not_hide_it(model: Forecaster) -> None:

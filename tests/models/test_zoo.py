@@ -90,8 +90,8 @@ def answers(model: Forecaster) -> torch.Tensor:
 
 def ship(model: Forecaster, folder: Path, name: str) -> None:
     """Save weights as the shipped ones are, with their card."""
-    save_weights(model, folder / f"{name}.safetensors")
-    describe(folder / f"{name}.safetensors")
+    save_weights(model, folder / name / "weights.safetensors")
+    describe(folder / name / "weights.safetensors")
 
 
 def test_saved_and_loaded_is_the_same_model(model: Forecaster, tmp_path: Path) -> None:
@@ -241,10 +241,12 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model: Forecaster
         load("sgan_goal.zara2")
     with pytest.raises(UserError, match=r"did you mean 'constant_velocity'.* known: .*sgan_goal\.\*"):
         load("constant_speed_velocity")
-    save_weights(random_weights(model, seed=1), checkpoints / "sgan.zara1.safetensors")
-    with pytest.raises(UserError, match=r"sgan\.zara1\.safetensors' have sha256 .* card says .*reinstall"):
+    save_weights(random_weights(model, seed=1), checkpoints / "sgan.zara1" / "weights.safetensors")
+    with pytest.raises(
+        UserError, match=r"sgan\.zara1/weights\.safetensors' have sha256 .* card says .*reinstall"
+    ):
         load("sgan.zara1")
-    (checkpoints / "sgan.zara1.yaml").unlink()
+    (checkpoints / "sgan.zara1" / "card.yaml").unlink()
     with pytest.raises(UserError, match=r"unknown model 'sgan\.zara1': did you mean 'sgan_goal\.zara1'"):
         load("sgan.zara1")
 

@@ -14,7 +14,7 @@ import torch
 from helpers.walks import made, straight
 
 from pedzoo.cli.main import main
-from pedzoo.core.paths import shipped
+from pedzoo.core.paths import CARD, shipped
 from pedzoo.eval.suite import Request
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.ratios import summarised
@@ -182,7 +182,7 @@ def test_forecasts_stand_beside_those_of_the_weights_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, after = (
-        read_card(shipped("checkpoints") / f"sgan_goal_map.{tag}.yaml") for tag in ("zara1", "zara2")
+        read_card(shipped("checkpoints") / f"sgan_goal_map.{tag}" / CARD) for tag in ("zara1", "zara2")
     )
     reports = [one for one in before.evaluations if one["command"] == "forecast"]
 

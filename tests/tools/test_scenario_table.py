@@ -31,9 +31,9 @@ def test_the_whole_run_makes_the_page(
     tool: ModuleType, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     called(tool, monkeypatch, *words)
-    page = (tmp_path / "checkpoints" / "SCENARIOS.md").read_text()
+    page = (tmp_path / "checkpoints" / "results" / "SCENARIOS.md").read_text()
     assert "What fails, and why" in page and "(./scenarios_walked.png)" in page and "*stuck*" in page
-    assert (tmp_path / "checkpoints" / "scenarios_walked.png").read_bytes() == b"picture"
+    assert (tmp_path / "checkpoints" / "results" / "scenarios_walked.png").read_bytes() == b"picture"
 
 
 @pytest.mark.parametrize(

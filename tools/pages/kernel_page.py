@@ -1,4 +1,4 @@
-"""Writes checkpoints/KERNEL.md: the numbers of every shipped card, as the card has them and as they are now.
+"""Writes checkpoints/results/KERNEL.md: the numbers of every shipped card, then and now.
 
     pedzoo evaluate NAME ... --from-card --json FILE     # as many files as you like
     python tools/bench/before_after.py --peer ... --json speed.json      # and the other two, if you like

@@ -1,4 +1,4 @@
-"""Copy the main rows of FORECAST.json, RESULTS.md and LOOP.md in checkpoints/ into the README."""
+"""Copy the main rows of FORECAST.json, RESULTS.md and LOOP.md in checkpoints/results into the README."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BEGIN, END = "<!-- results: tools/pages/readme_results.py -->\n", "<!-- end of r
 WALKED, END_OF_WALKED = "<!-- walked: tools/pages/readme_results.py -->\n", "<!-- end of walked -->"
 LOOP, END_OF_LOOP = "<!-- loop: tools/pages/readme_results.py -->\n", "<!-- end of loop -->"
 HEADLINE = "## all suites\n"
-"""The first table of checkpoints/RESULTS.md."""
+"""The first table of checkpoints/results/RESULTS.md."""
 
 SHOWN = {
     ("doors: varied", "clean"): "two at doors of 0.7 to 1.2 m: clean",
@@ -35,7 +35,7 @@ SHOWN = {
     ("noise: who goes first", "varied"): "doors at which the noise says who goes first",
     **{(f"replay: {fold}", "realism"): f"realism among the people of {fold}" for fold in SCENES},
 }
-"""Rows of checkpoints/LOOP.md by case and metric, and what the README calls them."""
+"""Rows of checkpoints/results/LOOP.md by case and metric, and what the README calls them."""
 
 SEEDS = "", "_b", "_c"
 COLUMNS = {
@@ -47,7 +47,7 @@ COLUMNS = {
     "orca:radius=0.3": ["orca:radius=0.3"],
     "social_force:preset=indoor": ["social_force:preset=indoor"],
 }
-"""Columns of the README, and those of checkpoints/LOOP.md of which they show the least and the most."""
+"""Columns of the README, and those of LOOP.md of which they show the least and the most."""
 
 INTRODUCTION = """
 zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many trainings ±
@@ -83,7 +83,7 @@ def between(text: str, begin: str, end: str, new: str) -> str:
 
 def walked() -> str:
     """Return the headline of the closed-loop results, without its intervals."""
-    page = (ROOT / "checkpoints" / "RESULTS.md").read_text()
+    page = (ROOT / "checkpoints" / "results" / "RESULTS.md").read_text()
     table = page.partition(HEADLINE)[2].partition("\n## ")[0].strip()
     table = re.sub(r" \[[^]]*]", "", table).replace("_per_min", " / min").replace("agent_", "")
     return f"\n{table}\n"
@@ -94,7 +94,7 @@ def in_the_loop() -> str:
 
     Among recorded people those walk that have not seen them; where there are none, others, marked.
     """
-    page = (ROOT / "checkpoints" / "LOOP.md").read_text()
+    page = (ROOT / "checkpoints" / "results" / "LOOP.md").read_text()
     lines = page.partition("## Targets\n")[2].partition("\n## ")[0].strip().splitlines()
     head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
     told = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
@@ -120,7 +120,7 @@ def _span(cells: list[str]) -> str:
 
 def forecasts() -> str:
     """Return the tables of forecasting errors."""
-    rows = json.loads((ROOT / "checkpoints" / "FORECAST.json").read_text())["rows"]
+    rows = json.loads((ROOT / "checkpoints" / "results" / "FORECAST.json").read_text())["rows"]
     text = INTRODUCTION
     for goal in ("none", "window_end", "destination"):
         for row in rows:

@@ -1,4 +1,6 @@
-"""Walk through every scenario with ORCA and social force. Makes checkpoints/SCENARIOS.md and a picture.
+"""Walk through every scenario with ORCA and social force.
+
+Makes checkpoints/results/SCENARIOS.md and a picture.
 
     python tools/pages/scenario_table.py
     python tools/pages/scenario_table.py door --policies go_to_goal    # prints, unless --out and --picture
@@ -79,8 +81,8 @@ def main() -> None:
     options = parser.parse_args()
     whole = all(getattr(options, key) == parser.get_default(key) for key in CHOICES)
     if whole:
-        options.out = options.out or shipped("checkpoints") / "SCENARIOS.md"
-        options.picture = options.picture or shipped("checkpoints") / "scenarios_walked.png"
+        options.out = options.out or shipped("checkpoints") / "results" / "SCENARIOS.md"
+        options.picture = options.picture or shipped("checkpoints") / "results" / "scenarios_walked.png"
     found = walked(options)
     text = page(options, found, FAILURES.read_text() if whole else "")
     write_whole(options.out, text.encode()) if options.out else print(text)
@@ -97,8 +99,12 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--episodes", type=int, default=20, help="seeds per row")
     parser.add_argument("--physics", default="compiled", help="a backend, or file.py:Class")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
-    parser.add_argument("--out", type=Path, help="page (default: in checkpoints/ if whole, else printed)")
-    parser.add_argument("--picture", type=Path, help="picture (default: in checkpoints/ if whole, else none)")
+    parser.add_argument(
+        "--out", type=Path, help="page (default: in checkpoints/results if whole, else printed)"
+    )
+    parser.add_argument(
+        "--picture", type=Path, help="picture (default: in checkpoints/results if whole, else none)"
+    )
     return parser
 
 

@@ -1,4 +1,4 @@
-"""The errors of every seed on the test scenes: checkpoints/FORECAST.md and FORECAST.json."""
+"""The errors of every seed on the test scenes: checkpoints/results/FORECAST.md and FORECAST.json."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ USUAL = {"pred_len": 8}
 
 def table(root: Path) -> None:
     """Write both files; rows of more seeds than there are runs of below ``root`` stay as they are."""
-    target = shipped("checkpoints")
+    target = shipped("checkpoints") / "results"
     found: dict[tuple, dict] = {}
     for row in [*json.loads((target / "FORECAST.json").read_text())["rows"], *rows(root)]:
         key = row["name"], _place(row["case"])

@@ -6,7 +6,7 @@
 what was interrupted; closed-loop recipes go on from the exported weights of the open-loop ones. ``export``
 publishes the seed that is best in validation, as ``pedzoo export --zoo`` does. ``measure`` puts the numbers
 on the cards that have none. ``table`` evaluates every seed on the test scenes and writes
-checkpoints/FORECAST.md. The recordings are found by PEDZOO_DATA.
+checkpoints/results/FORECAST.md. The recordings are found by PEDZOO_DATA.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from forecast_table import table
 from zoo_recipes import RECIPES, Recipe
 
-from pedzoo.core.paths import shipped, weight_files
+from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.eval.card_numbers import measure
 from pedzoo.models.export.publish import publish
 from pedzoo.models.zoo.card import read_card, write_card
@@ -79,7 +79,7 @@ def numbers(recipes: list[Recipe]) -> None:
     """Measure the shipped weights whose cards have no numbers yet."""
     names = [name for recipe in recipes for name in recipe.names]
     for name in names:
-        path = shipped("checkpoints") / f"{name}.yaml"
+        path = shipped("checkpoints") / name / CARD
         if path.is_file() and not (card := read_card(path)).evaluations:
             write_card(dataclasses.replace(card, evaluations=measure(name)), path)
             print(path, flush=True)

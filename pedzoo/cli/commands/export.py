@@ -42,7 +42,7 @@ def _parser() -> Arguments:
     parser = Arguments("export", HELP, EXAMPLE)
     parser.add_argument("model", help="a checkpoint of pedzoo fit, a zoo name, or another name of a model")
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--zoo", action="store_true", help="ARCH.TAG.safetensors and its card ARCH.TAG.yaml")
+    what.add_argument("--zoo", action="store_true", help="ARCH.TAG/weights.safetensors and card.yaml")
     what.add_argument(
         "--hub", metavar="FOLDER", help="weights, card and README.md, to be uploaded as they are"
     )
@@ -66,6 +66,7 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
     """Write weights and card, then measure the model, then write the card again with its numbers."""
     from pedzoo.cli.progress import progress_bar
     from pedzoo.core.errors import UserError
+    from pedzoo.core.paths import WEIGHTS
     from pedzoo.eval.card_numbers import measure
     from pedzoo.models.export.publish import publish
 
@@ -77,11 +78,11 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
     card = publish(options.model, folder, options.name)
     if not options.no_evaluation:
         with progress_bar() as progress:
-            measured = measure(options.model, card.stem, vars(options)["data.root"], progress)
-        publish(options.model, folder, card.stem, measured)
-    weights = card.with_suffix(".safetensors")
+            measured = measure(options.model, card.parent.name, vars(options)["data.root"], progress)
+        publish(options.model, folder, card.parent.name, measured)
+    weights = card.with_name(WEIGHTS)
     print(f"{weights}  {weights.stat().st_size:,} bytes\n{card}  its card")
-    print(f'pedzoo.load("{card.with_suffix("")}"), or by its name with PEDZOO_ZOO={folder}')
+    print(f'pedzoo.load("{card.parent}"), or by its name with PEDZOO_ZOO={folder}')
     return {"files": [str(weights), str(card)]}
 
 

@@ -10,13 +10,14 @@ import torch
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import weight_files
+from pedzoo.core.paths import WEIGHTS, weight_files
 from pedzoo.core.types import PRED_LEN
 from pedzoo.data.datasets.eth_ucy import EVERYTHING
 from pedzoo.data.provenance import provenance, together
 from pedzoo.models.export.run_record import RunRecord, read_run
 from pedzoo.models.zoo.card import ModelCard, Training, check_name, read_card, write_card
 from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.layout import card_beside, name_of_files
 from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
 from pedzoo.models.zoo.store import find
 
@@ -35,7 +36,7 @@ def publish(
     licence: str = LICENCE,
     url: str | None = None,
 ) -> Path:
-    """Write ``NAME.safetensors`` and ``NAME.yaml`` and return the path of the latter, the card.
+    """Write ``NAME/weights.safetensors`` and ``NAME/card.yaml`` and return the path of the latter.
 
     The same checkpoint gives the same weights, byte for byte.
 
@@ -62,10 +63,10 @@ def publish(
     record = _with_zoo_names(read_run(checkpoint, content))
     protocol = content["pedzoo"]["protocol"]
     name = check_name(name or zoo_name(record.training["config"], protocol))
-    weights, model = Path(folder) / f"{name}.safetensors", load(checkpoint)
+    weights, model = Path(folder) / name / WEIGHTS, load(checkpoint)
     data = _trained_on(record, plans="map" in model.needs)
     said = {key: record.training[key] for key in IN_WEIGHTS}
-    if measured is None and (there := weights.with_suffix(".yaml")).is_file():
+    if measured is None and (there := card_beside(weights)).is_file():
         read_card(there)  # a damaged one is told before its weights are others
     save_weights(model, weights, protocol=protocol, training=said)
     return _write(weights, record, data, measured, licence, url)
@@ -75,14 +76,14 @@ def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) 
     """Write the card of weights whose run is gone, from what they say themselves, and return its path.
 
     Args:
-        weights: ``FOLDER/ARCHITECTURE.TAG.safetensors``.
+        weights: ``ARCHITECTURE.TAG/weights.safetensors`` or ``ARCHITECTURE.TAG.safetensors``.
         measured: As of `publish`.
 
     Raises:
         UserError: There are none, they are damaged, or not named like weights of the zoo.
     """
     weights = Path(weights)
-    check_name(weights.stem)
+    check_name(name_of_files(weights))
     config = read_config(weights)
     known = config.get("protocol", {}) | config.get("training", {})
     record = RunRecord({key: known.get(key) for key in Training.__annotations__})
@@ -123,11 +124,11 @@ def _write(
     url: str | None = None,
 ) -> Path:
     """Write the card beside the weights."""
-    path, config, digest = weights.with_suffix(".yaml"), read_config(weights), sha256_of(weights)
+    path, config, digest = card_beside(weights), read_config(weights), sha256_of(weights)
     if measured is None:
         measured = _measured_before(path, digest)
     card = ModelCard(
-        name=weights.stem,
+        name=name_of_files(weights),
         architecture=config["architecture"],
         sha256=digest,
         size=weights.stat().st_size,

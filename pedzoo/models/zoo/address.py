@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
-from pedzoo.core.paths import cache_home
-from pedzoo.models.zoo.card import check_name, is_name, load_yaml
+from pedzoo.core.paths import CARD, WEIGHTS, cache_home
+from pedzoo.models.zoo.card import ModelCard, check_name, is_name, load_yaml
 
 _WORD = "[A-Za-z0-9][A-Za-z0-9_.-]*"
 _HUB = re.compile(f"hf://({_WORD})/({_WORD})(?:@({_WORD}))?(?:/([^/]+))?")
@@ -25,14 +26,23 @@ class Place(NamedTuple):
     """Where a model is.
 
     Attributes:
-        url: Of the folder with its card and weights.
-        kept: Path below the cache where they are kept.
+        url: Of the folder with its files: its own folder, or one that has folders or files of several models.
+        kept: Path below the cache where they are kept, as ``ARCH.TAG.yaml`` and ``ARCH.TAG.safetensors``.
         model: ``ARCH.TAG``.
     """
 
     url: str
     kept: str
     model: str
+
+    @property
+    def cards(self) -> list[str]:
+        """Addresses at which the card may be, in the order in which they are tried."""
+        return [f"{self.url}/{self.model}.yaml", f"{self.url}/{self.model}/{CARD}", f"{self.url}/{CARD}"]
+
+    def weights(self, card: ModelCard) -> list[str]:
+        """Return the addresses at which the weights may be, in the order of `cards`."""
+        return [f"{self.url}/{card.file}", f"{self.url}/{self.model}/{WEIGHTS}", f"{self.url}/{WEIGHTS}"]
 
 
 def is_address(name: str) -> bool:
@@ -67,11 +77,11 @@ def kept_models() -> dict[str, list[str]]:
 
 
 def download(
-    url: str, filename: str, sha256: str | None = None, size: int | None = None, hint: str = ""
+    urls: Sequence[str], filename: str, sha256: str | None = None, size: int | None = None, hint: str = ""
 ) -> Path:
     """Fetch a file; the hub, and nobody else, is told the user's ``HF_TOKEN``. Arguments as of `fetch`."""
-    token = os.environ.get("HF_TOKEN") if url.startswith(f"{_hub()}/") else None
-    return fetch(url, sha256, filename, hint, size, token=token)
+    token = os.environ.get("HF_TOKEN") if all(url.startswith(f"{_hub()}/") for url in urls) else None
+    return fetch(urls, sha256, filename, hint, size, token=token)
 
 
 def _hub() -> str:
@@ -89,7 +99,7 @@ def _on_hub(name: str) -> Place:
 
 
 def _only_model(name: str, url: str, kept: str) -> str:
-    text = download(f"{url}/README.md", f"{kept}/README.md").read_text(errors="replace")
+    text = download([f"{url}/README.md"], f"{kept}/README.md").read_text(errors="replace")
     front = _FRONT.match(text)
     try:
         said = load_yaml(front[1]) if front else None

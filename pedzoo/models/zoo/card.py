@@ -91,7 +91,7 @@ class ModelCard:
         evaluations: What was measured.
         versions: Of what it was trained with.
         licence: Of the weights.
-        file: Name of the weights beside the card.
+        file: Name of the weights beside ``NAME.yaml``. Beside ``card.yaml`` they are ``weights.safetensors``.
         url: Where to download them if they are not there; None: beside the place of the card.
 
     Raises:

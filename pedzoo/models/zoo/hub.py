@@ -10,9 +10,10 @@ from typing import Any
 import yaml
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.paths import write_whole
-from pedzoo.models.zoo.card import ModelCard, is_name, write_card
+from pedzoo.core.paths import CARD, WEIGHTS, write_whole
+from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.card_page import page
+from pedzoo.models.zoo.layout import card_files, weights_beside
 from pedzoo.models.zoo.store import find, names, weights_of
 
 TAGS = ("pedestrians", "trajectory-forecasting", "social-navigation", "crowd-simulation")
@@ -37,15 +38,21 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
         raise unknown("model with a card", name, names())
     folder = Path(folder)
     # the files of the folder belong together, wherever they were from
-    card = replace(entry.card, url=None)
-    there = sorted(path.stem for path in folder.glob("*.yaml") if is_name(path.stem))
-    if others := [other for other in there if other != card.name]:
+    card = replace(entry.card, file=WEIGHTS, url=None)
+    there = set(card_files(folder))
+    if (own := folder / CARD).is_file():
+        there.add(read_card(own).name)
+    if others := sorted(there - {card.name}):
         raise UserError(
             f"folder {str(folder)!r} holds {', '.join(others)} already: a repository of the hub is one "
             f"model's, so give {card.name} a folder of its own"
         )
-    files = [folder / card.file, folder / f"{card.name}.yaml", folder / "README.md"]
-    write_whole(files[0], weights_of(entry).read_bytes())
+    files = [folder / WEIGHTS, own, folder / "README.md"]
+    weights = weights_of(entry).read_bytes()
+    if (earlier := folder / f"{card.name}.yaml").is_file():
+        weights_beside(earlier, read_card(earlier)).unlink(missing_ok=True)
+        earlier.unlink()
+    write_whole(files[0], weights)
     write_card(card, files[1])
     write_whole(files[2], readme(card).encode())
     return files

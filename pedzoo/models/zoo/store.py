@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import shipped
+from pedzoo.core.paths import CARD, shipped
 from pedzoo.core.registry import MODELS
 from pedzoo.models.zoo.address import Place, download, is_address, kept_models, place
 from pedzoo.models.zoo.card import ModelCard, is_name, read_card
+from pedzoo.models.zoo.layout import card_files, name_of_files, weights_beside
 
 SOURCES = "PEDZOO_ZOO"
 """Environment variable: folders and addresses, with commas between, where names are looked up, too."""
@@ -24,12 +25,12 @@ class Entry(NamedTuple):
 
     Attributes:
         card: Its card.
-        folder: Where the card lies.
+        path: Where the card lies.
         place: Where on the net it is from; None for one of this machine.
     """
 
     card: ModelCard
-    folder: Path
+    path: Path
     place: Place | None = None
 
 
@@ -37,7 +38,7 @@ def find(name: str) -> Entry | None:
     """Return the model of a name; its card is fetched where it must, its weights are not.
 
     Args:
-        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` that has one model; an address:
+        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` of one model; an address:
             ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` or ``https://HOST/FOLDER/ARCH.TAG``.
 
     Returns:
@@ -61,11 +62,12 @@ def _found(name: str) -> Entry | None:
     if path.name == name:
         if is_name(name) and (found := _by_name(name)):
             return found
-        return _only_one(path) if name not in MODELS.names() and _cards(path) else None
+        has_card = (path / CARD).is_file() or card_files(path)
+        return _only_one(path) if name not in MODELS.names() and has_card else None
     if path.is_dir():
         return _only_one(path)
-    if path.name in (there := _cards(path.parent)):
-        return _read(path.parent, path.name)
+    if file := (there := card_files(path.parent)).get(path.name):
+        return _named(file)
     raise unknown(f"model of {str(path.parent)!r}", path.name, there)
 
 
@@ -80,17 +82,17 @@ def weights_of(entry: Entry) -> Path:
     Raises:
         UserError: They cannot be had, or are others than the card says.
     """
-    card, path = entry.card, entry.folder / entry.card.file
+    card, path = entry.card, weights_beside(entry.path, entry.card)
     if entry.place:
-        url, kept = card.url or f"{entry.place.url}/{card.file}", f"{entry.place.kept}/{card.file}"
-        again = f"; if the model has changed there, remove {entry.folder / card.name}.yaml"
-        return download(url, kept, card.sha256, card.size, again)
+        urls = [card.url] if card.url else entry.place.weights(card)
+        again = f"; if the model has changed there, remove {entry.path}"
+        return download(urls, f"{entry.place.kept}/{card.name}.safetensors", card.sha256, card.size, again)
     if not path.is_file() and card.url:
-        return download(card.url, f"weights/{card.sha256}/{card.file}", card.sha256, card.size)
+        return download([card.url], f"weights/{card.sha256}/{card.file}", card.sha256, card.size)
     if not path.is_file():
         raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
     if (found := sha256_of(path)) != card.sha256:
-        remedy = "reinstall pedzoo" if entry.folder == shipped("checkpoints") else "get both anew"
+        remedy = "reinstall pedzoo" if shipped("checkpoints") in entry.path.parents else "get both anew"
         raise UserError(
             f"weights {str(path)!r} have sha256 {found}, but their card says {card.sha256}: {remedy}"
         )
@@ -128,11 +130,7 @@ def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> User
 
 def names() -> list[str]:
     """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
-    return sorted({*(name for folder in _folders() for name in _cards(folder)), *kept_models()})
-
-
-def _cards(folder: Path) -> list[str]:
-    return [path.stem for path in sorted(folder.glob("*.yaml")) if is_name(path.stem)]
+    return sorted({*(name for folder in _folders() for name in card_files(folder)), *kept_models()})
 
 
 def _sources(address: bool) -> list[str]:
@@ -147,8 +145,8 @@ def _folders() -> list[Path]:
 
 def _by_name(name: str) -> Entry | None:
     for folder in _folders():
-        if (folder / f"{name}.yaml").is_file():
-            return _read(folder, name)
+        if file := card_files(folder).get(name):
+            return _named(file)
     if len(kept := kept_models().get(name, [])) > 1:
         raise UserError(f"{name!r} was fetched from {len(kept)} places, say which: {' or '.join(kept)}")
     if kept:
@@ -165,26 +163,31 @@ def _by_name(name: str) -> Entry | None:
 
 
 def _only_one(folder: Path) -> Entry:
-    if len(cards := _cards(folder)) != 1:
+    if (own := folder / CARD).is_file():
+        return Entry(read_card(own), own)
+    if len(cards := card_files(folder)) != 1:
         told = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
         raise UserError(f"folder {str(folder)!r} is not that of one model: {told}")
-    return _read(folder, cards[0])
+    return _named(*cards.values())
 
 
 def _fetched(name: str) -> Entry:
     """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
     where = place(name)
-    path = download(f"{where.url}/{where.model}.yaml", f"{where.kept}/{where.model}.yaml")
+    path = download(where.cards, f"{where.kept}/{where.model}.yaml")
     try:
-        return _read(path.parent, where.model)._replace(place=where)
+        return _named(path)._replace(place=where)
     except UserError as error:
         path.unlink(missing_ok=True)  # perhaps a page of the server's about something else
         raise UserError(f"{name}: {error}") from error
 
 
-def _read(folder: Path, name: str) -> Entry:
-    path = folder / f"{name}.yaml"
+def _named(path: Path) -> Entry:
+    """Return the model of a card's file, which must be named after it, or its folder must."""
     card = read_card(path)
-    if card.name != name:
-        raise UserError(f"model card {str(path)!r} is of {card.name!r}: the file must have the model's name")
-    return Entry(card, folder)
+    if card.name != name_of_files(path):
+        what = "folder" if path.name == CARD else "file"
+        raise UserError(
+            f"model card {str(path)!r} is of {card.name!r}: the {what} must have the model's name"
+        )
+    return Entry(card, path)
