@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import math
+import os
 import shlex
 import warnings
 from argparse import SUPPRESS
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import yaml
+from jsonargparse import Namespace
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
@@ -22,6 +24,7 @@ from lightning.pytorch.trainer.states import TrainerStatus
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, parse
 from pedzoo.cli.starting import Command, expand
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import TrajectoryDataModule
@@ -76,6 +79,15 @@ class ProgressBar(RichProgressBar):
         return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
 
 
+class ConfigParser(LightningArgumentParser):
+    """Reads config files with what they inherit."""
+
+    def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
+        """Parse a config file; arguments as of jsonargparse's."""
+        whole = yaml.safe_dump(load_config(os.fspath(path)), sort_keys=False)
+        return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
+
+
 class TrainingCLI(LightningCLI):
     """LightningCLI for one command: its trainer writes into a run folder, and errors are `UserError`."""
 
@@ -91,6 +103,7 @@ class TrainingCLI(LightningCLI):
             TrajectoryDataModule,
             args=argv,
             run=False,
+            parser_class=ConfigParser,
             subclass_mode_model=True,
             seed_everything_default=0,
             auto_configure_optimizers=False,

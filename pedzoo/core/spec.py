@@ -68,6 +68,34 @@ def parse(text: str) -> Written:
     return Written(name, settings)
 
 
+def spelled(text: str, settings: Mapping[str, Any]) -> str:
+    """Return a name, or a text with settings, with further settings behind it: `parse` reads it again.
+
+    Args:
+        text: ``door`` or ``door:people=4``.
+        settings: Numbers, texts, true and false, none, or lists of these.
+
+    Raises:
+        UserError: A value is a mapping or something else that cannot be written behind a colon.
+    """
+    parts = [f"{key}={_as_text(f'{text}:{key}', value)}" for key, value in settings.items()]
+    if not parts:
+        return text
+    return f"{text}{',' if parse(text).settings else ':'}{','.join(parts)}"
+
+
+def _as_text(where: str, value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    if isinstance(value, int | float):
+        return str(value)
+    if isinstance(value, str):
+        return quoted(value) if set(value) & set(f"{_QUOTES},[]") else value
+    if isinstance(value, list):
+        return f"[{','.join(_as_text(where, one) for one in value)}]"
+    raise UserError(f"{where}: expected a number, a text or a list of these, not {value!r:.60}")
+
+
 def build(registry: Registry, what: str | Spec, base: type, **given: Any) -> Any:
     """Return an instance of what is named, every setting checked for its type.
 

@@ -6,10 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import config_names, find_config
+from pedzoo.core.paths import config_names
 from pedzoo.core.registry import MODELS
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint
@@ -92,7 +91,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
         weights: What `pedzoo.load` accepts.
         config: Name or file.
     """
-    settings = yaml.safe_load(find_config(config).read_text())
+    settings = load_config(config)
     if not settings.get("weights"):
         return []
     generator = settings["model"]["init_args"]["generator"].get("init_args", {})

@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import pytest
 import torch
-import yaml
 from helpers.batches import changed, make_batch, of_people, random_weights
 from tensordict import NonTensorData, TensorDict
 from test_blocks import plain_decoder, plain_encoder, plain_pooling
@@ -15,8 +14,8 @@ from torch import Tensor
 
 from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import find_config
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
@@ -403,7 +402,7 @@ def training_batches() -> dict[str, TensorDict]:
 def test_shipped_variants_learn(name: str, training_batches: dict, request: pytest.FixtureRequest) -> None:
     if name.endswith("alexnet"):
         request.getfixturevalue("alexnet")
-    options = yaml.safe_load(find_config(name).read_text())["model"]["init_args"]["generator"]["init_args"]
+    options = load_config(name)["model"]["init_args"]["generator"]["init_args"]
     model = SGAN(**options)
     batch = training_batches[model.goal_protocol]
     optimizer = torch.optim.Adam(model.parameters())

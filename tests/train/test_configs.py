@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from pedzoo.cli.main import main
-from pedzoo.core.paths import config_names, shipped
+from pedzoo.core.configs import load_config
+from pedzoo.core.paths import config_names
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.sim.make import make_scenario
 from pedzoo.train.fine_tuning import architecture_options
@@ -38,10 +39,7 @@ def test_config_trains(name: str, tmp_path: Path, request: pytest.FixtureRequest
 
 def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
     """The numbers of two controllers are compared: they were trained alike."""
-    one, other = (
-        yaml.safe_load((shipped("configs") / "closed_loop" / f"{name}.yaml").read_text())
-        for name in ("sgan_goal_map", "sgan_goal")
-    )
+    one, other = (load_config(f"closed_loop/{name}") for name in ("sgan_goal_map", "sgan_goal"))
     plan = {"map": "rings", "map_dim": 24}
     other["model"]["init_args"]["generator"]["init_args"] |= plan
     assert one | {"weights": ""} == other | {"weights": ""}
@@ -51,7 +49,7 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
 @pytest.mark.parametrize("name", ["sgan_goal_map", "sgan_goal"])
 def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
     """With these weights on the command line, as releases are made, it is the same training."""
-    config = yaml.safe_load((shipped("configs") / "closed_loop" / f"{name}.yaml").read_text())
+    config = load_config(f"closed_loop/{name}")
     told = iter(architecture_options(config["weights"], f"closed_loop/{name}"))
     generator = next(json.loads(next(told)) for option in told if option == "--model.generator")
     written = config["model"]["init_args"]["generator"]
@@ -61,3 +59,24 @@ def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
     assert all(generator["init_args"][key] == SGAN().config[key] for key in left_out)
     data = {"people": "complete", "min_people": 2} | config["data"]
     assert {f"--data.{key}={value}" for key, value in data.items()} >= set(told)
+
+
+def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path: Path) -> None:
+    """What a run saves says by itself what was trained, and goes on when the base has changed."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("base: sgan\nmodel: {init_args: {lr: 1e-2, samples: 2}}\ndata: {fold: embedded}\n")
+    short = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_train_batches", "limit_val_batches")]
+    short += ["--trainer.check_val_every_n_epoch=1", "--trainer.enable_progress_bar=false"]
+    assert main(["fit", "--config", str(mine), "--runs", str(tmp_path / "runs"), *short]) == 0
+    run = tmp_path / "runs" / "mine" / "embedded-seed0"
+    saved = yaml.safe_load((run / "config.yaml").read_text())
+    assert "base" not in saved and saved["data"]["batch_size"] == 64
+    options = saved["model"]["init_args"]
+    assert (options["lr"], options["samples"], options["clip"]) == (0.01, 2, 2.0)
+    assert options["generator"]["init_args"]["encoder_dim"] == 32
+
+
+def test_a_wrong_base_is_told_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.yaml").write_text("base: sgan_gaol\n")
+    assert main(["fit", "--config", str(tmp_path / "mine.yaml")]) == 2
+    assert "unknown config 'sgan_gaol': did you mean 'sgan_goal'?" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""Config files as they are meant: with what they inherit (``base: sgan_goal``), and scenarios as texts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import find_config
+from pedzoo.core.spec import spelled
+
+BASE = "base"
+"""Key of the config that another one takes over and changes."""
+
+_OF_COURSE = ("scenario", "scenes", "share")
+"""What a course says itself. Its other keys are settings of its scenario."""
+
+
+def load_config(name: str | Path) -> dict[str, Any]:
+    """Return the settings of a config with those of its bases.
+
+    Args:
+        name: A shipped config's name or a file. A base is one of these, or a file beside the config.
+
+    Raises:
+        UserError: There is no such config or base, the bases go in a circle, or a file is no YAML mapping.
+    """
+    return _with_scenarios(_loaded(find_config(str(name)), ()))
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with ``changes``: mappings are merged key by key, all other values replaced.
+
+    Another ``class_path`` takes other arguments: the ``init_args`` of the base are left out there.
+    """
+    result = dict(base)
+    if "class_path" in changes and changes["class_path"] != base.get("class_path"):
+        result.pop("init_args", None)
+    for key, value in changes.items():
+        before = result.get(key)
+        both = isinstance(before, Mapping) and isinstance(value, Mapping)
+        result[key] = merged(before, value) if both else value
+    return result
+
+
+def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    chain = (*above, path.resolve())
+    if chain[-1] in above:
+        circle = " -> ".join(file.stem for file in chain[above.index(chain[-1]) :])
+        raise UserError(f"config {str(path)!r} is its own base: {circle}; remove one of these bases")
+    try:
+        settings = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"config {str(path)!r} is no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(settings, dict):
+        raise UserError(
+            f"config {str(path)!r}: expected a mapping such as 'model: ...', not {settings!r:.60}"
+        )
+    if (base := settings.pop(BASE, None)) is None:
+        return settings
+    if not isinstance(base, str):
+        raise UserError(f"config {str(path)!r}: expected the name of one config as base, not {base!r:.60}")
+    beside = path.parent / base
+    try:
+        file = beside if beside.is_file() else find_config(base)
+    except UserError as error:
+        raise UserError(f"base of config {str(path)!r}: {error}") from error
+    return merged(_loaded(file, chain), settings)
+
+
+def _with_scenarios(settings: Any) -> Any:
+    """Return settings whose ``courses`` and ``scenarios`` have texts in the place of mappings."""
+    if not isinstance(settings, dict):
+        return settings
+    result = {key: _with_scenarios(value) for key, value in settings.items()}
+    for key, rewrite in (("courses", _course), ("scenarios", _scenario)):
+        if isinstance(items := result.get(key), list):
+            result[key] = [rewrite(item) if isinstance(item, dict) else item for item in items]
+    return result
+
+
+def _course(item: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``{scenario: door, width: 0.9, scenes: 6}`` as ``{scenario: "door:width=0.9", scenes: 6}``."""
+    own = {key: value for key, value in item.items() if key in _OF_COURSE}
+    return own | {"scenario": _scenario({key: item[key] for key in item if key not in _OF_COURSE[1:]})}
+
+
+def _scenario(item: Mapping[str, Any]) -> str:
+    """Return ``{scenario: door, width: 0.9}`` as ``door:width=0.9``."""
+    settings = dict(item)
+    name = settings.pop("scenario", None)
+    if not isinstance(name, str):
+        raise UserError(f"scenario {item!r:.80}: expected its name, as in {{scenario: door, width: 0.9}}")
+    return spelled(name, settings)

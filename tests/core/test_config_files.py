@@ -1,0 +1,128 @@
+"""Config files: what they inherit, scenarios as mappings, and mistakes in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from pedzoo.core.configs import load_config, merged
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import config_names
+from pedzoo.core.spec import parse, spelled
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(name: str, **settings: Any) -> str:
+    Path(name).parent.mkdir(parents=True, exist_ok=True)
+    Path(name).write_text(yaml.safe_dump(settings, sort_keys=False))
+    return name
+
+
+def test_a_config_takes_its_base_and_changes_what_follows() -> None:
+    write("a.yaml", data={"fold": "zara1", "files": ["x", "y"]}, trainer={"max_epochs": 3})
+    write("b.yaml", base="a.yaml", data={"fold": "eth", "files": ["z"]}, monitor="val/fde")
+    write("c.yaml", base="b.yaml", trainer={"max_epochs": None}, data={"goal": "none"})
+    assert load_config("c.yaml") == {
+        "data": {"fold": "eth", "files": ["z"], "goal": "none"},
+        "trainer": {"max_epochs": None},
+        "monitor": "val/fde",
+    }
+    assert load_config("a.yaml")["data"]["fold"] == "zara1"
+
+
+def test_a_base_is_a_file_beside_the_config_or_a_shipped_name() -> None:
+    write("mine/first.yaml", data={"fold": "eth"})
+    assert load_config(write("mine/second.yaml", base="first.yaml")) == {"data": {"fold": "eth"}}
+    found = load_config(write("third.yaml", base="sgan_goal", data={"fold": "mall"}))
+    assert found["data"].pop("fold") == "mall"
+    shipped = load_config("sgan_goal")
+    del shipped["data"]["fold"]
+    assert found == shipped
+
+
+def test_another_class_takes_none_of_the_arguments_of_the_base() -> None:
+    base = {"class_path": "A", "init_args": {"x": 1, "y": {"class_path": "C", "init_args": {"p": 1}}}}
+    assert merged(base, {"class_path": "B", "init_args": {"z": 2}}) == {
+        "class_path": "B",
+        "init_args": {"z": 2},
+    }
+    same = {"class_path": "A", "init_args": {"y": {"class_path": "D"}}}
+    assert merged(base, same) == {"class_path": "A", "init_args": {"x": 1, "y": {"class_path": "D"}}}
+    inner = merged(base, {"init_args": {"y": {"init_args": {"q": 2}}}})["init_args"]["y"]
+    assert inner == {"class_path": "C", "init_args": {"p": 1, "q": 2}}
+    assert base["init_args"]["y"] == {"class_path": "C", "init_args": {"p": 1}}
+
+
+def test_scenarios_may_be_mappings() -> None:
+    door = {"scenario": "door", "width": [0.9, 1.0], "people": 3, "jitter": 0, "together": True}
+    plans = {"scenario": "goals:people=2", "map": ["a.1", "b,c.yaml"], "seed": None}
+    courses = [door | {"scenes": 6, "share": 0.5}, {"scenario": "circle"}, {"scenario": "door:people=2"}]
+    found = load_config(
+        write(
+            "mine.yaml",
+            rollout={"scenarios": [door, plans, "hallway", {"scenario": "circle"}]},
+            model={"init_args": {"courses": courses}},
+        )
+    )
+    text = "door:width=[0.9,1.0],people=3,jitter=0,together=true"
+    assert found["rollout"]["scenarios"] == [
+        text,
+        "goals:people=2,map=[a.1,'b,c.yaml'],seed=null",
+        "hallway",
+        "circle",
+    ]
+    assert found["model"]["init_args"]["courses"] == [
+        {"scenario": text, "scenes": 6, "share": 0.5},
+        {"scenario": "circle"},
+        {"scenario": "door:people=2"},
+    ]
+    assert load_config(write("none.yaml", rollout={"scenarios": None})) == {"rollout": {"scenarios": None}}
+
+
+def test_what_is_spelled_out_is_read_again() -> None:
+    settings = {"map": "/a,b/plan.yaml", "share": 0.05, "walls": False}
+    written = parse(spelled("goals", settings))
+    assert written.name == "goals"
+    assert written.settings == {"map": "'/a,b/plan.yaml'", "share": "0.05", "walls": "false"}
+    assert spelled("door", {}) == "door"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"base": "sgan_gaol"}, r"config 'mine\.yaml': unknown config 'sgan_gaol': did you mean 'sgan_goal'"),
+        ({"base": "mine.yaml"}, r"its own base: mine -> mine"),
+        ({"base": "other.yaml"}, r"'mine\.yaml' is its own base: mine -> other -> mine"),
+        ({"base": ["sgan"]}, "expected the name of one config as base, not"),
+        ({"rollout": {"scenarios": [{"width": 1}]}}, r"expected its name, as in \{scenario: door"),
+        ({"rollout": {"scenarios": [{"scenario": "door", "x": {"y": 1}}]}}, "door:x: expected a number"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_told_in_one_line(settings: dict[str, Any], message: str) -> None:
+    write("other.yaml", base="mine.yaml")
+    with pytest.raises(UserError, match=message) as caught:
+        load_config(write("mine.yaml", **settings))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["model: [", "- a\n- b", "words"])
+def test_files_that_are_no_mapping_are_refused(text: str) -> None:
+    Path("mine.yaml").write_text(text)
+    with pytest.raises(UserError, match=r"config 'mine\.yaml'(: expected a mapping| is no YAML)") as caught:
+        load_config("mine.yaml")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_shipped_configs_are_whole(name: str) -> None:
+    found = load_config(name)
+    assert "base" not in found and {"model", "data", "trainer", "rollout"} <= found.keys()
+    assert all(isinstance(one, str) for one in found["rollout"]["scenarios"] or [])
