@@ -29,7 +29,7 @@ from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
-from pedzoo.train.validation.closed_loop import ClosedLoopValidation
+from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 _EXPECTED = (
     "LeafSpec.* is deprecated",  # Lightning 2.6 beside torch 2.13

@@ -1,4 +1,4 @@
-"""Old spellings that still work: ``world`` is ``physics`` now, and its ``grid`` is ``compiled``."""
+"""Old spellings that still work, each with the new one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pedzoo.core.errors import UserError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 OLD_BACKENDS = {"grid": "compiled"}
+OLD_SUITES = {"cards": "encounters"}
 
 
 @cache
@@ -25,6 +26,14 @@ def backend(name: str) -> str:
     new = OLD_BACKENDS.get(name, name)
     if new != name:
         say(f"physics {name!r}", repr(new))
+    return new
+
+
+def suite(name: str) -> str:
+    """Return a suite's name as it is now."""
+    new = OLD_SUITES.get(name, name)
+    if new != name:
+        say(f"suite {name!r}", repr(new))
     return new
 
 
@@ -70,9 +79,11 @@ def new_words(argv: list[str]) -> list[str]:
 
 
 def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a protocol, as a card has it, with ``world`` written as ``physics``."""
+    """Return a protocol, as a card has it, with today's names of keys, backends and suites."""
     found = dict(protocol)
     if "world" in found:
         world = found.pop("world")
         found["physics"] = OLD_BACKENDS.get(world, world)
+    if isinstance(suites := found.get("suites"), list):
+        found["suites"] = [OLD_SUITES.get(name, name) if isinstance(name, str) else name for name in suites]
     return found

@@ -15,8 +15,8 @@ from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row
-from pedzoo.eval.suite import Request
-from pedzoo.eval.workers.clock import Step
+from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.models.zoo.keys import check
 from pedzoo.models.zoo.loading import load
 
@@ -90,12 +90,12 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     for suite in job.protocol["suites"]:
         if suite not in SUITES.names():  # a card never makes code of a file run
             raise unknown("suite", str(suite), SUITES.names())
-    asked = only(job.protocol, Request._fields)
-    request = Request(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
+    asked = only(job.protocol, EvaluationOptions._fields)
+    options = EvaluationOptions(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
     still = job.protocol.get("deterministic", False)
-    evaluation = Evaluation([job.model], job.protocol["suites"], request, job.seeds, still)
+    evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)
 
-    def tell(step: Step) -> None:
+    def tell(step: ProgressReport) -> None:
         if job.progress:
             job.progress(about(job.protocol), step.units, step.total)
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.engine.base import People
 from pedzoo.sim.engine.camera import Camera, person_color
 
@@ -43,7 +43,7 @@ Image = NDArray[np.uint8]
 
 
 def film(
-    walked: Sequence[Walked],
+    walked: Sequence[PolicyRollout],
     path: str | Path,
     episode: int = 0,
     view: Literal["top", "perspective"] = "perspective",
@@ -92,7 +92,7 @@ def check_video_path(path: str | Path) -> None:
         raise UserError(f"video {str(path)!r}: expected a file that ends in {' or '.join(CODECS)}")
 
 
-def check_episode(walked: Walked, episode: int) -> None:
+def check_episode(walked: PolicyRollout, episode: int) -> None:
     """Raise the error that the number of an episode gives which has not been walked."""
     episodes = len(walked.rollout.failed)
     if not 0 <= episode < episodes:
@@ -160,7 +160,7 @@ def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
 class _Panel:
     """One policy's episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
 
-    def __init__(self, walked: Walked, episode: int, size: tuple[int, int]) -> None:
+    def __init__(self, walked: PolicyRollout, episode: int, size: tuple[int, int]) -> None:
         self.name, self.physics, self.size = walked.name, walked.env.physics, size
         rollout = self.rollout = walked.rollout.episodes(slice(episode, episode + 1))
         self.length = int(rollout.length[0])

@@ -13,12 +13,14 @@ import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
+from pedzoo.eval.card_numbers import compare
 from pedzoo.eval.card_reports import Job, report_of
-from pedzoo.eval.closed_loop import Comparison
+from pedzoo.eval.comparison import Comparison
+from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.suite import Request
+from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.train.validation.closed_loop import ClosedLoopValidation
+from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 
 @pytest.fixture(autouse=True)
@@ -75,4 +77,19 @@ def test_cards_are_measured_again_by_it() -> None:
     for report in (old, new):
         assert report["protocol"]["physics"] == "compiled"
     assert old["rows"][0]["metrics"] == new["rows"][0]["metrics"]
-    assert "world" not in Request._fields
+    assert "world" not in EvaluationOptions._fields
+
+
+def test_the_suite_of_encounters_takes_its_old_name(capsys: pytest.CaptureFixture[str]) -> None:
+    evaluation = Evaluation(["go_to_goal"], ["cards", "encounters"], EvaluationOptions(episodes=1))
+    assert {unit.case.suite for unit in evaluation.units} == {"encounters"}
+    assert capsys.readouterr().err == "pedzoo: suite 'cards' is now 'encounters'\n"
+    assert renamed.new_keys({"suites": ["door", "cards"]}) == {"suites": ["door", "encounters"]}
+    assert not capsys.readouterr().err  # a card's names are mapped silently
+
+
+def test_a_card_with_the_old_name_of_a_suite_is_compared_by_the_new_one() -> None:
+    row = {"metrics": {"success": 1.0}, "ci95": {}, "n": 3}
+    before = {"command": "evaluate", "rows": [row | {"table": "cards", "case": {"suite": "cards"}}]}
+    now = {"command": "evaluate", "rows": [row | {"table": "encounters", "case": {"suite": "encounters"}}]}
+    assert [number.same for number in compare(before, now)] == [True, True]

@@ -15,8 +15,8 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.make import make_env
+from pedzoo.train.loop.courses import Course, CourseSampler
 from pedzoo.train.loop.loop_losses import LoopLosses, least_gaps, lost_seconds, wall_distances, wrong_side
-from pedzoo.train.loop.mixture import Course, Mixture
 from pedzoo.train.loop.segments import Segment, unrolled
 
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)
@@ -266,11 +266,11 @@ def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
 COURSES = [Course("door", 3, 1.0), Course("circle:people=3", 2, 3.0)]
 
 
-def walked(mixture: Mixture, updates: range, per_epoch: int = 4, keep: int = 2) -> list[Tensor]:
+def walked(courses: CourseSampler, updates: range, per_epoch: int = 4, keep: int = 2) -> list[Tensor]:
     """Return where people are at the beginning of each update's segment."""
     found = []
     for update in updates:
-        running = mixture.at(update, update // per_epoch)
+        running = courses.at(update, update // per_epoch)
         seen = running.begin(keep)
         found.append(seen["agents", "history"][:, :, -1])
         running.end(unrolled(running.env, Straight(), seen, 3).done)
@@ -278,33 +278,33 @@ def walked(mixture: Mixture, updates: range, per_epoch: int = 4, keep: int = 2) 
 
 
 def test_a_mixture_that_goes_on_does_what_an_uninterrupted_one_would() -> None:
-    whole = walked(Mixture(COURSES, 5), range(12))
-    later = walked(Mixture(COURSES, 5), range(8, 12))
+    whole = walked(CourseSampler(COURSES, 5), range(12))
+    later = walked(CourseSampler(COURSES, 5), range(8, 12))
     assert all(torch.equal(one, other) for one, other in zip(whole[8:], later, strict=True))
-    other = walked(Mixture(COURSES, 6), range(12))
+    other = walked(CourseSampler(COURSES, 6), range(12))
     assert any(
         one.shape != two.shape or not torch.equal(one, two) for one, two in zip(whole, other, strict=True)
     )
 
 
 def test_courses_have_their_shares_of_the_updates() -> None:
-    mixture = Mixture(COURSES, 0)
-    doors = sum(mixture.at(update, 0).course.scenario == "door" for update in range(400))
+    courses = CourseSampler(COURSES, 0)
+    doors = sum(courses.at(update, 0).course.scenario == "door" for update in range(400))
     assert 70 < doors < 130
 
 
 def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
-    mixture = Mixture([Course("door", 2)], 0)
-    places = walked(mixture, range(5), per_epoch=100, keep=2)
+    courses = CourseSampler([Course("door", 2)], 0)
+    places = walked(courses, range(5), per_epoch=100, keep=2)
     first, second, third, _, fifth = places
     assert not torch.equal(first, second)  # three steps on
     moved = (second - first).norm(dim=-1)
     assert bool((moved < 3 * 0.4 * 1.9).all())
     assert bool(((third - second).norm(dim=-1) > 0).all()) and not torch.equal(third, fifth)
     keys = []
-    mixture = Mixture([Course("door", 2)], 0)
+    courses = CourseSampler([Course("door", 2)], 0)
     for update in range(5):
-        running = mixture.at(update, 0)
+        running = courses.at(update, 0)
         seen = running.begin(2)
         keys.append(seen["scene_key"][:, 0].tolist())
         running.end(unrolled(running.env, Straight(), seen, 1).done)
@@ -312,7 +312,7 @@ def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
 
 
 def test_scenes_that_are_over_are_replaced_and_others_go_on() -> None:
-    running = Mixture([Course("door", 3)], 0).at(0, 0)
+    running = CourseSampler([Course("door", 3)], 0).at(0, 0)
     before = running.begin(9)["scene_key"][:, 0].clone()
     running.end(torch.tensor([False, True, False]))
     after = running.begin(9)["scene_key"][:, 0]
@@ -324,7 +324,7 @@ def test_courses_that_give_no_training_are_refused(options: dict[str, Any]) -> N
     with pytest.raises(UserError, match="expected at least 1"):
         Course("door", **options)
     with pytest.raises(UserError, match="no courses"):
-        Mixture([], 0)
+        CourseSampler([], 0)
 
 
 def test_cut_needs_scenes() -> None:

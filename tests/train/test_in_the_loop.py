@@ -24,10 +24,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
+from pedzoo.train.loop.courses import Course
 from pedzoo.train.loop.imitation import Imitation
 from pedzoo.train.loop.in_the_loop import LoopModule
 from pedzoo.train.loop.loop_losses import LoopLosses
-from pedzoo.train.loop.mixture import Course
 from pedzoo.train.loop.segments import Segment, unrolled
 
 CONFIG = "closed_loop/sgan_goal_map"

@@ -28,7 +28,10 @@ def limited(x, y, longest):
 
 @jit
 def walk(x, y, before_x, before_y, longest, blends, path):
-    """Write where a step (x, y) is after its first, third and last quarter, path (6,): see `Steps.walk`."""
+    """Write where a step (x, y) is after its first, third and last quarter, path (6,).
+
+    See `ProposedSteps.integrate`.
+    """
     if not blends:
         path[0], path[1], path[2], path[3], path[4], path[5] = 0.25 * x, 0.25 * y, 0.75 * x, 0.75 * y, x, y
         return

@@ -19,9 +19,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.train.loop.courses import Course, CourseSampler
 from pedzoo.train.loop.imitation import Imitation
 from pedzoo.train.loop.loop_losses import LoopLosses, mean_cost
-from pedzoo.train.loop.mixture import Course, Mixture
 from pedzoo.train.loop.segments import unrolled
 from pedzoo.train.modules.module import ForecastModule, copied_keys
 
@@ -76,7 +76,7 @@ class LoopModule(ForecastModule):
         self.steps, self.keep, self.forecast_weight, self.lenient = steps, keep, forecast_weight, lenient
         self.losses = {name: (function_in_file(name), weight) for name, weight in (losses or {}).items()}
         self._walker = (Walker(generator),)  # in a tuple: its parameters are registered already
-        self.mixture = Mixture(courses, self.seed)
+        self.courses = CourseSampler(courses, self.seed)
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
 
     @property
@@ -127,16 +127,16 @@ class LoopModule(ForecastModule):
 
     def _walk(self) -> dict[str, Tensor]:
         """Return the terms of a segment."""
-        running = self.mixture.at(int(self.iteration), self.current_epoch, self.device)
-        seen = running.begin(self.keep)
+        active = self.courses.at(int(self.iteration), self.current_epoch, self.device)
+        seen = active.begin(self.keep)
         noise = self.walker.noise_of(seen)
-        segment = unrolled(running.env, self.walker, seen, self.steps)
-        running.end(segment.done)
+        segment = unrolled(active.env, self.walker, seen, self.steps)
+        active.end(segment.done)
         for name in ("touched", "grazed"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
-        terms = self.walking(segment, running.env.bank, noise, self.firmness())
+        terms = self.walking(segment, active.env.bank, noise, self.firmness())
         for name, (function, weight) in self.losses.items():
-            cost = function(segment, running.env.bank)
+            cost = function(segment, active.env.bank)
             if cost.shape != segment.moved.shape:
                 raise UserError(
                     f"loss {name}: returned {tuple(cost.shape)}, expected what each decision costs, "
@@ -175,4 +175,4 @@ class LoopModule(ForecastModule):
 
     def teardown(self, stage: str) -> None:
         """Close the environments."""
-        self.mixture.close()
+        self.courses.close()
