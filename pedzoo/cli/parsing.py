@@ -14,8 +14,10 @@ from difflib import get_close_matches
 from pydoc import locate
 from typing import Any, get_args, get_origin
 
-from jsonargparse import ArgumentParser, Namespace
+import yaml
+from jsonargparse import ArgumentParser, Namespace, get_loader, set_loader
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, find_config
 from pedzoo.core.spec import split, unquoted
@@ -23,6 +25,18 @@ from pedzoo.core.spec import split, unquoted
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
 
+
+_load_yaml = get_loader("yaml")
+
+
+def _load(text: str) -> Any:
+    """Return what YAML says; a configuration of an earlier version gets today's names of options."""
+    value = _load_yaml(text)
+    is_config = isinstance(value, dict) and not value.keys().isdisjoint(("model", "data"))
+    return renamed.new_config(value, tell=True) if is_config else value
+
+
+set_loader("yaml", _load, (yaml.YAMLError,))
 
 _TRUTH = ("true", "false", "yes", "no", "on", "off")
 
@@ -39,7 +53,7 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         UserError: An option or value is refused.
     """
     try:
-        return parser.parse_args(_written_out(parser, _config_files(argv)))
+        return parser.parse_args(_written_out(parser, _config_files(renamed.new_options(argv))))
     except ArgumentError as error:
         raise UserError(explain(str(error), _known_options(parser, classes))) from error
 

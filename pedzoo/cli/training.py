@@ -50,7 +50,7 @@ _TRAINING_ONLY = (
     "seed",
     "unroll",
     "unroll_batch_size",
-    "unroll_apart",
+    "one_recording_per_batch",
 )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, find_config
 from pedzoo.core.registry import MODELS
@@ -17,7 +18,7 @@ from pedzoo.models.zoo.saved import saved_config
 from pedzoo.train.modules.module import LOSSES, ForecastModule, copied_keys, differences
 from pedzoo.train.run import RunFolder
 
-OF_CONFIG = ("safety", "pace", "map_dropout")
+OF_CONFIG = ("safety", "extend_goal", "map_dropout")
 """Options of an architecture that a config decides, whatever weights it begins with: how a model walks."""
 
 
@@ -92,7 +93,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
         weights: What `pedzoo.load` accepts.
         config: Name or file.
     """
-    settings = yaml.safe_load(find_config(config).read_text())
+    settings = renamed.new_config(yaml.safe_load(find_config(config).read_text()))
     if not settings.get("weights"):
         return []
     generator = settings["model"]["init_args"]["generator"].get("init_args", {})

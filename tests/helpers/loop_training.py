@@ -30,7 +30,7 @@ def small() -> SGAN:
 def module(model: SGAN | None = None, walking: LoopLosses | None = None, **options: Any) -> LoopModule:
     """Return a training of two people who walk towards each other."""
     defaults: dict[str, Any] = {"imitation": Imitation(displacement=0.1, distribution=0.0), "steps": 10}
-    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "keep": 1}
+    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "max_segments": 1}
     torch.manual_seed(0)  # the run's seed
     courses = [Course(MEETING, scenes=6)]
     return LoopModule(model or small(), courses, walking or LoopLosses(), **defaults | options)

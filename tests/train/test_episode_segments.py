@@ -88,9 +88,9 @@ def test_what_a_safety_layer_changed_costs() -> None:
     segment = two(5.0)
     asked = segment.asked.clone()
     asked[:, :, 0, 0] += 0.5
-    found = LoopLosses(corrected=3.0)(segment._replace(asked=asked), MapBank([]))["corrected"]
+    found = LoopLosses(safety_correction=3.0)(segment._replace(asked=asked), MapBank([]))["safety_correction"]
     assert float(found) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
-    assert "corrected" not in LoopLosses()(segment, MapBank([]))
+    assert "safety_correction" not in LoopLosses()(segment, MapBank([]))
 
 
 def test_nobody_is_near_who_is_alone_or_gone() -> None:
@@ -169,12 +169,14 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
 def test_the_trait_weighs_ones_own_time() -> None:
     velocity = torch.zeros(4, 1, 2, 2)
     segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
-    cost = LoopLosses(trait=0.5, progress=6.0)
+    cost = LoopLosses(assertiveness=0.5, progress=6.0)
     calm, eager = (cost(segment, MapBank([]), torch.tensor([[[z], [0.0]]]))["progress"] for z in (-1.0, 1.0))
     ratio = (float(eager) - 0.5) / (float(calm) - 0.5)  # the other one's share is 1 / 2
     assert ratio == pytest.approx(torch.tensor(1.0).exp().item(), rel=1e-3)
     assert (
-        float(LoopLosses(trait=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2, 1))["progress"])
+        float(
+            LoopLosses(assertiveness=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2, 1))["progress"]
+        )
         == 1.0
     )
 

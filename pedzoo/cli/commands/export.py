@@ -127,7 +127,7 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
         print(f"  {check.scenes:>3} scenes of {check.people:>3} people: {check.difference:.1e}")
     if model.walking_safety:
         print("the safety layer, which keeps steps clear of people and walls, is not in the graph")
-    if model.walking_pace:
+    if model.walking_extend_goal:
         print(f"nearer goals are not moved out to {AHEAD_SECONDS:g} s at the desired velocity in the graph")
     for name in files[1:]:
         print(f"{name}  map_image and map_affine of {options.plan}")

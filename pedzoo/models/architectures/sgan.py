@@ -82,7 +82,7 @@ class SGAN(Forecaster):
         mode_weight: float = 0.0,
         energy_weight: float = 0.0,
         safety: bool = False,
-        pace: bool = False,
+        extend_goal: bool = False,
     ) -> None:
         """Create the parameters.
 
@@ -115,8 +115,8 @@ class SGAN(Forecaster):
                 minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
             safety: Whether those who walk are kept clear of others and walls: see
                 `pedzoo.policies.learned.safety`.
-            pace: Whether those who walk do not slow down for goals round a corner: see
-                `pedzoo.policies.learned.pace`.
+            extend_goal: Whether those who walk do not slow down for goals round a corner: see
+                `pedzoo.policies.learned.extended_goals`.
 
         Raises:
             UserError: Options that do not go together.
@@ -136,7 +136,7 @@ class SGAN(Forecaster):
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
         self.walking_noise = "mixed" if noise == "mixed" else "episode"
-        self.walking_safety, self.walking_pace = safety, pace
+        self.walking_safety, self.walking_extend_goal = safety, extend_goal
         self.losses = VarietyLoss(best_k, error, variety_weight, mode_weight, energy_weight)
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 
 RECORDS = ("config.yaml", "metrics.csv", "versions.json")
@@ -60,7 +61,7 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
             f"checkpoint {str(checkpoint)!r} is not in the folder of its run: {str(run)!r} has no "
             f"{' and no '.join(missing)}; expected RUN/checkpoints/best.ckpt as pedzoo fit leaves it"
         )
-    config = yaml.safe_load((run / "config.yaml").read_text())
+    config = renamed.new_config(yaml.safe_load((run / "config.yaml").read_text()))
     # a resumed run keeps the records of how it began
     begun = run / "before-resume-1" / "versions.json"
     command = json.loads((begun if begun.is_file() else run / "versions.json").read_text())["command"]
@@ -137,7 +138,7 @@ def _other_seeds(run: Path, config: dict[str, Any], own: dict[int, float]) -> di
     for other in sorted(run.parent.glob(f"{escape(family)}-seed*")):
         if other == run or not all((other / name).is_file() for name in RECORDS):
             continue
-        theirs = yaml.safe_load((other / "config.yaml").read_text())
+        theirs = renamed.new_config(yaml.safe_load((other / "config.yaml").read_text()))
         values = monitored(other, config["monitor"])
         if _agree(theirs, config) and max(values, default=0) >= max(own, default=0):
             found |= _best(int(theirs["seed_everything"]), values, config)

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import yaml
 from typing_extensions import TypedDict
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.models.zoo.header import Config
@@ -163,7 +164,7 @@ def read_card(path: str | Path) -> ModelCard:
     try:
         found = load_yaml(path.read_bytes())
         check_keys(found, ModelCard)
-        return ModelCard(**found)
+        return ModelCard(**found | {"config": renamed.new_init(found["config"])})
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error
 

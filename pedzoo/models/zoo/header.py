@@ -9,6 +9,7 @@ from typing import Any, NotRequired
 from safetensors import SafetensorError, safe_open
 from typing_extensions import TypedDict
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.models.zoo.keys import check, check_plain
 
@@ -59,7 +60,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
             f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
             "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.loading.fill"
         )
-    return config
+    return renamed.new_init(config)
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

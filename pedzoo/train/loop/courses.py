@@ -55,16 +55,16 @@ class ActiveCourse:
     env: PedestrianEnv
     age: Tensor = field(default_factory=lambda: torch.zeros(0))
 
-    def begin(self, keep: int) -> TensorDict:
+    def begin(self, max_segments: int) -> TensorDict:
         """Return what agents observe where the next segment begins.
 
-        Scenes that are over, or have gone on for ``keep`` segments, are replaced by new ones. Others go on
-        where they are: agents that are stuck have to find the way out.
+        Scenes that are over, or have gone on for ``max_segments`` segments, are replaced by new ones. Others
+        go on where they are: agents that are stuck have to find the way out.
 
         Args:
-            keep: Segments.
+            max_segments: Segments.
         """
-        fresh = (self.age < 0) | (self.age >= keep)
+        fresh = (self.age < 0) | (self.age >= max_segments)
         if len(self.age) == 0:
             seen = self.env.reset()
             self.age = torch.zeros(self.env.batch_size[0], dtype=torch.long)

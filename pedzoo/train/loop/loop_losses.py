@@ -45,13 +45,13 @@ class LoopLosses:
         overspeed: float = 2.0,
         overspeed_from: float = 1.02,
         effort: float = 0.05,
-        corrected: float = 0.0,
-        trait: float = 0.5,
-        side: float = 0.0,
+        safety_correction: float = 0.0,
+        assertiveness: float = 0.5,
+        passing_side: float = 0.0,
     ) -> None:
         """Weigh the terms.
 
-        A metre too near must cost more than some seconds of waiting, or people squeeze past each other.
+        A metre too near must cost more than some seconds of waiting, or agents squeeze past each other.
 
         Args:
             progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
@@ -64,11 +64,11 @@ class LoopLosses:
             overspeed: m/s above ``overspeed_from`` times the preferred speed.
             overspeed_from: Share of the preferred speed.
             effort: Squared change of velocity from step to step, (m/s)^2.
-            corrected: What a safety layer changed, m/s.
-            trait: How assertive people are who drew a large first number z of noise: their own lost time
-                counts ``exp(trait * z)`` times as much. 0: the noise does not matter for it.
-            side: Metres that somebody who comes from the front is not on the side that the second number z of
-                one's noise likes to have them on, times abs(tanh(z)), see `wrong_side`.
+            safety_correction: What a safety layer changed, m/s.
+            assertiveness: An agent's lost time counts ``exp(assertiveness * z)`` times as much, where z is
+                the first number of its noise. 0: the noise does not matter for it.
+            passing_side: Metres that agents from the front are off the side that the second number z of an
+                agent's noise prefers, times abs(tanh(z)), see `wrong_side`.
 
         Raises:
             UserError: A negative weight.
@@ -77,10 +77,11 @@ class LoopLosses:
         if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
             raise UserError(f"losses of walking: {wrong}: expected at least 0")
         self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
-        self.corrected = corrected
+        self.safety_correction = safety_correction
         self.people_margin, self.wall_margin = people_margin, wall_margin
         self.meeting_margin = meeting_margin
-        self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
+        self.overspeed, self.overspeed_from = overspeed, overspeed_from
+        self.assertiveness, self.passing_side = assertiveness, passing_side
 
     def __call__(
         self, segment: Segment, bank: MapBank, noise: Tensor | None = None, firmness: float = 1.0
@@ -98,21 +99,21 @@ class LoopLosses:
 
         speed = segment.asked.square().sum(-1).clamp_min(1e-12).sqrt()
         short = self.people_margin - least_gaps(segment, self.meeting_margin)
-        weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
+        weight = None if noise is None else torch.exp(self.assertiveness * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
             "people": firmness * self.people * mean(_hinge(short)),
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }
-        if self.corrected:
+        if self.safety_correction:
             change = (segment.asked - segment.action).square().sum(-1).clamp_min(1e-8).sqrt()
-            terms["corrected"] = self.corrected * mean(change)
+            terms["safety_correction"] = self.safety_correction * mean(change)
         if bank.grids:
             near = segment.radius.unsqueeze(-1) + self.wall_margin - wall_distances(segment, bank)
             terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
-        if self.side and noise is not None and noise.shape[-1] > 1:
-            terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
+        if self.passing_side and noise is not None and noise.shape[-1] > 1:
+            terms["passing_side"] = self.passing_side * mean(wrong_side(segment, noise[..., 1]))
         return terms
 
 
