@@ -105,11 +105,14 @@ def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def new_init(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a model's config, as weights have it, with today's names of the architecture's arguments."""
-    names, init = OLD_INIT.get(str(config.get("architecture")), {}), config.get("init")
-    if not isinstance(init, dict):
-        return dict(config)
+def new_init(config: Any) -> Any:
+    """Return a model's config, as weights have it, with today's names of the architecture's arguments.
+
+    Values that are no config are returned as they are: checks of their form come later.
+    """
+    if not isinstance(config, dict) or not isinstance(init := config.get("init"), dict):
+        return config
+    names = OLD_INIT.get(str(config.get("architecture")), {})
     return {**config, "init": {names.get(key, key): value for key, value in init.items()}}
 
 

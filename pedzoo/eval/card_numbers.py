@@ -95,15 +95,15 @@ def measure(
     wanted = [("forecast", own), ("forecast", embedded)][own["fold"] == EMBEDDED :]
     if own["obs_len"] == OBS_LEN:  # so many steps are seen by what walks
         wanted += [("evaluate", protocol) for protocol in WALKS]
-    found = []
+    result = []
     for command, protocol in wanted:
         try:
             report = report_of(command, Job(model, protocol, [SEED], root, progress=progress))
         except UserError as error:
             tell(f"not measured, {about(protocol)}: {error}")
         else:
-            found.append(_for_card(report, name or model))
-    return found
+            result.append(_for_card(report, name or model))
+    return result
 
 
 def again(
@@ -129,14 +129,14 @@ def again(
     if not card.evaluations:
         raise UserError(f"the card of {card.name!r} has no evaluations: there is nothing to do again")
     load(model)
-    found = []
+    result = []
     for before in card.evaluations:
         job = Job(model, before["protocol"], before["seeds"], root, workers, progress)
         try:
-            found.append(Again(before, report_of(str(before["command"]), job)))
+            result.append(Again(before, report_of(str(before["command"]), job)))
         except UserError as error:
-            found.append(Again(before, None, str(error)))
-    return found
+            result.append(Again(before, None, str(error)))
+    return result
 
 
 def compare(before: Report, now: Report) -> list[Compared]:
@@ -151,15 +151,15 @@ def compare(before: Report, now: Report) -> list[Compared]:
     """
     walks = before["command"] == "evaluate"
     today = {_case(row): row for row in now["rows"]}
-    found = []
+    result = []
     for row in before["rows"]:
         numbers, other = {"n": row["n"], **row["metrics"]}, today.get(_case(row))
         others = {"n": other["n"], **other["metrics"]} if other else {}
         for metric, card in numbers.items():
             value, interval = others.get(metric), row["ci95"].get(metric) if walks else None
             same = _same(card, value, interval, chance=walks and metric != "n")
-            found.append(Compared(_case(row), metric, card, value, interval, same))
-    return found
+            result.append(Compared(_case(row), metric, card, value, interval, same))
+    return result
 
 
 _ROW = ("table", "case", "n", "cases", "metrics", "ci95")

@@ -48,7 +48,7 @@ def report_of(command: str, job: Job) -> Report:
     """Return the report of ``forecast`` or ``evaluate`` on one model; of the latter, the rows of its tables.
 
     Raises:
-        UserError: The recordings are absent, or nobody knows how to do what the protocol says.
+        UserError: The recordings are absent, or the protocol asks for something unknown.
     """
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
@@ -100,11 +100,11 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
             job.progress(about(job.protocol), step.units, step.total)
 
     evaluation.run(job.workers, progress=tell)
-    found = evaluation.report()
+    result = evaluation.report()
     # a folder is not the same on another machine, and what was not asked for needs no word
-    protocol = {key: value for key, value in found["protocol"].items() if key != "root" and value}
+    protocol = {key: value for key, value in result["protocol"].items() if key != "root" and value}
     rows = []
-    for row in found["summary"]:
+    for row in result["summary"]:
         shown = evaluation.shown[row["case"]["suite"]].columns
         rows.append(row | {key: only(row[key], shown) for key in ("metrics", "ci95")})
     return protocol, rows

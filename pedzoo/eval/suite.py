@@ -179,11 +179,11 @@ class Suite(ABC):
         case = unit.case
         parts = list(walked(unit, prepared(case.scenario, case.inputs), unit.seeds, case.episodes, tell))
         rollout, decision_dt = joined([part for part, _ in parts]), parts[0][1].decision_dt
-        found = row(unit.policy, rollout, decision_dt, self.more(rollout))
-        for person in found["per_agent"]:
+        result = row(unit.policy, rollout, decision_dt, self.more(rollout))
+        for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
-        return [found]
+        return [result]
 
 
 def walked(

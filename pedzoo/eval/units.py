@@ -80,15 +80,15 @@ def _code_sum() -> str:
 
     Commits of anything else leave it as it is.
     """
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for base in (Path(__file__).parents[1], folder_of("tools.paper")):  # a checkout's suites and tables
         for path in sorted(base.rglob("*")):
             place = path.relative_to(base)
             if path.suffix in _MATTER and place.parts[0] not in _NO_MATTER:
-                found.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
-    return found.hexdigest()
+                result.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
+    return result.hexdigest()
 
 
 @cache
 def _versions() -> dict[str, str]:
-    return {name: found for name, found in versions().items() if name not in ("commit", "pedzoo")}
+    return {name: result for name, result in versions().items() if name not in ("commit", "pedzoo")}

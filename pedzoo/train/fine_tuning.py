@@ -52,7 +52,7 @@ def options_of(weights: str) -> list[str]:
     trained with, and what their metadata say of model and data.
 
     Raises:
-        UserError: No such weights, or nobody knows how they were trained.
+        UserError: No such weights, or it is unknown how they were trained.
     """
     path = Path(weights)
     run = path.parent.parent / "config.yaml"

@@ -1,6 +1,6 @@
 """Pictures of how people walked: the way so far at some moments around the one at which they meet.
 
-In the manner of Fig. 4 of the paper on iGibson: a star where somebody is, dots where they were at the three
+In the manner of Fig. 4 of the paper on iGibson: a star where an agent is, dots where they were at the three
 steps of 0.4 s before, time as colour, and the walls.
 """
 
@@ -49,7 +49,7 @@ MARGIN = 0.5
 """Metres around everybody's way that panels show."""
 
 SHADE = ListedColormap(colormaps["viridis"](np.linspace(0.12, 0.95, 200)), "time")
-"""Time along the way; without the darkest end, on which nobody's colour is seen."""
+"""Time along the way; without the darkest end, on which no agent's colour is seen."""
 
 _CLOSE = 0.1
 """Metres: people who stand before each other have met when they first come so close to the least distance."""
@@ -125,7 +125,7 @@ def check_plot_path(path: str | Path) -> None:
 def meeting(rollout: Rollout, episode: int) -> int:
     """Return the trace point at which two people are first as near each other as they ever are.
 
-    Where nobody meets anybody it is the middle of the episode.
+    Where no agents meet it is the middle of the episode.
     """
     length = int(rollout.length[episode])
     position, there = rollout.trace[episode, :, :length], rollout.present[episode, :, :length]

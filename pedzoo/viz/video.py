@@ -134,8 +134,8 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
         if writer is None:
             raise UserError(f"{str(path)!r}: a video needs at least one frame")
         writer.release()
-        if (found := read_video(part)) != (count, size):
-            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {found} can be read")
+        if (result := read_video(part)) != (count, size):
+            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {result} can be read")
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
@@ -190,7 +190,7 @@ class _Panel:
 
 
 def _trail(image: Image, way: Tensor, to_pixel: NDArray[np.float64], person: int) -> None:
-    """Draw somebody's way (T, 2) until now as a line on the floor."""
+    """Draw an agent's way (T, 2) until now as a line on the floor."""
     import cv2
 
     pixels = way.double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]

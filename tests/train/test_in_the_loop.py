@@ -229,8 +229,8 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     held = {"safety": True, "extend_goal": True, "map_dropout": 0.0}
     held = {key: value for key, value in held.items() if key in before.config}
     assert generator["init_args"] == before.config | held == after.config
-    assert after.walking_safety is after.walking_pace is ("safety" in held)
-    assert not before.walking_safety and not before.walking_pace
+    assert after.walking_safety is after.walking_extend_goal is ("safety" in held)
+    assert not before.walking_safety and not before.walking_extend_goal
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)

@@ -43,12 +43,12 @@ class Goals(Suite):
         if options.maps:
             plans[Path(options.maps[0]).stem if len(options.maps) == 1 else GIVEN] = list(options.maps)
         physics, episodes = options.physics or "bullet", options.number(EPISODES)
-        found = []
+        result = []
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)
             table = f"{self.name} {name}"
             for people, goals in CELLS:
-                found.append(
+                result.append(
                     EvaluationCase(
                         suite=self.name,
                         name=f"{name} {people}/{goals}",
@@ -64,4 +64,4 @@ class Goals(Suite):
                         shares=name,
                     )
                 )
-        return found
+        return result

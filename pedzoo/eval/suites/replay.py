@@ -31,7 +31,7 @@ ROLLOUTS = 3
 """Of a policy with noise, if all are simulated; where every person has a scene, one of each is enough."""
 
 QUICK_SHARE = 0.1
-"""Whoever comes in this first part of the recordings is simulated in a quick run."""
+"""A quick run simulates the people of this first part of the recordings."""
 
 
 ONE_SHARE = {"univ": 0.25}
@@ -74,7 +74,7 @@ class Replay(Suite):
         Raises:
             UserError: A folder was asked for that has none.
         """
-        found = []
+        result = []
         usual = 1 if options.quick else ROLLOUTS
         for fold in _folds(options.root):
             inputs = digest_of(fold, options.root)
@@ -98,24 +98,24 @@ class Replay(Suite):
                     table=f"{self.name} {simulated}",
                     shares=fold,
                 )
-                found.append(case)
-        return found
+                result.append(case)
+        return result
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return what the real rows are, what is missing, and which weights walk where."""
         folds = _folds(options.root)
-        found = [
+        result = [
             f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
             f"and 95 % of {SPLITS} random splits: the noise floor"
         ]
         rounds, alone = options.rollouts or (1 if options.quick else ROLLOUTS), options.rollouts or 1
         each = {"all": f"{rounds} x where all are simulated", "one": f"{alone} x where one is"}
         often = ", ".join(each[simulated] for simulated in self.simulated)
-        found.append(f"{self.name}: models with noise walk {often}; others once")
+        result.append(f"{self.name}: models with noise walk {often}; others once")
         if folds == [EMBEDDED]:
             missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
-            return [*found, f"{self.name}: {missing}"]
-        found += [
+            return [*result, f"{self.name}: {missing}"]
+        result += [
             f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
             for fold, share in ONE_SHARE.items()
             if fold in folds and "one" in self.simulated and not options.quick
@@ -124,12 +124,12 @@ class Replay(Suite):
             walks = {fold: for_fold(policy, fold) for fold in folds}
             others = [name for name in dict.fromkeys(walks.values()) if name != policy]
             if others:
-                found.append(
+                result.append(
                     f"{self.name}: {policy} is {', '.join(others)} on the folds that these did not see"
                 )
             if seen := [fold for fold, name in walks.items() if has_seen(name, fold)]:
-                found.append(f"{self.name}: {policy} was trained on {', '.join(seen)}: marked *")
-        return found
+                result.append(f"{self.name}: {policy} was trained on {', '.join(seen)}: marked *")
+        return result
 
     def units(
         self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
@@ -140,7 +140,7 @@ class Replay(Suite):
         return [*units, WorkUnit(REAL, REAL, case, (0,), True)]
 
     def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
-        """Walk one unit; whoever has no noise does so once."""
+        """Walk one unit; policies without noise walk once."""
         case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
             return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
@@ -160,7 +160,7 @@ def _folds(root: str | None) -> list[str]:
     Raises:
         UserError: ``root`` has none.
     """
-    found = []
+    result = []
     for fold in SCENES:
         try:
             EthUcy(fold, root)
@@ -168,8 +168,8 @@ def _folds(root: str | None) -> list[str]:
             if root is not None:
                 raise
         else:
-            found.append(fold)
-    return found or [EMBEDDED]
+            result.append(fold)
+    return result or [EMBEDDED]
 
 
 def digest_of(fold: str, root: str | None) -> str:
@@ -180,10 +180,10 @@ def digest_of(fold: str, root: str | None) -> str:
     """
     if fold == EMBEDDED:
         return ""  # its files are pedzoo's
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for recording in EthUcy(fold, root, "true").recordings("test"):
         tracks = recording.tracks
         for values in (tracks.frame, tracks.agent, tracks.xy):
-            found.update(values.tobytes())
-        found.update(load_plan(recording.plan).digest.encode() if recording.plan else b"")
-    return found.hexdigest()
+            result.update(values.tobytes())
+        result.update(load_plan(recording.plan).digest.encode() if recording.plan else b"")
+    return result.hexdigest()

@@ -42,7 +42,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
     """Return the config in the metadata of an open file.
 
     Raises:
-        UserError: There is none that pedzoo wrote, or it is of a class in somebody's file of code.
+        UserError: There is none that pedzoo wrote, or it is of a class in a file of code.
     """
     metadata = file.metadata() or {}
     if "config" not in metadata:

@@ -88,7 +88,7 @@ def build(config: dict[str, Any]) -> Forecaster:
     name, init = config["architecture"], config["init"]
     try:
         return _made(MODELS.get(name), init, name)
-    except (TypeError, RuntimeError) as error:  # values of other kinds, sizes that nobody has
+    except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
 

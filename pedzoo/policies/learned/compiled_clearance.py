@@ -64,12 +64,12 @@ class _KeptClear(torch.autograd.Function):
         """Return gradients (B, A, 2) of positions, steps and velocities."""
         from pedzoo.policies.learned.clearance_slopes import keep_clear_slope
 
-        found = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
+        values = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
         keep_clear_slope(
             *ctx.people, MARGIN, SHOULDERS, *ctx.ways, ROUNDING, *ctx.result,
-            gradients[0].detach().numpy(), *(part.numpy() for part in found),
+            gradients[0].detach().numpy(), *(part.numpy() for part in values),
         )  # fmt: skip
-        place, step, velocity = found
+        place, step, velocity = values
         return place, step, TRACE_SECONDS * velocity if ctx.needs_input_grad[2] else None, None, None
 
 

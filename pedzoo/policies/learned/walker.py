@@ -148,7 +148,7 @@ def lasting(noise_dim: int) -> int:
 
 
 def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:
-    """Refuse scenes of an environment that decides at another step than whoever is asked, ``what``.
+    """Refuse scenes of an environment that decides at another step than the policy ``what``.
 
     Raises:
         UserError: It does.

@@ -22,7 +22,7 @@ _SOON = 6.0
 """Seconds of delay that count 1."""
 
 _FAR = 1e3
-"""Metres to the nearest other where nobody else is."""
+"""Metres to the nearest other where there is no other agent."""
 
 _MEETING = 2.0
 """m/s relative to each other: two who come from the front at an easy pace."""
@@ -137,8 +137,8 @@ def _hinge(short: Tensor) -> Tensor:
 def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
     """Return how late people are on their ways, seconds, a scalar: mean over the segment and the people.
 
-    What they made of the way, at the speed that they like, is taken off the time. Whoever arrives early has
-    the rest of the segment to their credit.
+    The way that they made, at their preferred speed, is taken off the time. Agents that arrive early have the
+    rest of the segment to their credit.
 
     Args:
         segment: What was walked.
@@ -180,7 +180,7 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
     Along the straight ways that people ask for, exact between begin and end, and not where a safety layer
-    leads them: with it nobody comes near anybody, and nothing would tell the network to give way by itself.
+    leads them: with it agents never come near each other, and the network would not learn to give way.
 
     Args:
         segment: What was walked.
@@ -200,21 +200,21 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     if meeting_margin:
         speed = move.detach().norm(dim=-1) / STEP_SECONDS
         gap = gap - meeting_margin * (speed / _MEETING).clamp_max(1)
-    nobody = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
+    absent = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
         people, dtype=torch.bool, device=here.device
     )
-    return gap.masked_fill(nobody, _FAR).amin(-1)
+    return gap.masked_fill(absent, _FAR).amin(-1)
 
 
 def wall_distances(segment: Segment, bank: MapBank, points: int = 4) -> Tensor:
     """Return the distances to walls (T, B, A, points) along the ways that people ask for, metres.
 
-    Not where walls let them: whoever slides along a wall is still told which way to turn.
+    Not where walls let them: agents that slide along a wall still get a direction.
     """
     steps, scenes, people = segment.moved.shape
     part = torch.arange(1, points + 1, device=segment.asked.device) * (STEP_SECONDS / points)
     here = segment.trace[..., :1, :]
     way = here + segment.asked.unsqueeze(-2) * part.view(-1, 1)
     rows = way.transpose(0, 1).reshape(scenes, -1, 2)
-    found = bank.signed_distance(rows, segment.map_id, segment.pose)
-    return found.view(scenes, steps, people, points).transpose(0, 1)
+    result = bank.signed_distance(rows, segment.map_id, segment.pose)
+    return result.view(scenes, steps, people, points).transpose(0, 1)

@@ -128,7 +128,7 @@ class ClosedLoopValidation(Callback):
         if monitor is None or not monitor.startswith("rollout/"):
             return
         if not self.scenarios:
-            raise UserError(f"--monitor {monitor}: nobody walks in this training; set --rollout.scenarios")
+            raise UserError(f"--monitor {monitor}: this training has no rollouts; set --rollout.scenarios")
         if monitor not in self.names:
             raise unknown("metric to --monitor", monitor, self.names)
         best = BEST.get(monitor.rpartition("/")[2], mode)
@@ -195,8 +195,8 @@ class ClosedLoopValidation(Callback):
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
             means = dict.fromkeys(MEANS, torch.tensor(0.0))
             for scenario in self._validation_scenarios:
-                found = self._measure(scenario, self._walker, trainer, pl_module.device)
-                values = {key: found.get(key, torch.tensor(math.nan)) for key in METRICS}
+                result = self._measure(scenario, self._walker, trainer, pl_module.device)
+                values = {key: result.get(key, torch.tensor(math.nan)) for key in METRICS}
                 for key, value in values.items():
                     shown = key == "success"
                     pl_module.log(f"rollout/{scenario.name}/{key}", value, prog_bar=shown, sync_dist=True)
@@ -225,7 +225,7 @@ class ClosedLoopValidation(Callback):
     def on_exception(
         self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
     ) -> None:
-        """Close the environments: nobody tears down after an error or Ctrl-C."""
+        """Close the environments: Lightning calls no teardown after an error or Ctrl-C."""
         self.close()
 
     def close(self) -> None:

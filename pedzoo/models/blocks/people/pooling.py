@@ -161,7 +161,7 @@ def _max_over_pairs(
     width, pairs = u.shape[1], max(1, _buffer_size(u) // u.shape[1])
     pieces = [_piece(group, pairs) for group in groups]
     buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
-    found = []
+    result = []
     for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
         # A single group is everybody, in order.
         seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
@@ -173,8 +173,8 @@ def _max_over_pairs(
                 torch.maximum(seen[i : i + scenes].unsqueeze(1), some, out=cells.view(*shape, width))
                 # With the few channels first this product is four times as fast: (C, G', rows, n).
                 best, winner = (weight @ cells.t()).view(-1, *shape).max(3)
-                found.append((best.flatten(1), winner.flatten(1)))
-    best, winner = found[0] if len(found) == 1 else (torch.cat(x, 1) for x in zip(*found, strict=True))
+                result.append((best.flatten(1), winner.flatten(1)))
+    best, winner = result[0] if len(result) == 1 else (torch.cat(x, 1) for x in zip(*result, strict=True))
     best, winner = best.t(), winner.t()
     if len(groups) > 1:
         back = torch.argsort(torch.cat([group.flatten() for group in groups]))
@@ -189,7 +189,7 @@ def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
 
 
 def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor) -> Tensor:
-    """Return the maxima of `_max_over_pairs` over whoever is not ``absent`` (B, A), for all B * A slots."""
+    """Return the maxima of `_max_over_pairs` over agents that are not ``absent`` (B, A), for B * A slots."""
     mine, others = v.view(*absent.shape, 1, -1), u.view(absent.shape[0], 1, absent.shape[1], -1)
     pairs = functional.linear(torch.maximum(others, mine), weight)
     return pairs.masked_fill(absent[:, None, :, None], -torch.inf).amax(2).flatten(0, 1)
