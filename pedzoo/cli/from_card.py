@@ -38,14 +38,14 @@ def redo(names: Sequence[str], root: str | None, workers: int, json: str | None)
     agree = True
     for name, card in cards.items():
         with progress_bar() as progress:
-            found = again(card, name, root, workers, progress)
-        numbers = [number for one in found if one.now for number in compare(one.before, one.now)]
-        rows += _rows(name, found, numbers)
+            result = again(card, name, root, workers, progress)
+        numbers = [number for one in result if one.now for number in compare(one.before, one.now)]
+        rows += _rows(name, result, numbers)
         if json and json != "-":
             write_json(json, _report(cards, rows))
         if numbers:
             print_tables([_page(name, numbers)])
-        for one in found:
+        for one in result:
             _tell(one)
         print(_summed_up(name, numbers))
         agree = agree and bool(numbers) and all(number.same is not False for number in numbers)
@@ -101,7 +101,7 @@ def _summed_up(name: str, numbers: Sequence[Compared]) -> str:
     return text + f"; {unsure} differ and have no interval to judge by" * bool(unsure)
 
 
-def _rows(name: str, found: Sequence[Again], numbers: Sequence[Compared]) -> list[dict[str, Any]]:
+def _rows(name: str, result: Sequence[Again], numbers: Sequence[Compared]) -> list[dict[str, Any]]:
     """Return a row for every case, with the card's numbers beside today's, and for what was skipped."""
     rows: list[dict[str, Any]] = []
     for case, group in groupby(numbers, key=lambda number: number.case):
@@ -111,7 +111,7 @@ def _rows(name: str, found: Sequence[Again], numbers: Sequence[Compared]) -> lis
         row = {"name": name, "case": {"evaluation": case}, "n": people.now, "metrics": now, "ci95": {}}
         row["card"] = {metric: number.card for metric, number in mine.items()}
         rows.append(row | {"same": {metric: number.same for metric, number in mine.items()}})
-    for one in found:
+    for one in result:
         if not one.now:
             case = {"evaluation": about(one.before["protocol"]), "skipped": one.why}
             rows.append({"name": name, "case": case, "n": 0, "metrics": {}, "ci95": {}})

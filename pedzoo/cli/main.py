@@ -58,7 +58,7 @@ def overview() -> str:
         lines.append(f"  {name:<{width}}  {COMMANDS.constant(name, 'HELP') or 'plugin'}")
         if example := COMMANDS.constant(name, "EXAMPLE"):
             lines.append(f"  {'':<{width}}    $ {example}")
-    for title, found in (
+    for title, result in (
         ("models", MODELS.names()),
         ("weights", list(weight_files())),
         ("policies (and every model)", POLICIES.names()),
@@ -67,7 +67,7 @@ def overview() -> str:
         ("datasets", DATASETS.names()),
         ("configs", config_names()),
     ):
-        lines += ["", f"{title}:", *_columns(found)]
+        lines += ["", f"{title}:", *_columns(result)]
     return "\n".join([*lines, "", "`pedzoo COMMAND --help` lists a command's options."])
 
 

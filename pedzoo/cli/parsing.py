@@ -14,8 +14,10 @@ from difflib import get_close_matches
 from pydoc import locate
 from typing import Any, get_args, get_origin
 
-from jsonargparse import ArgumentParser, Namespace
+import yaml
+from jsonargparse import ArgumentParser, Namespace, get_loader, set_loader
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, find_config
 from pedzoo.core.spec import split, unquoted
@@ -23,6 +25,18 @@ from pedzoo.core.spec import split, unquoted
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
 
+
+_load_yaml = get_loader("yaml")
+
+
+def _load(text: str) -> Any:
+    """Return what YAML says; a configuration of an earlier version gets today's names of options."""
+    value = _load_yaml(text)
+    is_config = isinstance(value, dict) and not value.keys().isdisjoint(("model", "data"))
+    return renamed.new_config(value, tell=True) if is_config else value
+
+
+set_loader("yaml", _load, (yaml.YAMLError,))
 
 _TRUTH = ("true", "false", "yes", "no", "on", "off")
 
@@ -39,7 +53,7 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         UserError: An option or value is refused.
     """
     try:
-        return parser.parse_args(_written_out(parser, _config_files(argv)))
+        return parser.parse_args(_written_out(parser, _config_files(renamed.new_options(argv))))
     except ArgumentError as error:
         raise UserError(explain(str(error), _known_options(parser, classes))) from error
 
@@ -67,41 +81,41 @@ def whole_numbers(option: str, text: str) -> list[int]:
 
 def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
-    if found := re.search(r"unrecognized arguments: (\S+)", message):
-        given = found[1].partition("=")[0]
+    if match := re.search(r"unrecognized arguments: (\S+)", message):
+        given = match[1].partition("=")[0]
         return _unknown(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
     if re.search(r"arguments are required: model\b", message):
         return f"no model: choose one with --config NAME ({_configs()}) or --model CLASS"
     if re.search(r"arguments are required: policies\b", message):
         return "no policies: name them before the options, as in orca go_to_goal --episodes 20"
-    if found := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
-        return _unknown("--" + ".".join(filter(None, found.groups())), known)
-    if found := re.search(r"Option '([^']*)' is not accepted", message):
-        path, owner = _place(message[: found.start()])
+    if match := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
+        return _unknown("--" + ".".join(filter(None, match.groups())), known)
+    if match := re.search(r"Option '([^']*)' is not accepted", message):
+        path, owner = _place(message[: match.start()])
         below = path if path == "--" else f"{path}."
         options = [f"{below}{name}" for name in parameters(locate(owner))] if owner else []
-        return _unknown(f"{below}{found[1]}", options or known)
-    if found := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
-        path, _ = _place(message[: found.start()])
-        return _mismatch(path, _plain(found[1]), found[2])
-    if found := re.search(r"Not of type \w+: (.*) does not conform to restriction v(.*)", message):
-        path, _ = _place(message[: found.start()])
-        return f"{path}: expected a number {found[2]}, not {found[1]}"
-    if found := re.search(r"Expected a dot import path string: (.*)", message):
-        path, _ = _place(message[: found.start()])
-        return f"{path}: no class {found[1]!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
-    if found := re.search(
+        return _unknown(f"{below}{match[1]}", options or known)
+    if match := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
+        path, _ = _place(message[: match.start()])
+        return _mismatch(path, _plain(match[1]), match[2])
+    if match := re.search(r"Not of type \w+: (.*) does not conform to restriction v(.*)", message):
+        path, _ = _place(message[: match.start()])
+        return f"{path}: expected a number {match[2]}, not {match[1]}"
+    if match := re.search(r"Expected a dot import path string: (.*)", message):
+        path, _ = _place(message[: match.start()])
+        return f"{path}: no class {match[1]!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
+    if match := re.search(
         r"given class_path '([^']*)':\s+the following arguments are required: (.*)", message
     ):
-        path, _ = _place(message[: found.start()])
-        return f"{path} {found[1]} needs {found[2]}, too: start from --config NAME ({_configs()})"
-    if found := re.search(r"given class_path '([^']*)':\s+(.*)", message):
-        path, _ = _place(message[: found.start()])
-        return f"{path} {found[1]}: {found[2]}"
-    if found := re.search(r"Subtypes: \[(.*)\]", message):
-        path, _ = _place(message[: found.start()])
+        path, _ = _place(message[: match.start()])
+        return f"{path} {match[1]} needs {match[2]}, too: start from --config NAME ({_configs()})"
+    if match := re.search(r"given class_path '([^']*)':\s+(.*)", message):
+        path, _ = _place(message[: match.start()])
+        return f"{path} {match[1]}: {match[2]}"
+    if match := re.search(r"Subtypes: \[(.*)\]", message):
+        path, _ = _place(message[: match.start()])
         value = re.search(r"Given value: (.*)", message)
-        return _mismatch(path, " or ".join(map(_plain, found[1].split(", "))), value[1] if value else "?")
+        return _mismatch(path, " or ".join(map(_plain, match[1].split(", "))), value[1] if value else "?")
     return message
 
 
@@ -163,14 +177,14 @@ def _known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) 
 
 def _config_files(argv: list[str]) -> list[str]:
     """Replace the names of shipped configs by their files."""
-    found = list(argv)
+    result = list(argv)
     for i, word in enumerate(argv):
         flag, _, value = word.partition("=")
         if flag in ("--config", "-c") and value:
-            found[i] = f"{flag}={find_config(value)}"
+            result[i] = f"{flag}={find_config(value)}"
         elif word in ("--config", "-c") and i + 1 < len(argv):
-            found[i + 1] = str(find_config(argv[i + 1]))
-    return found
+            result[i + 1] = str(find_config(argv[i + 1]))
+    return result
 
 
 def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
@@ -181,32 +195,32 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
     ``--trainer.devices 2``, is a list only where it has a comma. Settings stay with their name:
     ``door:width=0.9,people=4,circle`` is two scenarios.
     """
-    known, found = parser._option_string_actions, list(argv)
+    known, result = parser._option_string_actions, list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
         plain = f"--{flag[2:].replace('-', '_')}"
         if flag.startswith("--") and flag not in known and plain in known:
-            flag, found[i] = plain, plain + joined + value
+            flag, result[i] = plain, plain + joined + value
         hint, follows = getattr(known.get(flag), "_typehint", None), argv[i + 1 : i + 2]
         if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
-            found[i] = f"{flag}=true"
+            result[i] = f"{flag}=true"
         item, alone = _item_type(hint)
         if item is None or not (joined or follows):
             continue
         value = value if joined else follows[0]
         if not value.startswith(("[", "-", "{")) and value != "null" and (alone or "," in value):
             listed = json.dumps(_names(value)) if item is str else f"[{value}]"
-            found[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
-    return found
+            result[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
+    return result
 
 
 def _names(text: str) -> list[str]:
     """Split at commas, but for those between the settings behind a name's colon."""
-    found: list[str] = []
+    result: list[str] = []
     for part in split(text):
-        goes_on = bool(found) and ":" in found[-1] and "=" in part.partition(":")[0]
-        found = [*found[:-1], f"{found[-1]},{part}"] if goes_on else [*found, part]
-    return [unquoted(part) for part in found]
+        goes_on = bool(result) and ":" in result[-1] and "=" in part.partition(":")[0]
+        result = [*result[:-1], f"{result[-1]},{part}"] if goes_on else [*result, part]
+    return [unquoted(part) for part in result]
 
 
 def _item_type(hint: object) -> tuple[object | None, bool]:

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from pedzoo.cli.console import plain_console
 
 if TYPE_CHECKING:
-    from pedzoo.eval.workers.clock import Step
+    from pedzoo.eval.workers.progress_meter import ProgressReport
 
 
 @contextmanager
@@ -32,14 +32,14 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def overall_bar() -> Iterator[Callable[[Step], None]]:
+def overall_bar() -> Iterator[Callable[[ProgressReport], None]]:
     """Yield a function that draws one bar for a whole evaluation; without a terminal, a line per part."""
     console = plain_console(stderr=True)
     columns = TextColumn("{task.percentage:>3.0f} %"), BarColumn(30), _text()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         task = bars.add_task("", total=1.0)
 
-        def update(step: Step) -> None:
+        def update(step: ProgressReport) -> None:
             left = "" if step.left is None else f", {duration(step.left)} left"
             parts = f"{step.units}/{step.total}{left}"
             bars.update(task, completed=step.done, description=f"{parts}  {step.label}")

@@ -32,7 +32,7 @@ from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
-from pedzoo.train.validation.closed_loop import ClosedLoopValidation
+from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 _EXPECTED = (
     "LeafSpec.* is deprecated",  # Lightning 2.6 beside torch 2.13
@@ -53,7 +53,7 @@ _TRAINING_ONLY = (
     "seed",
     "unroll",
     "unroll_batch_size",
-    "unroll_apart",
+    "one_recording_per_batch",
 )
 
 
@@ -231,17 +231,17 @@ class TrainingCLI(LightningCLI):
         if not self.config["ckpt_path"] and any(True for _ in self.model.parameters()):
             raise UserError(f"pedzoo {self.command} needs --ckpt_path FILE: these weights are untrained")
         action = getattr(self.trainer, self.command)
-        found = action(self.model, datamodule=self.datamodule, ckpt_path=self.config["ckpt_path"])[0]
+        result = action(self.model, datamodule=self.datamodule, ckpt_path=self.config["ckpt_path"])[0]
         if (file := self.config["json"]) and self.trainer.is_global_zero:
             content = {"command": self.command, "protocol": self.datamodule.protocol, "versions": versions()}
-            content |= {"seeds": [self.config["seed_everything"]], "rows": self._rows(found)}
+            content |= {"seeds": [self.config["seed_everything"]], "rows": self._rows(result)}
             write_json(file, content)
         return 0
 
-    def _rows(self, found: Mapping[str, float]) -> list[dict[str, Any]]:
+    def _rows(self, result: Mapping[str, float]) -> list[dict[str, Any]]:
         """Return what was measured: one row of the forecasts, and one of every scenario that was walked."""
         rows: dict[str, dict[str, Any]] = {}
-        for key, value in found.items():
+        for key, value in result.items():
             where, _, metric = key.rpartition("/")
             if where == "rollout":
                 continue  # means of other rows
@@ -266,18 +266,18 @@ class TrainingCLI(LightningCLI):
 
     def _plain(self) -> dict[str, Any]:
         """Return the resolved configuration as plain values, without what belongs to this call only."""
-        found = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
-        return {key: value for key, value in found.items() if key not in ("ckpt_path", "resume", "config")}
+        result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
+        return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}
 
     def _data_options(self) -> str:
         """Return the data options that differ from the defaults, but for those of training alone."""
         data, defaults = self.config["data"], inspect.signature(TrajectoryDataModule).parameters
-        found = {"fold": data["fold"]} if not data.get("files") else {}
+        result = {"fold": data["fold"]} if not data.get("files") else {}
         for key, value in data.items():
             if (
                 key not in ("fold", *_TRAINING_ONLY)
                 and value != defaults[key].default
                 and value != "random_future"
             ):
-                found[key] = ",".join(value) if isinstance(value, list) else value
-        return " ".join(f"--data.{key} {shlex.quote(str(value))}" for key, value in found.items())
+                result[key] = ",".join(value) if isinstance(value, list) else value
+        return " ".join(f"--data.{key} {shlex.quote(str(value))}" for key, value in result.items())

@@ -1,4 +1,4 @@
-"""Old spellings that still work: ``world`` is ``physics`` now, and its ``grid`` is ``compiled``."""
+"""Old spellings that still work, each with the new one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,23 @@ from pedzoo.core.errors import UserError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 OLD_BACKENDS = {"grid": "compiled"}
+OLD_SUITES = {"cards": "encounters"}
+OLD_SETTINGS = {"pace": "extend_goal"}
+"""Settings of a learned policy."""
+
+OLD_INIT = {"sgan": {"pace": "extend_goal"}}
+"""Arguments of architectures, as weights and cards have them."""
+
+OLD_OPTIONS = {
+    "data.unroll_apart": "one_recording_per_batch",
+    "model.keep": "max_segments",
+    "model.lenient": "collision_ramp",
+    "model.walking.corrected": "safety_correction",
+    "model.walking.trait": "assertiveness",
+    "model.walking.side": "passing_side",
+    "model.generator.pace": "extend_goal",
+}
+"""Options of a training by their place in a configuration, without ``init_args``, and their new last part."""
 
 
 @cache
@@ -25,6 +42,14 @@ def backend(name: str) -> str:
     new = OLD_BACKENDS.get(name, name)
     if new != name:
         say(f"physics {name!r}", repr(new))
+    return new
+
+
+def suite(name: str) -> str:
+    """Return a suite's name as it is now."""
+    new = OLD_SUITES.get(name, name)
+    if new != name:
+        say(f"suite {name!r}", repr(new))
     return new
 
 
@@ -70,9 +95,62 @@ def new_words(argv: list[str]) -> list[str]:
 
 
 def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a protocol, as a card has it, with ``world`` written as ``physics``."""
+    """Return a protocol, as a card has it, with today's names of keys, backends and suites."""
     found = dict(protocol)
     if "world" in found:
         world = found.pop("world")
         found["physics"] = OLD_BACKENDS.get(world, world)
+    if isinstance(suites := found.get("suites"), list):
+        found["suites"] = [OLD_SUITES.get(name, name) if isinstance(name, str) else name for name in suites]
     return found
+
+
+def new_init(config: Any) -> Any:
+    """Return a model's config, as weights have it, with today's names of the architecture's arguments.
+
+    Values that are no config are returned as they are: checks of their form come later.
+    """
+    if not isinstance(config, dict) or not isinstance(init := config.get("init"), dict):
+        return config
+    names = OLD_INIT.get(str(config.get("architecture")), {})
+    return {**config, "init": {names.get(key, key): value for key, value in init.items()}}
+
+
+def new_settings(settings: Mapping[str, str]) -> dict[str, str]:
+    """Return the settings of a learned policy with their names as they are now."""
+    for old in settings.keys() & OLD_SETTINGS.keys():
+        say(f"setting {old}={settings[old]}", f"{OLD_SETTINGS[old]}={settings[old]}")
+    return {OLD_SETTINGS.get(key, key): value for key, value in settings.items()}
+
+
+def new_options(argv: list[str]) -> list[str]:
+    """Return a command line of a training with the names of options as they are now."""
+    words = list(argv)
+    for i, word in enumerate(argv):
+        flag, joined, value = word.partition("=")
+        parent, dot, _ = flag.rpartition(".")
+        place = flag.removeprefix("--").replace("-", "_").replace(".init_args", "")
+        if flag.startswith("--") and (new := OLD_OPTIONS.get(place)):
+            words[i] = f"{parent}{dot}{new}{joined}{value}"
+            say(flag, f"{parent}{dot}{new}")
+    return words
+
+
+def new_config(config: Any, tell: bool = False, place: str = "") -> Any:
+    """Return the configuration of a training with the names of options as they are now.
+
+    Args:
+        config: Its values, of any kind; what is no mapping is returned as it is.
+        tell: Whether each new name is told.
+        place: Where these values stand, as keys of `OLD_OPTIONS`.
+    """
+    if not isinstance(config, dict):
+        return config
+    values = {}
+    for key, value in config.items():
+        inner = place if key == "init_args" else f"{place}.{key}".removeprefix(".")
+        new = OLD_OPTIONS.get(inner, key) if inner != place else key
+        if new != key and tell:
+            say(inner, f"{place}.{new}")
+        values[new] = new_config(value, tell, inner)
+    return values

@@ -55,7 +55,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         seed: int = 0,
         unroll: int = 0,
         unroll_batch_size: int = 64,
-        unroll_apart: bool = False,
+        one_recording_per_batch: bool = False,
     ) -> None:
         """Set what `setup` will read.
 
@@ -84,8 +84,8 @@ class TrajectoryDataModule(L.LightningDataModule):
                 ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
                 accelerate is imitated.
             unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
-            unroll_apart: A batch of these is of one recording: how exactly people were followed differs, and
-                with it how much they seem to accelerate, which can be told from what is observed.
+            one_recording_per_batch: A batch of these is of one recording. Recordings differ in the accuracy
+                of positions, and so in the accelerations that they seem to have.
         """
         super().__init__()
         self.save_hyperparameters()
@@ -157,8 +157,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         if self.unrolled is None:
             return forecast
         size = self.hparams["unroll_batch_size"]
-        apart = self.unrolled.recording if self.hparams["unroll_apart"] else None
-        unrolled = self._batches(self.unrolled, "destination", size, True, apart)
+        groups = self.unrolled.recording if self.hparams["one_recording_per_batch"] else None
+        unrolled = self._batches(self.unrolled, "destination", size, True, groups)
         return {"forecast": forecast, "unrolled": unrolled}
 
     def val_dataloader(self) -> DataLoader:

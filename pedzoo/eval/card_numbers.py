@@ -1,4 +1,4 @@
-"""The numbers on a model card: measured for it, and measured again by whoever wants to see for themselves."""
+"""The numbers on a model card: measured for it, and measured again on request."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.renamed import OLD_SUITES
 from pedzoo.core.types import OBS_LEN
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.data.datasets.eth_ucy import EVERYTHING
@@ -15,11 +16,11 @@ from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.saved import saved_config
 
-WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "cards")]
+WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "encounters")]
 """Where a card's model has walked, with a tenth of the episodes: that needs no files and takes a minute."""
 
 EMBEDDED = "embedded"
-"""The fold that everybody has: its numbers can be redone anywhere."""
+"""The fold that ships with pedzoo: its numbers can be redone anywhere."""
 
 SAMPLES, SEED = 20, 0
 
@@ -71,8 +72,8 @@ def measure(
     """Return the reports for a model's card.
 
     Errors of forecasts on the windows that the weights did not see (on the validation windows where they
-    left no scene out), by the model's own goal protocol; the same on the embedded recordings, which everybody
-    has; and the closed loop at the door, from goal to goal and in encounters.
+    left no scene out), by the model's own goal protocol; the same on the embedded recordings, which ship
+    with pedzoo; and the closed loop at the door, from goal to goal and in encounters.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.
@@ -94,15 +95,15 @@ def measure(
     wanted = [("forecast", own), ("forecast", embedded)][own["fold"] == EMBEDDED :]
     if own["obs_len"] == OBS_LEN:  # so many steps are seen by what walks
         wanted += [("evaluate", protocol) for protocol in WALKS]
-    found = []
+    result = []
     for command, protocol in wanted:
         try:
             report = report_of(command, Job(model, protocol, [SEED], root, progress=progress))
         except UserError as error:
             tell(f"not measured, {about(protocol)}: {error}")
         else:
-            found.append(_for_card(report, name or model))
-    return found
+            result.append(_for_card(report, name or model))
+    return result
 
 
 def again(
@@ -128,14 +129,14 @@ def again(
     if not card.evaluations:
         raise UserError(f"the card of {card.name!r} has no evaluations: there is nothing to do again")
     load(model)
-    found = []
+    result = []
     for before in card.evaluations:
         job = Job(model, before["protocol"], before["seeds"], root, workers, progress)
         try:
-            found.append(Again(before, report_of(str(before["command"]), job)))
+            result.append(Again(before, report_of(str(before["command"]), job)))
         except UserError as error:
-            found.append(Again(before, None, str(error)))
-    return found
+            result.append(Again(before, None, str(error)))
+    return result
 
 
 def compare(before: Report, now: Report) -> list[Compared]:
@@ -150,15 +151,15 @@ def compare(before: Report, now: Report) -> list[Compared]:
     """
     walks = before["command"] == "evaluate"
     today = {_case(row): row for row in now["rows"]}
-    found = []
+    result = []
     for row in before["rows"]:
         numbers, other = {"n": row["n"], **row["metrics"]}, today.get(_case(row))
         others = {"n": other["n"], **other["metrics"]} if other else {}
         for metric, card in numbers.items():
             value, interval = others.get(metric), row["ci95"].get(metric) if walks else None
             same = _same(card, value, interval, chance=walks and metric != "n")
-            found.append(Compared(_case(row), metric, card, value, interval, same))
-    return found
+            result.append(Compared(_case(row), metric, card, value, interval, same))
+    return result
 
 
 _ROW = ("table", "case", "n", "cases", "metrics", "ci95")
@@ -181,7 +182,8 @@ def _short(value: float) -> float:
 
 def _case(row: Report) -> str:
     """Return whose numbers a row has: a table's of the closed loop, or a fold's."""
-    return str(row.get("table") or " ".join(map(str, row["case"].values())))
+    table = row.get("table", "")
+    return str(OLD_SUITES.get(table, table) or " ".join(map(str, row["case"].values())))
 
 
 def _same(card: float, now: float | None, interval: Sequence[float] | None, chance: bool) -> bool | None:

@@ -15,8 +15,8 @@ from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row
-from pedzoo.eval.suite import Request
-from pedzoo.eval.workers.clock import Step
+from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.models.zoo.keys import check
 from pedzoo.models.zoo.loading import load
 
@@ -48,7 +48,7 @@ def report_of(command: str, job: Job) -> Report:
     """Return the report of ``forecast`` or ``evaluate`` on one model; of the latter, the rows of its tables.
 
     Raises:
-        UserError: The recordings are absent, or nobody knows how to do what the protocol says.
+        UserError: The recordings are absent, or the protocol asks for something unknown.
     """
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
@@ -90,21 +90,21 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     for suite in job.protocol["suites"]:
         if suite not in SUITES.names():  # a card never makes code of a file run
             raise unknown("suite", str(suite), SUITES.names())
-    asked = only(job.protocol, Request._fields)
-    request = Request(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
+    asked = only(job.protocol, EvaluationOptions._fields)
+    options = EvaluationOptions(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
     still = job.protocol.get("deterministic", False)
-    evaluation = Evaluation([job.model], job.protocol["suites"], request, job.seeds, still)
+    evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)
 
-    def tell(step: Step) -> None:
+    def tell(step: ProgressReport) -> None:
         if job.progress:
             job.progress(about(job.protocol), step.units, step.total)
 
     evaluation.run(job.workers, progress=tell)
-    found = evaluation.report()
+    result = evaluation.report()
     # a folder is not the same on another machine, and what was not asked for needs no word
-    protocol = {key: value for key, value in found["protocol"].items() if key != "root" and value}
+    protocol = {key: value for key, value in result["protocol"].items() if key != "root" and value}
     rows = []
-    for row in found["summary"]:
+    for row in result["summary"]:
         shown = evaluation.shown[row["case"]["suite"]].columns
         rows.append(row | {key: only(row[key], shown) for key in ("metrics", "ci95")})
     return protocol, rows

@@ -12,17 +12,17 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.results import Shown
-from pedzoo.eval.suite import Request, Suite, Unit, check_names
+from pedzoo.eval.suite import EvaluationOptions, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
-from pedzoo.eval.workers.clock import Clock, Progress
 from pedzoo.eval.workers.journal import Journal, Rows
 from pedzoo.eval.workers.pool import Backend, finished
+from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import usable
 from pedzoo.sim.make import physics_class
 
-SUITE_NAMES = ("door", "goals", "cards", "replay")
+SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
 
 
@@ -48,7 +48,7 @@ def evaluate(
 
     Args:
         policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`.
-        suites: ``door``, ``goals``, ``cards`` and ``replay``, or ``file.py:Class``.
+        suites: ``door``, ``goals``, ``encounters`` and ``replay``, or ``file.py:Class``.
         episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.
         quick: A tenth of the episodes, and of the time of recordings.
@@ -73,8 +73,8 @@ def evaluate(
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
     folder = None if root is None else str(root)
-    request = Request(episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device)
-    evaluation = Evaluation(policies, suites, request, seeds, deterministic, resume)
+    options = EvaluationOptions(episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device)
+    evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
 
@@ -83,7 +83,7 @@ class Evaluation:
     """All parts of an evaluation, and the rows of those that are done.
 
     Attributes:
-        request: What suites differ by.
+        options: What suites differ by.
         units: All of them, in the order of the report.
         resumed: How many were found in the file of finished ones.
         others: How many in that file are of other units, weights, files or code.
@@ -94,17 +94,17 @@ class Evaluation:
         self,
         policies: Sequence[str],
         suites: Sequence[str] = SUITE_NAMES,
-        request: Request | None = None,
+        options: EvaluationOptions | None = None,
         seeds: Sequence[int] = (0,),
         deterministic: bool = False,
         resume: str | Path | None = None,
     ) -> None:
-        """Say what is to be done; whatever is misspelt is refused here.
+        """Say what is to be done; wrong names are refused here.
 
         Args:
             policies: As of `evaluate`.
             suites: Likewise.
-            request: What suites differ by.
+            options: What suites differ by.
             seeds: As of `evaluate`.
             deterministic: Likewise.
             resume: Likewise.
@@ -112,12 +112,12 @@ class Evaluation:
         Raises:
             UserError: As of `evaluate`.
         """
-        self.request = request or Request()
-        usable(self.request.device)
-        if self.request.physics is not None:
-            self.request = self.request._replace(physics=renamed.backend(self.request.physics))
+        self.options = options or EvaluationOptions()
+        usable(self.options.device)
+        if self.options.physics is not None:
+            self.options = self.options._replace(physics=renamed.backend(self.options.physics))
         for key in ("episodes", "rollouts"):
-            number = getattr(self.request, key)
+            number = getattr(self.options, key)
             if number is not None and number < 1:
                 raise UserError(f"{key} {number}: expected at least 1")
         self._policies = check_names("policies", policies)
@@ -125,16 +125,18 @@ class Evaluation:
         if not self._seeds:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
-        self._suites = [_suite(name) for name in check_names("suites", suites)]
-        _check_use(self.request, self._suites)
+        self._suites = [
+            _suite(name) for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
+        ]
+        _check_use(self.options, self._suites)
         for policy in self._policies:
             load_policy(policy)
-        self.units: list[Unit] = []
+        self.units: list[WorkUnit] = []
         for suite in self._suites:
-            for case in suite.cases(self.request):
+            for case in suite.cases(self.options):
                 physics_class(case.physics).check()
                 units = suite.units(case, self._policies, self._seeds, deterministic)
-                self.units += [unit._replace(device=self.request.device) for unit in units]
+                self.units += [unit._replace(device=self.options.device) for unit in units]
         self._digests = [digest(unit) for unit in self.units]
         self.journal = Path(resume) if resume else None
         self._journal = Journal(self.journal)
@@ -154,19 +156,19 @@ class Evaluation:
             backend: Likewise.
             progress: Likewise.
         """
-        clock = Clock(self.units, set(self._rows), progress)
+        meter = ProgressMeter(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]
         alone = workers == 1 and backend == "processes"
-        do = partial(_telling, clock) if alone else work
+        do = partial(_with_progress, meter) if alone else work
         if units:
-            clock.within(units[0], 0.0)
+            meter.within(units[0], 0.0)
         with closing(finished(units, do, workers, backend, lambda unit: unit.group)) as results:
             for place, rows in results:
                 number = missing[place]
                 self._rows[number] = rows
                 self._journal.add(self._digests[number], rows)
-                clock.ended(number, rows[0]["seconds"]["wall"])
+                meter.ended(number, rows[0]["seconds"]["wall"])
 
     @property
     def done(self) -> int:
@@ -176,7 +178,7 @@ class Evaluation:
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds, notes, summary and rows of all that is done."""
         rows = [row for number in sorted(self._rows) for row in self._rows[number]]
-        asked = self.request
+        asked = self.options
         protocol = {
             "suites": [suite.name for suite in self._suites],
             **asked._asdict(),
@@ -197,8 +199,8 @@ class Evaluation:
         return {suite.name: Shown(suite.headline, suite.columns, suite.counted) for suite in self._suites}
 
 
-def _telling(clock: Clock, unit: Unit) -> Rows:
-    return work(unit, partial(clock.within, unit))
+def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
+    return work(unit, partial(meter.within, unit))
 
 
 def _suite(name: str) -> Suite:
@@ -208,9 +210,11 @@ def _suite(name: str) -> Suite:
     return cls(name)
 
 
-def _check_use(request: Request, suites: Sequence[Suite]) -> None:
+def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
     for key in ("episodes", "maps", "rollouts"):
-        if getattr(request, key) and not any(key in suite.uses for suite in suites):
-            own = [name for name in SUITES.names() if key in getattr(SUITES.get(name), "uses", ())]
+        if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
+            own = [
+                name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())
+            ]
             given = ", ".join(suite.name for suite in suites)
             raise UserError(f"{key}: no use for them in {given}; {', '.join(own)} would have")

@@ -94,7 +94,7 @@ def replay_row(
     distance = resampled_distances(mine, real, drawn, drawn)
     resamples = of_people(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
     metrics = {key: float(value) for key, value in values.items() if not value.isnan()}
-    intervals = {key: found for key in metrics if (found := _interval(resamples[key]))}
+    intervals = {key: result for key in metrics if (result := _interval(resamples[key]))}
     for key in ("success", "deadlock"):
         intervals[key] = wilson(metrics[key], int(seen.sum()))
     return {
@@ -126,15 +126,15 @@ def reference_rows(scenario: Replay) -> list[dict[str, Any]]:
     first = _weights(halves(int(seen.sum()), SPLITS), seen)
     second = seen.double() - first
     distance = resampled_distances(real, real, first, second)
-    found = compared(real, real, first, second, distance, spreads(real))
+    result = compared(real, real, first, second, distance, spreads(real))
     floor = {
         "name": HALVES,
         "case": {},
         "decision_dt_s": STEP_SECONDS,
         "n": int(seen.sum()),
         "rounds": 1,
-        "metrics": {key: float(value.nanmean()) for key, value in found.items() if not value.isnan().all()},
-        "ci95": {key: interval for key, value in found.items() if (interval := _interval(value))},
+        "metrics": {key: float(value.nanmean()) for key, value in result.items() if not value.isnan().all()},
+        "ci95": {key: interval for key, value in result.items() if (interval := _interval(value))},
         "per_agent": [],
     }
     return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS), floor]

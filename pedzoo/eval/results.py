@@ -95,7 +95,7 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
         shown: Which metrics.
     """
     rows, summary = report["rows"], report["summary"]
-    found = [_headline(summary, shown)]
+    result = [_headline(summary, shown)]
     for table in dict.fromkeys(row["table"] for row in summary):
         mine = [row for row in summary if row["table"] == table]
         headline, columns, _ = shown[mine[0]["case"]["suite"]]
@@ -106,10 +106,10 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
         title = f"{table}: mean of {cases} cases" if cases > 1 else table
         labels = _labels(mine)
         body = [[labels[row["name"]], str(row["n"]), *(cell(row, key) for key in known)] for row in mine]
-        found.append(Page(title, ["policy", "n", *known], body, 2))
+        result.append(Page(title, ["policy", "n", *known], body, 2))
         if cases > 1:
-            found += [_by_case([row for row in rows if row["table"] == table], key) for key in headline]
-    return found
+            result += [_by_case([row for row in rows if row["table"] == table], key) for key in headline]
+    return result
 
 
 def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
-from pedzoo.eval.closed_loop import row
+from pedzoo.eval.comparison import row
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
@@ -25,8 +25,8 @@ Tell = Callable[[float], None]
 """Called with the share of a unit that is done."""
 
 
-class Request(NamedTuple):
-    """What was asked for, as far as suites differ by it.
+class EvaluationOptions(NamedTuple):
+    """Options of an evaluation by which suites differ.
 
     Attributes:
         episodes: Per case; None for the suite's own number.
@@ -51,7 +51,7 @@ class Request(NamedTuple):
         return self.episodes or (max(1, usual // QUICK) if self.quick else usual)
 
 
-class Case(NamedTuple):
+class EvaluationCase(NamedTuple):
     """Scenes that policies are compared on.
 
     Attributes:
@@ -79,7 +79,7 @@ class Case(NamedTuple):
     shares: str = ""
 
 
-class Unit(NamedTuple):
+class WorkUnit(NamedTuple):
     """One policy on one case: the smallest thing that is repeated, kept and sent to workers.
 
     Attributes:
@@ -93,7 +93,7 @@ class Unit(NamedTuple):
 
     policy: str
     walks: str
-    case: Case
+    case: EvaluationCase
     seeds: tuple[int, ...]
     deterministic: bool
     device: str = "cpu"
@@ -105,7 +105,7 @@ class Unit(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What people are told is going on."""
+        """The unit in words, for progress messages."""
         case = self.case
         return f"{case.suite}{f' {case.name}' if case.name != case.suite else ''}: {self.policy}"
 
@@ -115,14 +115,14 @@ class Suite(ABC):
 
     Attributes:
         name: As it was asked for.
-        uses: What it heeds of a `Request` beside what all suites do.
+        accepted_options: Fields of `EvaluationOptions` that it takes beside those of all suites.
         warm_start: What people do in the steps before the policy takes over.
         counted: What ``n`` of its rows are.
         headline: Metrics of the first table.
         columns: Metrics of the suite's own table.
     """
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts")
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts")
     warm_start: ClassVar[str] = "orca"
     counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
@@ -143,15 +143,15 @@ class Suite(ABC):
         self.name = name
 
     @abstractmethod
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return the cases; those that share a floor plan follow each other.
 
         Raises:
             UserError: Something asked for cannot be.
         """
 
-    def notes(self, request: Request, policies: Sequence[str]) -> list[str]:
-        """Return what people should know about the cases, and about ``policies`` on them."""
+    def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
+        """Return notes on the cases, and on ``policies`` in them."""
         return []
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
@@ -159,8 +159,8 @@ class Suite(ABC):
         return {}
 
     def units(
-        self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
-    ) -> list[Unit]:
+        self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
+    ) -> list[WorkUnit]:
         """Return the work on a case.
 
         Args:
@@ -169,25 +169,25 @@ class Suite(ABC):
             seeds: Of the scenes.
             deterministic: Without noise.
         """
-        return [Unit(policy, policy, case, seeds, deterministic) for policy in policies]
+        return [WorkUnit(policy, policy, case, seeds, deterministic) for policy in policies]
 
-    def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
-        """Walk one unit and return its rows, as `pedzoo.eval.closed_loop.row` makes them.
+    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+        """Walk one unit and return its rows, as `pedzoo.eval.comparison.row` makes them.
 
         Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
         """
         case = unit.case
         parts = list(walked(unit, prepared(case.scenario, case.inputs), unit.seeds, case.episodes, tell))
         rollout, decision_dt = joined([part for part, _ in parts]), parts[0][1].decision_dt
-        found = row(unit.policy, rollout, decision_dt, self.more(rollout))
-        for person in found["per_agent"]:
+        result = row(unit.policy, rollout, decision_dt, self.more(rollout))
+        for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
-        return [found]
+        return [result]
 
 
 def walked(
-    unit: Unit, scenario: Scenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
+    unit: WorkUnit, scenario: Scenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
 ) -> Iterator[tuple[Rollout, PedestrianEnv]]:
     """Yield some episodes after the other, and where they were: large crowds do not fit memory together.
 

@@ -21,7 +21,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         rows: Of an evaluation.
     """
     order = {key: number for number, key in enumerate(dict.fromkeys(map(_place, rows)))}
-    found = []
+    result = []
     for (table, name), group in groupby(sorted(rows, key=lambda row: order[_place(row)]), key=_place):
         cases = list(group)
         metrics: dict[str, float] = {}
@@ -37,7 +37,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 if interval[0] < interval[1]:
                     intervals[key] = interval
         seconds = {key: round(sum(case["seconds"][key] for case in cases), 2) for key in ("wall", "cpu")}
-        found.append(
+        result.append(
             {
                 "name": name,
                 "table": table,
@@ -49,7 +49,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "seconds": seconds,
             }
         )
-    return found
+    return result
 
 
 def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]]) -> Interval:

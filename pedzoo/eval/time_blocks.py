@@ -42,17 +42,17 @@ class BlockSums:
     def add(self, scenes: Tensor, errors: Mapping[str, tuple[Tensor, Tensor]]) -> None:
         """Add the sums and numbers of people (B,) of each error in some scenes (B,)."""
         block = self.block[scenes]
-        for name, found in errors.items():
+        for name, result in errors.items():
             if name not in self._sums:
                 nothing = torch.zeros(self.count, dtype=torch.float64)
                 self._sums[name] = nothing, nothing.clone()
-            for total, value in zip(self._sums[name], found, strict=True):
+            for total, value in zip(self._sums[name], result, strict=True):
                 total.index_add_(0, block, value.double().cpu())
 
     def intervals(self) -> dict[str, Interval]:
         """Return the interval of every mean; of one block, or one without errors, there is none."""
-        found = {name: bootstrap(above, below) for name, (above, below) in self._sums.items() if below.any()}
-        return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
+        result = {name: bootstrap(above, below) for name, (above, below) in self._sums.items() if below.any()}
+        return {name: ends for name, ends in result.items() if ends[0] < ends[1]}
 
 
 def blocks(windows: list[int], length: int) -> Tensor:
@@ -64,9 +64,9 @@ def blocks(windows: list[int], length: int) -> Tensor:
         windows: Of each recording; they come one recording after the other.
         length: Of a block.
     """
-    found, before = [], 0
+    result, before = [], 0
     for number in windows:
         whole = max(1, number // length)
-        found.append(before + (torch.arange(number) // length).clamp_max(whole - 1))
+        result.append(before + (torch.arange(number) // length).clamp_max(whole - 1))
         before += whole if number else 0
-    return torch.cat(found)
+    return torch.cat(result)

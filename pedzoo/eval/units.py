@@ -13,7 +13,7 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.core.registry import SUITES, folder_of
 from pedzoo.core.spec import Spec, parse
 from pedzoo.core.versions import versions
-from pedzoo.eval.suite import Tell, Unit
+from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd import parts
 
@@ -22,7 +22,7 @@ _NO_MATTER = ("cli", "train", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 
-def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
+def work(unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
     """Do a unit and return its rows, as they are in JSON.
 
     Args:
@@ -42,7 +42,7 @@ def work(unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
     return json.loads(json.dumps(rows, allow_nan=False))
 
 
-def digest(unit: Unit) -> str:
+def digest(unit: WorkUnit) -> str:
     """Return what tells a unit from any other whose rows may differ.
 
     That is the unit itself, pedzoo's code, the versions of its dependencies, and the files that the unit
@@ -80,15 +80,15 @@ def _code_sum() -> str:
 
     Commits of anything else leave it as it is.
     """
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for base in (Path(__file__).parents[1], folder_of("tools.paper")):  # a checkout's suites and tables
         for path in sorted(base.rglob("*")):
             place = path.relative_to(base)
             if path.suffix in _MATTER and place.parts[0] not in _NO_MATTER:
-                found.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
-    return found.hexdigest()
+                result.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
+    return result.hexdigest()
 
 
 @cache
 def _versions() -> dict[str, str]:
-    return {name: found for name, found in versions().items() if name not in ("commit", "pedzoo")}
+    return {name: result for name, result in versions().items() if name not in ("commit", "pedzoo")}

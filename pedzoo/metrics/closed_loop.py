@@ -75,16 +75,16 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
     scored = rollout.scored
     near = safety.nearest(rollout.trace, rollout.present)
     moves = smoothness.velocities(rollout.path, scored)
-    found = _meeting(rollout, scored, near) | _ahead(rollout, scored) | _moving(*moves)
+    result = _meeting(rollout, scored, near) | _ahead(rollout, scored) | _moving(*moves)
     if rollout.replayed:
-        found |= _leaving(rollout, scored)
+        result |= _leaving(rollout, scored)
     else:
-        found |= _arriving(rollout, scored, decision_dt)
+        result |= _arriving(rollout, scored, decision_dt)
         kept = safety.compliance_igibson(near, scored).where(rollout.mask, 0.0)
-        found["personal_space_igibson"] = ratio(kept, rollout.mask)
+        result["personal_space_igibson"] = ratio(kept, rollout.mask)
         if rollout.gate is not None:
-            found |= _at_door(rollout, scored, rollout.gate, *moves)
-    return {name: found[name] for name in NAMES if name in found}
+            result |= _at_door(rollout, scored, rollout.gate, *moves)
+    return {name: result[name] for name in NAMES if name in result}
 
 
 def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str, Ratio]:
@@ -164,14 +164,14 @@ def _leaving(rollout: Rollout, scored: Tensor) -> dict[str, Ratio]:
 
 def _meeting(rollout: Rollout, scored: Tensor, near: Tensor) -> dict[str, Ratio]:
     """Return contacts and distances."""
-    found = {}
+    result = {}
     minutes = safety.person_minutes(scored)
     for what, contact in (("agent", rollout.agent_contact), ("wall", rollout.wall_contact)):
         events = safety.contact_events(contact & scored)
-        found[f"{what}_contacts_per_min"] = ratio(events, minutes)
-        found[f"{what}_contacts_per_episode"] = ratio(events.sum(1))
-        found[f"{what}_contact_episodes"] = share((events > 0).any(1))
-    return found | {
+        result[f"{what}_contacts_per_min"] = ratio(events, minutes)
+        result[f"{what}_contacts_per_episode"] = ratio(events.sum(1))
+        result[f"{what}_contact_episodes"] = share((events > 0).any(1))
+    return result | {
         "contact_free": share(_untouched(rollout, scored)),
         "personal_space": ratio(safety.keeps_distance(near, scored), scored),
         "least_distance_m": finite(safety.least_distance(near, scored).amin(1)),

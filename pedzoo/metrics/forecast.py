@@ -63,24 +63,24 @@ class ForecastScore(nn.Module):
 
     def compute(self) -> dict[str, float]:
         """Return all metrics by name; a deterministic model has sample distance 0."""
-        found = {
+        result = {
             name: float(value)
             for of in (self.of_mode, self.of_samples)
             for name, value in of.compute().items()
         }
         if self.spread is not None:
-            found["sample_distance_m"] = float(self.spread.compute())
+            result["sample_distance_m"] = float(self.spread.compute())
         if self.likelihood.update_called:
-            found["nll_nats_per_step"] = float(self.likelihood.compute())
-        return found
+            result["nll_nats_per_step"] = float(self.likelihood.compute())
+        return result
 
     def latest(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Return sums and counts (B,) of every mean, for each scene of the last batch."""
         items = (item for of in (self.of_mode, self.of_samples) for item in of.items())
-        found = {name: metric.latest for name, metric in items if isinstance(metric, d.AgentMean)}
+        result = {name: metric.latest for name, metric in items if isinstance(metric, d.AgentMean)}
         if self.likelihood.update_called:
-            found["nll_nats_per_step"] = self.likelihood.latest
-        return found
+            result["nll_nats_per_step"] = self.likelihood.latest
+        return result
 
     def reset(self) -> None:
         """Forget all batches."""

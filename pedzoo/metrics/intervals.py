@@ -42,8 +42,8 @@ def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, see
     """
     times = _resampled(len(numerator), resamples, seed)
     below = times @ denominator.double()
-    found = (times @ numerator.double() / below)[below > 0]
-    low, high = torch.quantile(found, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
+    result = (times @ numerator.double() / below)[below > 0]
+    low, high = torch.quantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
     return low, high
 
 
@@ -60,8 +60,8 @@ def bootstrap_quantile(
         resamples: Of episodes, drawn with replacement.
         seed: Of the draws.
     """
-    found = quantiles(value, episode, _resampled(episodes, resamples, seed), (at,))[:, 0]
-    ends = torch.nanquantile(found, torch.tensor([0.025, 0.975], dtype=torch.float64))
+    result = quantiles(value, episode, _resampled(episodes, resamples, seed), (at,))[:, 0]
+    ends = torch.nanquantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64))
     low, high = ends.tolist()
     return low, high
 

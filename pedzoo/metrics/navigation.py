@@ -144,21 +144,21 @@ def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
 
 def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     """Return at which points 5 s end that make somebody `deadlocked` (E, A, T) bool; arguments as there."""
-    found = torch.zeros_like(scored)
+    result = torch.zeros_like(scored)
     if trace.shape[2] <= STILL_POINTS:
-        return found
+        return result
     before, after = trace[:, :, :-STILL_POINTS], trace[:, :, STILL_POINTS:]
     still = (after - before).norm(dim=-1) < STILL_METRES
     away = (after - goal[:, :, STILL_POINTS:]).norm(dim=-1) > AWAY
     count = scored.cumsum(2)
     stayed = count[..., STILL_POINTS:] - count[..., :-STILL_POINTS] == STILL_POINTS
-    found[:, :, STILL_POINTS:] = still & away & stayed
-    episode, agent = found.any(-1).nonzero(as_tuple=True)
+    result[:, :, STILL_POINTS:] = still & away & stayed
+    episode, agent = result.any(-1).nonzero(as_tuple=True)
     if len(episode):  # few: who was there 5 s ago may have been elsewhere in between
         place = trace[episode, agent].transpose(1, 2)
         extent = _window_max(place, STILL_POINTS + 1) + _window_max(-place, STILL_POINTS + 1)
-        found[episode, agent, STILL_POINTS:] &= extent.norm(dim=1) < STILL_METRES
-    return found
+        result[episode, agent, STILL_POINTS:] &= extent.norm(dim=1) < STILL_METRES
+    return result
 
 
 def _window_max(values: Tensor, width: int) -> Tensor:

@@ -31,11 +31,11 @@ def quantiles(value: Tensor, group: Tensor, weights: Tensor, at: Sequence[float]
         return torch.full((len(weights), len(shares)), torch.nan, dtype=torch.float64)
     order = value.argsort()
     ordered, whose = value[order].double(), group[order]
-    found = []
+    result = []
     for part in weights.double().split(max(1, _AT_ONCE // len(value))):
         until = part[:, whose].cumsum(1)
         total = until[:, -1:]
         # a share of a whole number of values may be rounded up to just above it
         place = torch.searchsorted(until, total * shares - 1e-9 * total).clamp_max(len(value) - 1)
-        found.append(ordered[place].where(total > 0, torch.nan))
-    return torch.cat(found)
+        result.append(ordered[place].where(total > 0, torch.nan))
+    return torch.cat(result)

@@ -38,8 +38,8 @@ class Runs(NamedTuple):
 
     def sums(self, value: Tensor) -> Tensor:
         """Return the sums over each run's points (E, A, R) of what is known for every point (E, A, T)."""
-        found = value.new_zeros(*value.shape[:2], self.count + 1)
-        return found.scatter_add_(2, self.number, value)[..., 1:]
+        result = value.new_zeros(*value.shape[:2], self.count + 1)
+        return result.scatter_add_(2, self.number, value)[..., 1:]
 
     def any(self, value: Tensor) -> Tensor:
         """Return in which runs (E, A, R) something is true at any point (E, A, T)."""

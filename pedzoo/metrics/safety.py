@@ -180,5 +180,5 @@ def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
 def _of_people(parts: list[Tensor], there: Tensor) -> Tensor:
     """Return what the frames have (F, A) as (E, A, T), infinite for who is not there."""
     episodes, agents, points = there.shape
-    found = torch.cat(parts).view(episodes, points, agents).transpose(1, 2)
-    return found.masked_fill(~there, torch.inf)
+    result = torch.cat(parts).view(episodes, points, agents).transpose(1, 2)
+    return result.masked_fill(~there, torch.inf)

@@ -32,11 +32,11 @@ class Forecaster(nn.Module):
         needs: What it reads besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         mode_at_zero: The most likely future is that of noise zero.
-        walking_noise: How often its noise is drawn when it walks, if nobody says anything else.
-        walking_safety: Whether its steps are kept clear of people and walls when it walks, if nobody says
-            anything else; see `pedzoo.policies.learned.safety`.
-        walking_pace: Whether nearer goals are moved out when it walks, likewise; see
-            `pedzoo.policies.learned.pace`.
+        walking_noise: How often its noise is drawn when it walks, by default.
+        walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
+            see `pedzoo.policies.learned.safety`.
+        walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
+            `pedzoo.policies.learned.extended_goals`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The arguments that it was built with, as plain values: with the weights, all of the model.
     """
@@ -47,7 +47,7 @@ class Forecaster(nn.Module):
     mode_at_zero: ClassVar[bool] = False
     walking_noise: Noise = "episode"
     walking_safety: bool = False
-    walking_pace: bool = False
+    walking_extend_goal: bool = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 

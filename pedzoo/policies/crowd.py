@@ -42,19 +42,19 @@ class Member(NamedTuple):
 def parts(text: str) -> list[str]:
     """Return the policies that are joined in a text, each with its settings and its ``share``."""
     pieces = split(text, "+")
-    found = pieces[:1]
+    result = pieces[:1]
     for place in range(1, len(pieces)):
-        if _goes_on(found[-1], pieces[place:]):
-            found[-1] += f"+{pieces[place]}"
+        if _goes_on(result[-1], pieces[place:]):
+            result[-1] += f"+{pieces[place]}"
         else:
-            found.append(pieces[place])
-    return [part.strip() for part in found]
+            result.append(pieces[place])
+    return [part.strip() for part in result]
 
 
 def is_crowd(text: str) -> bool:
     """Return whether a text is a crowd of teams: several policies, or one with a ``share``."""
-    found = parts(text)
-    return len(found) > 1 or (":" in text and _SHARE in parse(text).settings)
+    result = parts(text)
+    return len(result) > 1 or (":" in text and _SHARE in parse(text).settings)
 
 
 def members(text: str) -> list[Member]:

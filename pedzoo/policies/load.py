@@ -5,6 +5,7 @@ from __future__ import annotations
 from fnmatch import fnmatch
 from typing import cast
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import unknown
 from pedzoo.core.registry import MODELS, POLICIES
 from pedzoo.core.spec import build, make, parse
@@ -36,7 +37,9 @@ def load_policy(name: str) -> Policy | Walker:
         return build(POLICIES, name, Policy)
     if not (is_file(spec.name) or spec.name in MODELS.names() or find(spec.name)):
         raise unknown("policy", spec.name, list_policies())
-    return make(Walker, "walker", spec, model=load(spec.name))
+    return make(
+        Walker, "walker", spec._replace(settings=renamed.new_settings(spec.settings)), model=load(spec.name)
+    )
 
 
 def list_policies(pattern: str = "*") -> list[str]:

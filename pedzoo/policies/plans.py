@@ -95,14 +95,14 @@ class Memory:
         kept = self._all()
         order = kept.key.argsort()
         place = torch.searchsorted(kept.key[order], like.key).clamp_max(len(order) - 1)
-        found = kept.rows(order[place])
-        known = found.key == like.key
-        found = found._replace(
+        result = kept.rows(order[place])
+        known = result.key == like.key
+        result = result._replace(
             key=like.key,
-            decided=torch.where(known, found.decided, -torch.inf),
-            person=torch.where(known.unsqueeze(1), found.person, -1),
+            decided=torch.where(known, result.decided, -torch.inf),
+            person=torch.where(known.unsqueeze(1), result.person, -1),
         )
-        return found.seated(person)
+        return result.seated(person)
 
     def keep(self, plans: Plans) -> None:
         """Keep the plans of a batch, and those of other scenes for a while."""

@@ -157,9 +157,9 @@ class Teams(Policy):
         for team, step in zip(teams, steps, strict=True):
             team.every = round(step / self.decision_dt)
             if abs(team.every * self.decision_dt - step) > 1e-6:
-                told = ", ".join(f"{one:g}" for one in steps)
+                listed = ", ".join(f"{one:g}" for one in steps)
                 raise UserError(
-                    f"teams decide every {told} s: expected multiples of the shortest, "
+                    f"teams decide every {listed} s: expected multiples of the shortest, "
                     f"{self.decision_dt:g} s; change the setting dt of one"
                 )
             execute = getattr(team.policy, "execute_steps", 1)

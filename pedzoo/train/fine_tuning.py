@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
@@ -16,7 +17,7 @@ from pedzoo.models.zoo.saved import saved_config
 from pedzoo.train.modules.module import LOSSES, ForecastModule, copied_keys, differences
 from pedzoo.train.run import RunFolder
 
-OF_CONFIG = ("safety", "pace", "map_dropout")
+OF_CONFIG = ("safety", "extend_goal", "map_dropout")
 """Options of an architecture that a config decides, whatever weights it begins with: how a model walks."""
 
 
@@ -50,7 +51,7 @@ def options_of(weights: str) -> list[str]:
     trained with, and what their metadata say of model and data.
 
     Raises:
-        UserError: No such weights, or nobody knows how they were trained.
+        UserError: No such weights, or it is unknown how they were trained.
     """
     path = Path(weights)
     run = path.parent.parent / "config.yaml"
@@ -91,7 +92,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
         weights: What `pedzoo.load` accepts.
         config: Name or file.
     """
-    settings = load_config(config)
+    settings = renamed.new_config(load_config(config))
     if not settings.get("weights"):
         return []
     generator = settings["model"]["init_args"]["generator"].get("init_args", {})

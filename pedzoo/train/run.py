@@ -90,27 +90,27 @@ class RunFolder:
     def loggers(self, wandb: Wandb) -> list[Logger]:
         """Return the CSV logger, and Weights & Biases' where it is wanted."""
         root, name, version = self.path.parent.parent, self.path.parent.name, self.path.name
-        found: list[Logger] = [CSVLogger(root, name, version)]
+        result: list[Logger] = [CSVLogger(root, name, version)]
         if wandb != "off":
-            found.append(
+            result.append(
                 WandbLogger(
                     project="pedzoo", name=f"{name}/{version}", save_dir=self.path, offline=wandb == "offline"
                 )
             )
-        return found
+        return result
 
     def callbacks(
         self, config: dict[str, Any], argv: list[str], monitor: str | None, mode: str
     ) -> list[Callback]:
         """Return what writes the records and, unless ``monitor`` is None, checkpoints."""
-        found: list[Callback] = [Record(self, config, argv)]
+        result: list[Callback] = [Record(self, config, argv)]
         if monitor is None:
-            return found
+            return result
         common: dict[str, Any] = {"dirpath": self.last.parent, "enable_version_counter": False}
         best = ModelCheckpoint(filename=self.best.stem, monitor=monitor, mode=mode, **common)
         # Apart from the best one, so that it is written after every epoch, validated or not.
         last = ModelCheckpoint(filename=self.last.stem, save_on_train_epoch_end=True, **common)
-        return [*found, best, last]
+        return [*result, best, last]
 
 
 def finish_wandb(succeeded: bool) -> None:

@@ -1,6 +1,6 @@
 """Pictures of how people walked: the way so far at some moments around the one at which they meet.
 
-In the manner of Fig. 4 of the paper on iGibson: a star where somebody is, dots where they were at the three
+In the manner of Fig. 4 of the paper on iGibson: a star where an agent is, dots where they were at the three
 steps of 0.4 s before, time as colour, and the walls.
 """
 
@@ -26,7 +26,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map
 from pedzoo.core.paths import write_whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.engine.camera import person_color
 from pedzoo.sim.rollout import Rollout
@@ -49,13 +49,13 @@ MARGIN = 0.5
 """Metres around everybody's way that panels show."""
 
 SHADE = ListedColormap(colormaps["viridis"](np.linspace(0.12, 0.95, 200)), "time")
-"""Time along the way; without the darkest end, on which nobody's colour is seen."""
+"""Time along the way; without the darkest end, on which no agent's colour is seen."""
 
 _CLOSE = 0.1
 """Metres: people who stand before each other have met when they first come so close to the least distance."""
 
 
-def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) -> None:
+def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: int = 0) -> None:
     """Draw a row of panels per policy: one episode at four moments, and the ways of all episodes.
 
     Args:
@@ -101,7 +101,7 @@ def plot_rollouts(walked: Sequence[Walked], path: str | Path, episode: int = 0) 
 
 
 def draw_episode(
-    axes: Axes, walked: Walked, episode: int = 0, until: Literal["meeting", "end"] = "end"
+    axes: Axes, walked: PolicyRollout, episode: int = 0, until: Literal["meeting", "end"] = "end"
 ) -> None:
     """Draw the ways of one episode until its end, or until two people meet, with a margin around all of them.
 
@@ -125,7 +125,7 @@ def check_plot_path(path: str | Path) -> None:
 def meeting(rollout: Rollout, episode: int) -> int:
     """Return the trace point at which two people are first as near each other as they ever are.
 
-    Where nobody meets anybody it is the middle of the episode.
+    Where no agents meet it is the middle of the episode.
     """
     length = int(rollout.length[episode])
     position, there = rollout.trace[episode, :, :length], rollout.present[episode, :, :length]
@@ -141,7 +141,7 @@ def meeting(rollout: Rollout, episode: int) -> int:
 class _Episode:
     """One episode in its map's frame, ready to be drawn; point 0 is where it begins."""
 
-    def __init__(self, walked: Walked, episode: int) -> None:
+    def __init__(self, walked: PolicyRollout, episode: int) -> None:
         self.name, self.rollout, self.number = walked.name, walked.rollout, episode
         grids = walked.env.bank.grids
         identity = int(self.rollout.map_id[episode])

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.engine.base import People
 from pedzoo.sim.engine.camera import Camera, person_color
 
@@ -43,7 +43,7 @@ Image = NDArray[np.uint8]
 
 
 def film(
-    walked: Sequence[Walked],
+    walked: Sequence[PolicyRollout],
     path: str | Path,
     episode: int = 0,
     view: Literal["top", "perspective"] = "perspective",
@@ -92,7 +92,7 @@ def check_video_path(path: str | Path) -> None:
         raise UserError(f"video {str(path)!r}: expected a file that ends in {' or '.join(CODECS)}")
 
 
-def check_episode(walked: Walked, episode: int) -> None:
+def check_episode(walked: PolicyRollout, episode: int) -> None:
     """Raise the error that the number of an episode gives which has not been walked."""
     episodes = len(walked.rollout.failed)
     if not 0 <= episode < episodes:
@@ -134,8 +134,8 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
         if writer is None:
             raise UserError(f"{str(path)!r}: a video needs at least one frame")
         writer.release()
-        if (found := read_video(part)) != (count, size):
-            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {found} can be read")
+        if (result := read_video(part)) != (count, size):
+            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {result} can be read")
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
@@ -160,7 +160,7 @@ def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
 class _Panel:
     """One policy's episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
 
-    def __init__(self, walked: Walked, episode: int, size: tuple[int, int]) -> None:
+    def __init__(self, walked: PolicyRollout, episode: int, size: tuple[int, int]) -> None:
         self.name, self.physics, self.size = walked.name, walked.env.physics, size
         rollout = self.rollout = walked.rollout.episodes(slice(episode, episode + 1))
         self.length = int(rollout.length[0])
@@ -190,7 +190,7 @@ class _Panel:
 
 
 def _trail(image: Image, way: Tensor, to_pixel: NDArray[np.float64], person: int) -> None:
-    """Draw somebody's way (T, 2) until now as a line on the floor."""
+    """Draw an agent's way (T, 2) until now as a line on the floor."""
     import cv2
 
     pixels = way.double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]

@@ -15,7 +15,7 @@ from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
 from pedzoo.cli.output import print_report, print_tables, write_and_print
 from pedzoo.eval.results import Page
-from pedzoo.eval.workers.clock import Step
+from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import flat
 from tools.bench.tables import print_bench
@@ -63,7 +63,7 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     with progress.progress_bar() as update:
         update(ODD, 1, 2)
     with progress.overall_bar() as tell:
-        tell(Step(f"goals {ODD}", 0.5, 1, 2, None, None))
+        tell(ProgressReport(f"goals {ODD}", 0.5, 1, 2, None, None))
     assert screen.getvalue().count(ODD) >= 2
 
 
@@ -72,7 +72,7 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (["rollout", "go_to_goal", *WALK], "print_report"),
         (
-            ["evaluate", "go_to_goal", "--suite", "cards", "--physics", "compiled", "--episodes", "1"],
+            ["evaluate", "go_to_goal", "--suite", "encounters", "--physics", "compiled", "--episodes", "1"],
             "print_pages",
         ),
         (["forecast", "constant_velocity", "--data.fold", "embedded", "--samples", "1"], "print_report"),

@@ -8,17 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from jsonargparse import get_loader
 
 import pedzoo
+import pedzoo.cli.parsing
 from pedzoo.cli.main import main
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import find_config
+from pedzoo.eval.card_numbers import compare
 from pedzoo.eval.card_reports import Job, report_of
-from pedzoo.eval.closed_loop import Comparison
+from pedzoo.eval.comparison import Comparison
+from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.suite import Request
+from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.train.validation.closed_loop import ClosedLoopValidation
+from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 
 @pytest.fixture(autouse=True)
@@ -75,4 +83,64 @@ def test_cards_are_measured_again_by_it() -> None:
     for report in (old, new):
         assert report["protocol"]["physics"] == "compiled"
     assert old["rows"][0]["metrics"] == new["rows"][0]["metrics"]
-    assert "world" not in Request._fields
+    assert "world" not in EvaluationOptions._fields
+
+
+def test_the_suite_of_encounters_takes_its_old_name(capsys: pytest.CaptureFixture[str]) -> None:
+    evaluation = Evaluation(["go_to_goal"], ["cards", "encounters"], EvaluationOptions(episodes=1))
+    assert {unit.case.suite for unit in evaluation.units} == {"encounters"}
+    assert capsys.readouterr().err == "pedzoo: suite 'cards' is now 'encounters'\n"
+    assert renamed.new_keys({"suites": ["door", "cards"]}) == {"suites": ["door", "encounters"]}
+    assert not capsys.readouterr().err  # a card's names are mapped silently
+
+
+def test_a_card_with_the_old_name_of_a_suite_is_compared_by_the_new_one() -> None:
+    row = {"metrics": {"success": 1.0}, "ci95": {}, "n": 3}
+    before = {"command": "evaluate", "rows": [row | {"table": "cards", "case": {"suite": "cards"}}]}
+    now = {"command": "evaluate", "rows": [row | {"table": "encounters", "case": {"suite": "encounters"}}]}
+    assert [number.same for number in compare(before, now)] == [True, True]
+
+
+def test_weights_and_cards_load_with_old_names_of_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    model = pedzoo.load("sgan_goal_map.indoor")
+    assert model.walking_extend_goal and model.config["extend_goal"] is True and "pace" not in model.config
+    old = {"architecture": "sgan", "init": {"pace": True, "noise_dim": 4}}
+    assert renamed.new_init(old)["init"] == {"extend_goal": True, "noise_dim": 4}
+    other = {"architecture": "mine.py:Model", "init": {"pace": True}}
+    assert renamed.new_init(other) == other  # arguments of another class keep their names
+    assert not capsys.readouterr().err
+
+
+def test_a_policy_takes_the_old_name_of_a_setting(capsys: pytest.CaptureFixture[str]) -> None:
+    policy = load_policy("sgan_goal_map.indoor:pace=false")
+    assert isinstance(policy, Walker) and not policy.extend_goal
+    assert capsys.readouterr().err == "pedzoo: setting pace=false is now extend_goal=false\n"
+
+
+def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--model.init_args.walking.init_args.trait=0.4", "--model.keep", "3", "--data.unroll-apart"]
+    assert renamed.new_options(words) == [
+        "--model.init_args.walking.init_args.assertiveness=0.4",
+        *("--model.max_segments", "3", "--data.one_recording_per_batch"),
+    ]
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 3 and told[1] == "pedzoo: --model.keep is now --model.max_segments"
+
+
+@pytest.mark.parametrize("name", ["sgan_goal", "sgan_goal_map"])
+def test_configurations_take_old_names_of_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    old = text = find_config(f"closed_loop/{name}").read_text()
+    for new, before in (
+        ("max_segments", "keep"),
+        ("safety_correction", "corrected"),
+        ("assertiveness", "trait"),
+        ("passing_side", "side"),
+        ("extend_goal", "pace"),
+        ("one_recording_per_batch", "unroll_apart"),
+    ):
+        assert f" {new}:" in old
+        old = old.replace(f" {new}:", f" {before}:")
+    assert renamed.new_config(yaml.safe_load(old)) == yaml.safe_load(text)
+    assert not capsys.readouterr().err
+    assert get_loader("yaml")(old) == get_loader("yaml")(text)
+    assert "pedzoo: model.walking.trait is now model.walking.assertiveness\n" in capsys.readouterr().err

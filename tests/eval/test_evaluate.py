@@ -23,19 +23,19 @@ from pedzoo.eval import prepared as keeping
 from pedzoo.eval import unseen
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.results import Shown, cell, markdown, pages
-from pedzoo.eval.suite import Request
+from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites.goals import CELLS, POOL
 from pedzoo.eval.summary import mean_interval, summary
 from pedzoo.eval.units import digest, work
-from pedzoo.eval.workers.clock import Step
 from pedzoo.eval.workers.journal import Journal
+from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import flat
 from pedzoo.models.zoo.card import write_card
 from pedzoo.viz.fundamental import plot_density_speed
 
 SMALL = '''
-from pedzoo.eval.suite import Case, Suite
+from pedzoo.eval.suite import EvaluationCase, Suite
 
 CASES = {"circle": "circle", "two": "overtaking"}
 
@@ -43,9 +43,12 @@ CASES = {"circle": "circle", "two": "overtaking"}
 class Small(Suite):
     """Two encounters: a suite from a file of one's own."""
 
-    def cases(self, request):
-        physics, number = request.physics or "compiled", request.number(20)
-        return [Case(self.name, key, name, physics, number, {"card": key}) for key, name in CASES.items()]
+    def cases(self, options):
+        physics, number = options.physics or "compiled", options.number(20)
+        return [
+            EvaluationCase(self.name, key, name, physics, number, {"card": key})
+            for key, name in CASES.items()
+        ]
 '''
 
 BROKEN = '''
@@ -223,19 +226,19 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
     monkeypatch.setattr(module, "finished", lambda *args: pytest.fail("something walked"))
     for words, message in (
         (["orca", "--suite", "dor"], "unknown suite 'dor': did you mean 'door'?"),
-        (["orcs", "--suite", "cards"], "unknown policy 'orcs': did you mean 'orca'?"),
+        (["orcs", "--suite", "encounters"], "unknown policy 'orcs': did you mean 'orca'?"),
         (["orca", "--suite", "goals", "--maps", "ofice.3"], "did you mean 'office.3'?"),
         (["orca", "--suite", "replay", "--data.root", "nowhere"], "data root 'nowhere' is not a folder"),
-        (["orca", "--suite", "cards", "--episodes", "0"], "episodes 0: expected at least 1"),
-        (["orca", "--suite", "cards", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
+        (["orca", "--suite", "encounters", "--episodes", "0"], "episodes 0: expected at least 1"),
+        (["orca", "--suite", "encounters", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
         (["orca", "--suite", ","], "no suites"),
         (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, loop_buildings, table2 would have"),
         (
             ["orca", "--suite", "replay", "--episodes", "9"],
-            "in replay; cards, door, figure4, goals, loop_buildings, loop_doors, loop_noise, table2 would",
+            "in replay; door, encounters, figure4, goals, loop_buildings, loop_doors, loop_noise, table2",
         ),
         (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),
-        (["orca", "--sute", "cards"], "--suite"),
+        (["orca", "--sute", "encounters"], "--suite"),
     ):
         assert main(["evaluate", *words]) == 2
         error = capsys.readouterr().err
@@ -244,19 +247,22 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
 
 def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
     by_name = {name: SUITES.get(name)(name) for name in SUITES.names()}
-    (door,) = by_name["door"].cases(Request())
+    (door,) = by_name["door"].cases(EvaluationOptions())
     assert (door.physics, door.episodes) == ("bullet", 200)
-    assert by_name["door"].cases(Request(quick=True))[0].episodes == 20
-    goals = by_name["goals"].cases(Request(maps=("flat",)))
+    assert by_name["door"].cases(EvaluationOptions(quick=True))[0].episodes == 20
+    goals = by_name["goals"].cases(EvaluationOptions(maps=("flat",)))
     assert len(goals) == 2 * len(CELLS) and {case.case["map"] for case in goals} == {"drawn", "flat"}
-    both = by_name["goals"].cases(Request(maps=("flat", "office.3")))
+    both = by_name["goals"].cases(EvaluationOptions(maps=("flat", "office.3")))
     assert len(both) == 2 * len(CELLS) and both[-1].case["map"] == "given"
     assert both[-1].scenario == Spec(
         "goals", {"map": ["flat", "office.3"], "people": 5, "goals": 3, "pool": POOL}
     )
     assert [(int(case.case["people"]), int(case.case["goals"])) for case in goals[:5]] == list(CELLS)
-    assert len(by_name["cards"].cases(Request())) == 8
-    assert all(case.physics == "compiled" for case in by_name["cards"].cases(Request(physics="compiled")))
+    assert len(by_name["encounters"].cases(EvaluationOptions())) == 8
+    assert all(
+        case.physics == "compiled"
+        for case in by_name["encounters"].cases(EvaluationOptions(physics="compiled"))
+    )
 
 
 ODD = "a,b=[c:d,people=1"
@@ -268,7 +274,7 @@ def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
     file = tmp_path / ODD / "plan.yaml"
     file.parent.mkdir()
     write_ros(flat(), file)
-    evaluation = Evaluation(["go_to_goal"], [suite], Request(1, True, "compiled", (str(file),)))
+    evaluation = Evaluation(["go_to_goal"], [suite], EvaluationOptions(1, True, "compiled", (str(file),)))
     unit = next(unit for unit in evaluation.units if unit.case.case["map"] == "plan")
     (row,) = work(unit)
     assert row["n"] == 1 and len(row["per_agent"]) == 2
@@ -276,19 +282,19 @@ def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
 
 def test_recordings_may_have_any_root(shared: Path, tmp_path: Path) -> None:
     (tmp_path / ODD).symlink_to(shared / "data")
-    request = Request(quick=True, root=str(tmp_path / ODD / "eth_ucy"))
-    evaluation = Evaluation(["go_to_goal"], ["replay"], request)
+    options = EvaluationOptions(quick=True, root=str(tmp_path / ODD / "eth_ucy"))
+    evaluation = Evaluation(["go_to_goal"], ["replay"], options)
     unit = next(unit for unit in evaluation.units if unit.case.name == "eth all")
     (row,) = work(unit)
     assert row["n"] > 0 and row["case"]["fold"] == "eth"
-    again = Evaluation(["go_to_goal"], ["replay"], request)
+    again = Evaluation(["go_to_goal"], ["replay"], options)
     assert digest(again.units[evaluation.units.index(unit)]) == digest(unit)
 
 
 def test_policies_that_are_no_list_of_names_are_refused() -> None:
     for policies in ([["orca", "go_to_goal"]], [None], 3):
         with pytest.raises(UserError, match=r"policies.*\['orca', 'go_to_goal'\]"):
-            pedzoo.evaluate(policies, ["cards"])  # pyright: ignore[reportArgumentType]
+            pedzoo.evaluate(policies, ["encounters"])  # pyright: ignore[reportArgumentType]
 
 
 def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -433,7 +439,7 @@ def test_tables_and_pages_show_the_same_cells(small: str, tmp_path: Path) -> Non
     )
     assert cell({"case": {"seen": "yes"}, "metrics": {"x": 123.4}, "ci95": {}}, "x") == "123*"
     assert cell({"case": {}, "metrics": {}, "ci95": {}}, "x") == "-"
-    evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], Request(episodes=2))
+    evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], EvaluationOptions(episodes=2))
     evaluation.run()
     report = {**evaluation.report(), "versions": {"pedzoo": "0", "torch": "0"}}
     shown = {small: Shown(("success",), ("success", "failed", "nobody_has_it"), "episodes")}
@@ -459,7 +465,7 @@ def test_tables_fit_the_terminal(
 
 
 def test_progress_goes_up_to_the_end(small: str) -> None:
-    steps: list[Step] = []
+    steps: list[ProgressReport] = []
     pedzoo.evaluate("go_to_goal", small, episodes=2, progress=steps.append)
     done = [step.done for step in steps]
     assert (done[0], steps[0].label) == (0.0, f"{small} circle: go_to_goal")
@@ -472,7 +478,7 @@ def test_density_and_speed_are_drawn_where_there_is_a_replay(
 ) -> None:
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     file = tmp_path / "density.png"
-    assert main(["evaluate", "go_to_goal", "--suite", "cards", "--plot", str(file)]) == 2
+    assert main(["evaluate", "go_to_goal", "--suite", "encounters", "--plot", str(file)]) == 2
     assert "which is not asked for" in capsys.readouterr().err
     curve = [{"density_per_m2": 0.1, "speed_m_per_s": None, "real_speed_m_per_s": 1.0, "real_share": 1.0}]
     case = {"suite": "replay", "fold": "embedded", "simulated": "all"}

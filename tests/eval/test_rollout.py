@@ -12,7 +12,7 @@ import torch
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.eval.closed_loop import Comparison, row
+from pedzoo.eval.comparison import Comparison, row
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import load_plan

@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.clearance import ProposedSteps
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
@@ -18,7 +18,7 @@ ROOM = rectangles(
 """Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
 
 
-def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> Steps:
+def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> ProposedSteps:
     """Return people on a grid of 0.55 m about the door, going anywhere and coming from anywhere."""
     random = torch.Generator().manual_seed(seed)
     side = math.ceil(math.sqrt(people))
@@ -34,9 +34,9 @@ def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> 
     everybody, nobody = draw() >= 0, draw() > 1
     if not mixed:
         radius = torch.full_like(longest, BODY_RADIUS)
-        return Steps(position, step, longest, everybody, everybody, nobody, radius, nobody, velocity)
+        return ProposedSteps(position, step, longest, everybody, everybody, nobody, radius, nobody, velocity)
     present = draw() > 0.1
     moved = present & (draw() > 0.15)
-    return Steps(
+    return ProposedSteps(
         position, step, longest, present, moved, draw() > 0.8, 0.12 + 0.1 * draw(), draw() > 0.85, velocity
     )

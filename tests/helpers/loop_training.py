@@ -10,10 +10,10 @@ from lightning.pytorch.callbacks import Callback
 
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.train.loop.courses import Course
 from pedzoo.train.loop.imitation import Imitation
 from pedzoo.train.loop.in_the_loop import LoopModule
 from pedzoo.train.loop.loop_losses import LoopLosses
-from pedzoo.train.loop.mixture import Course
 
 MEETING = "hallway:people=2,jitter=0"
 
@@ -30,7 +30,7 @@ def small() -> SGAN:
 def module(model: SGAN | None = None, walking: LoopLosses | None = None, **options: Any) -> LoopModule:
     """Return a training of two people who walk towards each other."""
     defaults: dict[str, Any] = {"imitation": Imitation(displacement=0.1, distribution=0.0), "steps": 10}
-    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "keep": 1}
+    defaults |= {"forecast_weight": 0.1, "lr": 3e-3, "warmup": 1, "samples": 2, "max_segments": 1}
     torch.manual_seed(0)  # the run's seed
     courses = [Course(MEETING, scenes=6)]
     return LoopModule(model or small(), courses, walking or LoopLosses(), **defaults | options)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import pytest
+from numba.core import config
 
 from pedzoo.maps.walls import compiled as loops
 
@@ -41,6 +41,6 @@ def test_a_changed_file_gives_another_folder(tmp_path: Path, monkeypatch: pytest
 
 
 def test_other_users_of_numba_keep_their_folder() -> None:
-    before = numba.config.CACHE_DIR  # pyright: ignore[reportAttributeAccessIssue]
+    before = config.CACHE_DIR
     assert loops.compiled("f8(f8)")(lambda x: x + 1)(1.0) == 2.0
-    assert before == numba.config.CACHE_DIR  # pyright: ignore[reportAttributeAccessIssue]
+    assert before == config.CACHE_DIR

@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt, find_objects, label
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.closed_loop import row
+from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import write_ros

@@ -10,7 +10,7 @@ import torch
 from helpers.walks import made, straight
 from torch import Tensor
 
-from pedzoo.eval.closed_loop import row
+from pedzoo.eval.comparison import row
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop, time_ratios
 from pedzoo.metrics.intervals import wilson
 from pedzoo.metrics.ratios import summarised

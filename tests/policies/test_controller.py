@@ -286,7 +286,7 @@ def test_goals_that_nobody_has_any_more_are_forgotten():
         way = goal - (2.0, 2.0)
         if np.linalg.norm(way) > GOAL_RADIUS:
             np.testing.assert_allclose(velocity["turns"], 1.3 * way / np.linalg.norm(way), atol=1e-5)
-    assert controller._ways.planner.goals < 80
+    assert controller._online_goals.planner.goals < 80
 
 
 @pytest.mark.parametrize(

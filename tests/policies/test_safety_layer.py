@@ -18,7 +18,7 @@ from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.learned.clearance import MARGIN, SHOULDERS, Steps
+from pedzoo.policies.learned.clearance import MARGIN, SHOULDERS, ProposedSteps
 from pedzoo.policies.learned.safety import kept_clear, safe
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
@@ -31,7 +31,7 @@ ROOM = rectangles(
 """Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
 
 
-def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> Steps:
+def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> ProposedSteps:
     """Return the steps of one scene, or of several."""
     position, step = (torch.as_tensor(values, dtype=torch.float32) for values in (position, step))
     position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
@@ -39,7 +39,7 @@ def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> Ste
     other = {"longest": torch.full(there.shape, longest), "present": there, "moved": there}
     other |= {"waits": torch.zeros_like(there), "robot": torch.zeros_like(there)}
     other |= {"radius": torch.full(there.shape, BODY_RADIUS)}
-    return Steps(position, step, **other | more)
+    return ProposedSteps(position, step, **other | more)
 
 
 def nearest(position: Tensor, step: Tensor) -> float:
@@ -214,7 +214,7 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(wa
     moved = steps(asked.position @ turn.T + 5, asked.step @ turn.T)
     turned = kept_clear(moved, walls(torch.tensor([[0.7, 1.0, 5.0, 5.0]]).expand(4, -1)))
     assert torch.allclose(turned, found @ turn.T, atol=1e-4)
-    swapped = kept_clear(Steps(*(values[:, order] for values in asked[:8])), walls(identity_pose(4)))
+    swapped = kept_clear(ProposedSteps(*(values[:, order] for values in asked[:8])), walls(identity_pose(4)))
     assert torch.allclose(swapped, found[:, order], atol=1e-5)
 
 
@@ -222,7 +222,9 @@ def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:
     """One that needs nothing beside one that needs all corrections."""
     random = torch.Generator().manual_seed(4)
     asked = steps(0.6 * torch.randn(5, 8, 2, generator=random), 0.4 * torch.randn(5, 8, 2, generator=random))
-    alone = torch.cat([kept_clear(Steps(*(values[[row]] for values in asked[:8]))) for row in range(5)])
+    alone = torch.cat(
+        [kept_clear(ProposedSteps(*(values[[row]] for values in asked[:8]))) for row in range(5)]
+    )
     assert torch.equal(kept_clear(asked), alone)
 
 

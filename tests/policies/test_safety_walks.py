@@ -16,14 +16,14 @@ from pedzoo.core.kinematics import blended, limited
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.clearance import ProposedSteps
 from pedzoo.policies.learned.safety import kept_clear, kept_clear_in_torch, safe
 from pedzoo.sim.make import make_env
 
 PART = math.sqrt(0.5)
 
 
-def path_of(steps: Steps, step: Tensor) -> Tensor:
+def path_of(steps: ProposedSteps, step: Tensor) -> Tensor:
     """Return where the simulation takes people (40, B, A, 2), metres, every 0.01 s."""
     velocity: Any = steps.velocity
     top = steps.longest / STEP_SECONDS
@@ -41,11 +41,11 @@ def test_a_walk_is_what_the_simulation_makes_of_a_step() -> None:
     """After 0.1, 0.3 and 0.4 s; agents that the policy does not move go straight."""
     asked = crowd(6)
     step = limit_speed(asked.step, asked.longest)
-    found = asked.walk(step).movedim(1, -1)
+    found = asked.integrate(step).movedim(1, -1)
     assert torch.allclose(asked.position + found, path_of(asked, step)[[9, 29, 39]], atol=1e-5)
-    still = asked._replace(moved=torch.zeros_like(asked.moved)).walk(step).movedim(1, -1)
+    still = asked._replace(moved=torch.zeros_like(asked.moved)).integrate(step).movedim(1, -1)
     assert torch.allclose(still, torch.stack((step / 4, 3 * step / 4, step)))
-    assert torch.equal(asked._replace(velocity=None).walk(step).movedim(1, -1), still)
+    assert torch.equal(asked._replace(velocity=None).integrate(step).movedim(1, -1), still)
 
 
 @pytest.mark.parametrize("people", [2, 6, 20])
@@ -101,7 +101,7 @@ def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: b
     )
 
 
-def mixed_crowd(people: int, walled: bool) -> tuple[Steps, LocalWalls | None]:
+def mixed_crowd(people: int, walled: bool) -> tuple[ProposedSteps, LocalWalls | None]:
     """Return 200 scenes; with walls, only agents outside them are there."""
     asked = crowd(people, scenes=200, mixed=True)
     if not walled:
@@ -123,7 +123,7 @@ def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
     step = torch.tensor([[[0.1, 0.2]], [[0.3, 0.2]]], requires_grad=True)
     one = torch.ones(2, 1, dtype=torch.bool)
     size = torch.full((2, 1), BODY_RADIUS)
-    kept = answer(Steps(place, step, size + 1, one, one, ~one, size, ~one), walls)
+    kept = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one), walls)
     across = torch.autograd.grad(kept[..., 0].sum(), (place, step), retain_graph=True)
     along = torch.autograd.grad(kept[..., 1].sum(), (place, step))
     close: dict[str, Any] = {"atol": 1e-4, "rtol": 0}
@@ -146,7 +146,7 @@ def test_strided_inputs_are_read_as_they_are() -> None:
     """Views of a batch need no copies."""
     asked = crowd(5, mixed=True)
     strided: Any = [torch.stack((part, part), -1)[..., 0] for part in asked if part is not None]
-    assert torch.equal(kept_clear(Steps(*strided)), kept_clear(asked))
+    assert torch.equal(kept_clear(ProposedSteps(*strided)), kept_clear(asked))
 
 
 def test_gradients_through_walks_are_finite() -> None:
@@ -174,5 +174,5 @@ def test_in_the_open_an_old_velocity_changes_nothing(pair: tuple[tuple[float, fl
     step, velocity = torch.tensor(pair).view(2, 1, 1, 2)
     one = torch.ones(1, 1, dtype=torch.bool)
     size = torch.full((1, 1), BODY_RADIUS)
-    asked = Steps(torch.zeros(1, 1, 2), step, size + 1, one, one, ~one, size, ~one, velocity)
+    asked = ProposedSteps(torch.zeros(1, 1, 2), step, size + 1, one, one, ~one, size, ~one, velocity)
     assert torch.equal(kept_clear(asked), step)

@@ -19,7 +19,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.kinematics import blended
 from pedzoo.eval.rollout import prepare, rollout, run
-from pedzoo.eval.suite import Case, Unit
+from pedzoo.eval.suite import EvaluationCase, WorkUnit
 from pedzoo.eval.units import digest
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.bank import MapBank
@@ -504,9 +504,9 @@ def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:
 
 
 def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = Case("door", "door", "door", "compiled", 1, {})
+    case = EvaluationCase("door", "door", "door", "compiled", 1, {})
     units = [
-        Unit(crowd, crowd, case, (0,), False)
+        WorkUnit(crowd, crowd, case, (0,), False)
         for crowd in ("orca+sgan_goal.zara1", f"orca+{TOLD}", "orca:share=0.4+sgan_goal.zara1")
     ]
     before = [digest(unit) for unit in units]

@@ -16,7 +16,7 @@ from pedzoo.core.batch import PERSON, ROBOT
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room
-from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.clearance import ProposedSteps
 from pedzoo.policies.learned.yielding import yielding
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.stepping.controller import Controller
@@ -29,14 +29,16 @@ def tool() -> ModuleType:
     return import_module("tools.pages.robots_respected")
 
 
-def steps_of(place: Tensor, velocity: Tensor, radius: Tensor, robot: Tensor, moved: Tensor) -> Steps:
+def steps_of(place: Tensor, velocity: Tensor, radius: Tensor, robot: Tensor, moved: Tensor) -> ProposedSteps:
     """Return scenes (B, A) of agents who like 1.3 m/s."""
     here = torch.ones(place.shape[:2], dtype=torch.bool)
     longest = torch.full(place.shape[:2], 1.3 * 1.3 * 0.4)
-    return Steps(place, 0.4 * velocity, longest, here, moved, ~here, radius, robot)
+    return ProposedSteps(place, 0.4 * velocity, longest, here, moved, ~here, radius, robot)
 
 
-def one_and_a_robot(place: tuple[float, float], other: tuple[float, float], drives: float = 0.0) -> Steps:
+def one_and_a_robot(
+    place: tuple[float, float], other: tuple[float, float], drives: float = 0.0
+) -> ProposedSteps:
     """Return a person who walks along x at 1.3 m/s, and a robot of 0.5 m on the x axis at ``drives``."""
     return steps_of(
         torch.tensor([[place, other]]),
@@ -47,7 +49,7 @@ def one_and_a_robot(place: tuple[float, float], other: tuple[float, float], driv
     )
 
 
-def crowds(seed: int, robots: bool, scenes: int = 16) -> Steps:
+def crowds(seed: int, robots: bool, scenes: int = 16) -> ProposedSteps:
     """Return dense scenes of six agents, of which some are not moved."""
     random = torch.Generator().manual_seed(seed)
     size = scenes, 6
@@ -127,7 +129,7 @@ def test_turned_scenes_are_walked_alike_and_others_keep_their_steps() -> None:
     apart = (yielding(turned, None) - turn_to_scene(found, pose)).norm(dim=-1)
     assert (apart < 1e-4).float().mean() > 0.98  # equally good samples may be chosen in another order
     order = torch.tensor([3, 0, 5, 1, 4, 2])
-    permuted = Steps(*(None if part is None else part[:, order] for part in steps))  # type: ignore[arg-type]
+    permuted = ProposedSteps(*(None if part is None else part[:, order] for part in steps))  # type: ignore[arg-type]
     torch.testing.assert_close(yielding(permuted, None), found[:, order])
 
 

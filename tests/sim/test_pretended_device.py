@@ -15,7 +15,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.policies.learned.clearance import Steps
+from pedzoo.policies.learned.clearance import ProposedSteps
 from pedzoo.policies.learned.safety import kept_clear_in_torch
 from pedzoo.policies.learned.yielding import yielding
 from pedzoo.sim import kernel
@@ -72,7 +72,7 @@ def test_the_safety_layer_on_a_device(walled: bool) -> None:
     found = []
     for device in (torch.device("cpu"), DEVICE):
         with pretended():
-            asked = Steps(*(part.to(device) for part in steps if part is not None))
+            asked = ProposedSteps(*(part.to(device) for part in steps if part is not None))
             walls = bank.to(device).walls_around(plan.to(device), pose.to(device))
         with pretended(copies=False):
             found.append(kept_clear_in_torch(asked._replace(step=yielding(asked, walls)), walls))

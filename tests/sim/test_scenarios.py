@@ -13,7 +13,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
 from pedzoo.core.registry import POLICIES, SCENARIOS
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
-from pedzoo.eval.closed_loop import row
+from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import write_ros

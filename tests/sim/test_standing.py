@@ -10,7 +10,7 @@ from torchrl.envs import step_mdp
 
 from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
-from pedzoo.eval.closed_loop import row
+from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenarios.standing import Standing

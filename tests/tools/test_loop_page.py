@@ -15,7 +15,7 @@ from helpers.walks import made, straight
 
 from pedzoo.cli.main import main
 from pedzoo.core.paths import CARD, shipped
-from pedzoo.eval.suite import Request
+from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.ratios import summarised
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
@@ -101,18 +101,20 @@ def test_targets_by_numbers_and_by_what_others_have() -> None:
 
 
 def test_every_case_has_targets_and_its_scenario_can_be_made() -> None:
-    cases = LoopDoors("loop_doors").cases(Request()) + LoopNoise("loop_noise").cases(Request())
+    cases = LoopDoors("loop_doors").cases(EvaluationOptions()) + LoopNoise("loop_noise").cases(
+        EvaluationOptions()
+    )
     assert [case.episodes for case in cases[:3]] == [1000, 500, 500]
     for case in cases:
         assert targets(case.table) and make_scenario(case.scenario).people >= 2
     assert {case.physics for case in cases[:7]} == {"bullet"}
-    buildings = LoopBuildings("loop_buildings").cases(Request(maps=("flat",), quick=True))
+    buildings = LoopBuildings("loop_buildings").cases(EvaluationOptions(maps=("flat",), quick=True))
     tables = list(dict.fromkeys(case.table for case in buildings))
     assert tables == [f"loop_buildings {name}" for name in ("drawn", "flat", "crowd of 20", "crowd of 50")]
     assert [t.key for t in targets(tables[0])] == [t.key for t in targets(tables[1])] != targets(tables[2])
     recorded = LoopReplay("loop_replay")
-    assert "walk 3 x where all are simulated; others once" in recorded.notes(Request(), [])[1]
-    folds = recorded.cases(Request(quick=True))
+    assert "walk 3 x where all are simulated; others once" in recorded.notes(EvaluationOptions(), [])[1]
+    folds = recorded.cases(EvaluationOptions(quick=True))
     assert all(case.case["simulated"] == "all" and targets(case.table)[0].key == "realism" for case in folds)
     assert {ORCA, FORCE} <= set(BASELINES)
 
@@ -127,7 +129,7 @@ def test_training_sees_none_of_the_floor_plans_of_the_tests() -> None:
 
 def test_policies_without_noise_have_no_part_in_what_noise_changes() -> None:
     suite = LoopNoise("loop_noise")
-    case = suite.cases(Request())[0]
+    case = suite.cases(EvaluationOptions())[0]
     names = ["go_to_goal", "sgan_goal.eth_ucy", "orca"]
     assert [unit.policy for unit in suite.units(case, names, (0,), False)] == ["sgan_goal.eth_ucy"]
     assert suite.units(case, names, (0,), True) == []
@@ -136,7 +138,7 @@ def test_policies_without_noise_have_no_part_in_what_noise_changes() -> None:
 def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tools.paper.suites.loop_noise.DRAWS", 3)
     suite = LoopNoise("loop_noise")
-    case = suite.cases(Request(episodes=4))[1]
+    case = suite.cases(EvaluationOptions(episodes=4))[1]
     (unit,) = suite.units(case, ["sgan_goal.eth_ucy"], (0,), False)
     told: list[float] = []
     (row,) = suite.rows(unit, told.append)
@@ -150,7 +152,7 @@ def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.Monk
 
 
 def test_page_says_what_is_met_and_what_is_missing() -> None:
-    loop = Loop(models=["go_to_goal"], request=Request(quick=True))
+    loop = Loop(models=["go_to_goal"], options=EvaluationOptions(quick=True))
 
     def scored(name: str, table: str, **metrics: float) -> dict[str, Any]:
         case = {"suite": table.split()[0], "physics": "compiled"}
@@ -174,7 +176,7 @@ def test_page_says_what_is_met_and_what_is_missing() -> None:
     assert pages[-1].rows[0][1] == ""  # recorded people have nothing to show
     assert loop.pages({"summary": []}) == []
     assert f"walked {DRAWS} times" in " ".join(loop.notes()) and "office.2" in loop.notes()[1]
-    given = Loop(models=["go_to_goal"], request=Request(quick=True, maps=("flat", "office.7")))
+    given = Loop(models=["go_to_goal"], options=EvaluationOptions(quick=True, maps=("flat", "office.7")))
     assert "those that were given: flat, office.7" in given.notes()[1]
 
 

@@ -13,7 +13,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.results import Page
-from pedzoo.eval.suite import Request
+from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.loading import list_models
 from tools.paper import table1 as module
 from tools.paper.base import Reproduction, markdown
@@ -222,7 +222,9 @@ def test_table_2_has_the_papers_cells_in_both_units() -> None:
 
 
 def test_floor_plans_that_are_given_take_the_place_of_drawn_ones() -> None:
-    units = Table2(models=["go_to_goal"], request=Request(maps=("flat",), quick=True)).evaluation.units
+    units = Table2(
+        models=["go_to_goal"], options=EvaluationOptions(maps=("flat",), quick=True)
+    ).evaluation.units
     assert {unit.case.case["map"] for unit in units} == {"flat"}
     settings = [unit.case.scenario.settings for unit in units if isinstance(unit.case.scenario, Spec)]
     assert len(settings) == len(units) and all(unit.case.episodes == 2 for unit in units)

@@ -24,12 +24,12 @@ from torch import Tensor, nn
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.closed_loop import row
+from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.train.modules.plain import PlainModule
-from pedzoo.train.validation.closed_loop import METRICS, ClosedLoopValidation
-from pedzoo.train.validation.stage import Stage, share
+from pedzoo.train.validation.rollout_validation import METRICS, ClosedLoopValidation
+from pedzoo.train.validation.validation_scenario import ValidationScenario, share
 from pedzoo.viz.video import read_video
 
 ROOT = Path(__file__).parents[2]
@@ -244,14 +244,14 @@ def test_epochs_without_a_rollout_log_nothing() -> None:
 
 def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     walked: list[int] = []
-    walk = Stage.walk
+    walk = ValidationScenario.walk
 
-    def counted(self: Stage, walker: Any, deterministic: bool) -> Any:
+    def counted(self: ValidationScenario, walker: Any, deterministic: bool) -> Any:
         found = walk(self, walker, deterministic)
         walked.append(len(cast("Any", found).rollout.failed))
         return found
 
-    monkeypatch.setattr(Stage, "walk", counted)
+    monkeypatch.setattr(ValidationScenario, "walk", counted)
     assert main([*FIT, "--trainer.fast_dev_run", "true"]) == 0
     assert walked == [1] and not Path("runs").exists()
 
@@ -263,16 +263,16 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
 
     class End(Callback):
         def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-            backends.add(cast("Any", callback._stages[0]._env).physics)
+            backends.add(cast("Any", callback._validation_scenarios[0]._env).physics)
             for copied in (copy.deepcopy(callback), pickle.loads(pickle.dumps(callback))):
-                assert copied.names == callback.names and not copied._stages
+                assert copied.names == callback.names and not copied._validation_scenarios
             if trainer.current_epoch == 1:
                 raise KeyError("something went wrong")
 
     with pytest.raises(KeyError, match="something went wrong"):
         make_trainer(callback, End(), num_sanity_val_steps=0).fit(make_module(), make_data())
     make_trainer(callback, End(), max_epochs=1).fit(make_module(), make_data())  # it can be used again
-    assert len(backends) == 2 and all(one._closed for one in backends) and not callback._stages
+    assert len(backends) == 2 and all(one._closed for one in backends) and not callback._validation_scenarios
 
 
 @pytest.mark.parametrize(

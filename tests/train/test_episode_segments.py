@@ -15,8 +15,8 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.make import make_env
+from pedzoo.train.loop.courses import Course, CourseSampler
 from pedzoo.train.loop.loop_losses import LoopLosses, least_gaps, lost_seconds, wall_distances, wrong_side
-from pedzoo.train.loop.mixture import Course, Mixture
 from pedzoo.train.loop.segments import Segment, unrolled
 
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)
@@ -88,9 +88,9 @@ def test_what_a_safety_layer_changed_costs() -> None:
     segment = two(5.0)
     asked = segment.asked.clone()
     asked[:, :, 0, 0] += 0.5
-    found = LoopLosses(corrected=3.0)(segment._replace(asked=asked), MapBank([]))["corrected"]
+    found = LoopLosses(safety_correction=3.0)(segment._replace(asked=asked), MapBank([]))["safety_correction"]
     assert float(found) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
-    assert "corrected" not in LoopLosses()(segment, MapBank([]))
+    assert "safety_correction" not in LoopLosses()(segment, MapBank([]))
 
 
 def test_nobody_is_near_who_is_alone_or_gone() -> None:
@@ -169,12 +169,14 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
 def test_the_trait_weighs_ones_own_time() -> None:
     velocity = torch.zeros(4, 1, 2, 2)
     segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
-    cost = LoopLosses(trait=0.5, progress=6.0)
+    cost = LoopLosses(assertiveness=0.5, progress=6.0)
     calm, eager = (cost(segment, MapBank([]), torch.tensor([[[z], [0.0]]]))["progress"] for z in (-1.0, 1.0))
     ratio = (float(eager) - 0.5) / (float(calm) - 0.5)  # the other one's share is 1 / 2
     assert ratio == pytest.approx(torch.tensor(1.0).exp().item(), rel=1e-3)
     assert (
-        float(LoopLosses(trait=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2, 1))["progress"])
+        float(
+            LoopLosses(assertiveness=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2, 1))["progress"]
+        )
         == 1.0
     )
 
@@ -266,11 +268,11 @@ def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
 COURSES = [Course("door", 3, 1.0), Course("circle:people=3", 2, 3.0)]
 
 
-def walked(mixture: Mixture, updates: range, per_epoch: int = 4, keep: int = 2) -> list[Tensor]:
+def walked(courses: CourseSampler, updates: range, per_epoch: int = 4, keep: int = 2) -> list[Tensor]:
     """Return where people are at the beginning of each update's segment."""
     found = []
     for update in updates:
-        running = mixture.at(update, update // per_epoch)
+        running = courses.at(update, update // per_epoch)
         seen = running.begin(keep)
         found.append(seen["agents", "history"][:, :, -1])
         running.end(unrolled(running.env, Straight(), seen, 3).done)
@@ -278,33 +280,33 @@ def walked(mixture: Mixture, updates: range, per_epoch: int = 4, keep: int = 2) 
 
 
 def test_a_mixture_that_goes_on_does_what_an_uninterrupted_one_would() -> None:
-    whole = walked(Mixture(COURSES, 5), range(12))
-    later = walked(Mixture(COURSES, 5), range(8, 12))
+    whole = walked(CourseSampler(COURSES, 5), range(12))
+    later = walked(CourseSampler(COURSES, 5), range(8, 12))
     assert all(torch.equal(one, other) for one, other in zip(whole[8:], later, strict=True))
-    other = walked(Mixture(COURSES, 6), range(12))
+    other = walked(CourseSampler(COURSES, 6), range(12))
     assert any(
         one.shape != two.shape or not torch.equal(one, two) for one, two in zip(whole, other, strict=True)
     )
 
 
 def test_courses_have_their_shares_of_the_updates() -> None:
-    mixture = Mixture(COURSES, 0)
-    doors = sum(mixture.at(update, 0).course.scenario == "door" for update in range(400))
+    courses = CourseSampler(COURSES, 0)
+    doors = sum(courses.at(update, 0).course.scenario == "door" for update in range(400))
     assert 70 < doors < 130
 
 
 def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
-    mixture = Mixture([Course("door", 2)], 0)
-    places = walked(mixture, range(5), per_epoch=100, keep=2)
+    courses = CourseSampler([Course("door", 2)], 0)
+    places = walked(courses, range(5), per_epoch=100, keep=2)
     first, second, third, _, fifth = places
     assert not torch.equal(first, second)  # three steps on
     moved = (second - first).norm(dim=-1)
     assert bool((moved < 3 * 0.4 * 1.9).all())
     assert bool(((third - second).norm(dim=-1) > 0).all()) and not torch.equal(third, fifth)
     keys = []
-    mixture = Mixture([Course("door", 2)], 0)
+    courses = CourseSampler([Course("door", 2)], 0)
     for update in range(5):
-        running = mixture.at(update, 0)
+        running = courses.at(update, 0)
         seen = running.begin(2)
         keys.append(seen["scene_key"][:, 0].tolist())
         running.end(unrolled(running.env, Straight(), seen, 1).done)
@@ -312,7 +314,7 @@ def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
 
 
 def test_scenes_that_are_over_are_replaced_and_others_go_on() -> None:
-    running = Mixture([Course("door", 3)], 0).at(0, 0)
+    running = CourseSampler([Course("door", 3)], 0).at(0, 0)
     before = running.begin(9)["scene_key"][:, 0].clone()
     running.end(torch.tensor([False, True, False]))
     after = running.begin(9)["scene_key"][:, 0]
@@ -324,7 +326,7 @@ def test_courses_that_give_no_training_are_refused(options: dict[str, Any]) -> N
     with pytest.raises(UserError, match="expected at least 1"):
         Course("door", **options)
     with pytest.raises(UserError, match="no courses"):
-        Mixture([], 0)
+        CourseSampler([], 0)
 
 
 def test_cut_needs_scenes() -> None:

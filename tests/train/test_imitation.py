@@ -116,7 +116,9 @@ def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureF
 
 
 def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> None:
-    data = TrajectoryDataModule("zara1", str(shared / "data"), clock="true", unroll=6, unroll_apart=True)
+    data = TrajectoryDataModule(
+        "zara1", str(shared / "data"), clock="true", unroll=6, one_recording_per_batch=True
+    )
     data.setup("fit")
     assert data.unrolled is not None
     names = [name for name, counts in data.unrolled.counts if counts.windows]

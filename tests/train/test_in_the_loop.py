@@ -24,10 +24,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
+from pedzoo.train.loop.courses import Course
 from pedzoo.train.loop.imitation import Imitation
 from pedzoo.train.loop.in_the_loop import LoopModule
 from pedzoo.train.loop.loop_losses import LoopLosses
-from pedzoo.train.loop.mixture import Course
 from pedzoo.train.loop.segments import Segment, unrolled
 
 CONFIG = "closed_loop/sgan_goal_map"
@@ -226,11 +226,11 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     config = yaml.safe_load((run / "config.yaml").read_text())
     before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
     generator = config["model"]["init_args"]["generator"]
-    held = {"safety": True, "pace": True, "map_dropout": 0.0}
+    held = {"safety": True, "extend_goal": True, "map_dropout": 0.0}
     held = {key: value for key, value in held.items() if key in before.config}
     assert generator["init_args"] == before.config | held == after.config
-    assert after.walking_safety is after.walking_pace is ("safety" in held)
-    assert not before.walking_safety and not before.walking_pace
+    assert after.walking_safety is after.walking_extend_goal is ("safety" in held)
+    assert not before.walking_safety and not before.walking_extend_goal
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)
@@ -257,7 +257,15 @@ def arguments_of(cls: type) -> list[str]:
 def test_every_weight_is_an_option(capsys: pytest.CaptureFixture[str]) -> None:
     walking = {name: 1.5 + i for i, name in enumerate(arguments_of(LoopLosses))}
     imitation = {name: 2 + i for i, name in enumerate(arguments_of(Imitation)) if name != "features"}
-    own = {"steps": 7, "keep": 9, "forecast_weight": 0.7, "lr": 0.1, "warmup": 3, "final_lr": 0.5, "clip": 4}
+    own = {
+        "steps": 7,
+        "max_segments": 9,
+        "forecast_weight": 0.7,
+        "lr": 0.1,
+        "warmup": 3,
+        "final_lr": 0.5,
+        "clip": 4,
+    }
     course = {"scenario": "door:people=3", "scenes": 5, "share": 0.25}
     words = [f"--model.walking.{name}={value}" for name, value in walking.items()]
     words += [f"--model.imitation.{name}={value}" for name, value in imitation.items()]
@@ -307,5 +315,5 @@ def test_what_cannot_be_is_told_before_the_training(
 def test_a_course_says_what_is_wrong_with_it() -> None:
     with pytest.raises(UserError, match="'door': scenes 4, share -1: expected at least 1 and above 0"):
         Course("door", 4, -1)
-    with pytest.raises(UserError, match="keep 0"):
-        module(cast("SGAN", small()), keep=0)
+    with pytest.raises(UserError, match="max_segments 0"):
+        module(cast("SGAN", small()), max_segments=0)

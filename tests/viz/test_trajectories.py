@@ -16,15 +16,15 @@ from matplotlib.figure import Figure
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.rollout import Rollout
 from pedzoo.viz.trajectories import _Episode, draw_episode, meeting, plot_rollouts
 
 
 @pytest.fixture(scope="module")
-def walked() -> Walked:
-    return Walked("go_to_goal", *rollout("go_to_goal", "door", "compiled", 2))
+def walked() -> PolicyRollout:
+    return PolicyRollout("go_to_goal", *rollout("go_to_goal", "door", "compiled", 2))
 
 
 def passing(walked: Rollout, at: int) -> Rollout:
@@ -36,31 +36,31 @@ def passing(walked: Rollout, at: int) -> Rollout:
     return replace(walked, trace=trace, present=torch.ones_like(walked.present))
 
 
-def drawn(walked: Walked, point: int) -> Axes:
+def drawn(walked: PolicyRollout, point: int) -> Axes:
     axes = Figure().subplots()
     _Episode(walked, 0).draw(axes, point, Normalize(0, 5))
     return axes
 
 
 @pytest.mark.parametrize("at", [5, 12])
-def test_meeting_is_when_two_are_nearest(walked: Walked, at: int) -> None:
+def test_meeting_is_when_two_are_nearest(walked: PolicyRollout, at: int) -> None:
     assert meeting(passing(walked.rollout, at), 0) == at
 
 
-def test_people_who_stop_before_each_other_meet_when_they_stop(walked: Walked) -> None:
+def test_people_who_stop_before_each_other_meet_when_they_stop(walked: PolicyRollout) -> None:
     both = passing(walked.rollout, 12)
     trace = both.trace.clone()
     trace[0, :, 6:] = trace[0, :, 6:7] + 0.001 * torch.arange(trace.shape[2] - 6).unsqueeze(-1)
     assert meeting(replace(both, trace=trace), 0) == 6
 
 
-def test_who_is_alone_meets_nobody(walked: Walked) -> None:
+def test_who_is_alone_meets_nobody(walked: PolicyRollout) -> None:
     present = torch.zeros_like(walked.rollout.present)
     present[0, 0, :20] = True
     assert meeting(replace(walked.rollout, present=present), 0) == 10
 
 
-def test_star_dots_and_coloured_way(walked: Walked) -> None:
+def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
     path = torch.cat((walked.rollout.past[:, :, -1:], walked.rollout.trace), dim=2)[0].numpy()
     axes = drawn(walked, 20)
     stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
@@ -80,7 +80,7 @@ def test_star_dots_and_coloured_way(walked: Walked) -> None:
     np.testing.assert_allclose(np.concatenate(goals), walked.rollout.goal[0, :, 20])
 
 
-def test_who_has_left_stays_where_they_left_and_has_no_goal(walked: Walked) -> None:
+def test_who_has_left_stays_where_they_left_and_has_no_goal(walked: PolicyRollout) -> None:
     present = walked.rollout.present.clone()
     present[0, 1, 15:] = False
     axes = drawn(walked._replace(rollout=replace(walked.rollout, present=present)), 30)
@@ -89,7 +89,7 @@ def test_who_has_left_stays_where_they_left_and_has_no_goal(walked: Walked) -> N
     assert len([line for line in axes.lines if line.get_marker() == "x"]) == 1
 
 
-def test_scenes_are_drawn_as_their_map_lies(walked: Walked) -> None:
+def test_scenes_are_drawn_as_their_map_lies(walked: PolicyRollout) -> None:
     """A turned and mirrored scene gives the same picture."""
     pose = torch.tensor([[0.7, -1.0, 2.0, -1.0]]).expand(2, 4)
     moved = {key: move_to_scene(getattr(walked.rollout, key), pose) for key in ("trace", "goal", "past")}
@@ -98,7 +98,7 @@ def test_scenes_are_drawn_as_their_map_lies(walked: Walked) -> None:
         np.testing.assert_allclose(np.asarray(mine.get_xydata()), np.asarray(other.get_xydata()), atol=1e-5)
 
 
-def test_moments_are_around_the_meeting_and_at_the_end(walked: Walked) -> None:
+def test_moments_are_around_the_meeting_and_at_the_end(walked: PolicyRollout) -> None:
     both = walked._replace(rollout=passing(walked.rollout, 20))
     end = both.rollout.trace.shape[2]
     assert _Episode(both, 0).moments == [13, 21, 29, end]
@@ -107,7 +107,7 @@ def test_moments_are_around_the_meeting_and_at_the_end(walked: Walked) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
-def test_picture_is_written_whole(walked: Walked, tmp_path: Path, suffix: str) -> None:
+def test_picture_is_written_whole(walked: PolicyRollout, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / "new" / f"door{suffix}"
     plot_rollouts([walked, walked._replace(name="again")], path, 1)
     assert list(path.parent.iterdir()) == [path] and path.stat().st_size > 5000
@@ -116,7 +116,7 @@ def test_picture_is_written_whole(walked: Walked, tmp_path: Path, suffix: str) -
         assert picture.shape[1] > picture.shape[0] > 300 and picture[..., :3].std() > 0.05
 
 
-def test_mistakes(walked: Walked, tmp_path: Path) -> None:
+def test_mistakes(walked: PolicyRollout, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"\.png or \.pdf or \.svg"):
         plot_rollouts([walked], tmp_path / "a.bmp")
     (tmp_path / "file").write_text("")
@@ -126,7 +126,7 @@ def test_mistakes(walked: Walked, tmp_path: Path) -> None:
         plot_rollouts([walked], tmp_path / "a.png", 7)
 
 
-def test_an_episode_on_axes_of_ones_own(walked: Walked) -> None:
+def test_an_episode_on_axes_of_ones_own(walked: PolicyRollout) -> None:
     axes = Figure().subplots()
     draw_episode(axes, walked, 1)
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()

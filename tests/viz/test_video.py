@@ -12,7 +12,7 @@ import pytest
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.engine.camera import person_color
 from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
@@ -21,8 +21,8 @@ SIZE = (160, 120)
 
 
 @pytest.fixture(scope="module")
-def walked() -> Walked:
-    return Walked("go_to_goal", *rollout("go_to_goal", "door", "compiled", 2))
+def walked() -> PolicyRollout:
+    return PolicyRollout("go_to_goal", *rollout("go_to_goal", "door", "compiled", 2))
 
 
 def colors(count: int, size: tuple[int, int] = SIZE) -> Iterator[Image]:
@@ -83,9 +83,9 @@ def test_unwritable_place(tmp_path: Path) -> None:
 
 
 def test_film_shows_every_tenth_of_a_second_and_stands_still_after_the_end(
-    walked: Walked, tmp_path: Path
+    walked: PolicyRollout, tmp_path: Path
 ) -> None:
-    shorter = Walked("half", walked.rollout, walked.env)
+    shorter = PolicyRollout("half", walked.rollout, walked.env)
     present = walked.rollout.present.clone()
     present[:, :, 10:] = False
     shorter = shorter._replace(rollout=replace(walked.rollout, present=present))
@@ -101,7 +101,7 @@ def test_film_shows_every_tenth_of_a_second_and_stands_still_after_the_end(
     assert np.abs(left[-1] - left[12]).mean() > 1
 
 
-def test_film_puts_people_where_they_are(walked: Walked, tmp_path: Path) -> None:
+def test_film_puts_people_where_they_are(walked: PolicyRollout, tmp_path: Path) -> None:
     film([walked], tmp_path / "a.webm", 0, "top", (320, 240), seconds=1.0)
     frames = frames_of(tmp_path / "a.webm")
     assert len(frames) == 11
@@ -110,7 +110,7 @@ def test_film_puts_people_where_they_are(walked: Walked, tmp_path: Path) -> None
         assert near.any() and (np.nonzero(near)[1].mean() < 160) == to_the_left
 
 
-def test_no_such_episode(walked: Walked, tmp_path: Path) -> None:
+def test_no_such_episode(walked: PolicyRollout, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="episode 2: go_to_goal has walked 2, 0 to 1"):
         film([walked], tmp_path / "a.webm", 2)
 

@@ -35,7 +35,7 @@ from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import parse
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.core.versions import versions
-from pedzoo.eval.closed_loop import Walked, row
+from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.intervals import wilson
@@ -72,7 +72,7 @@ class Measured(NamedTuple):
     people: int
     metrics: dict[str, float]
     ci95: dict[str, tuple[float, float]]
-    first: Walked
+    first: PolicyRollout
 
 
 def main() -> None:
@@ -148,7 +148,7 @@ def measured(case: Case) -> bytes:
     stuck = deadlocked(result.trace, result.goal, result.scored) & ~arrived
     metrics["stuck"] = float(stuck.sum() / result.mask.sum())
     intervals["stuck"] = wilson(metrics["stuck"], case.episodes)
-    first = Walked(case.policy, result.episodes(slice(1)), env)
+    first = PolicyRollout(case.policy, result.episodes(slice(1)), env)
     return pickle.dumps(Measured(result.mask.shape[1], metrics, intervals, first))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from pedzoo.eval.results import Page, markdown_table
-from pedzoo.eval.workers.clock import Progress
+from pedzoo.eval.workers.progress_meter import Progress
 
 
 class Reproduction(ABC):

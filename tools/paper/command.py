@@ -103,7 +103,7 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
     Raises:
         UserError: A fold, policy or floor plan that is not there, or recordings that are not.
     """
-    from pedzoo.eval.suite import Request
+    from pedzoo.eval.suite import EvaluationOptions
     from tools.paper.paper import FOLDS
 
     if options.what == "table1":
@@ -122,7 +122,7 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
         from tools.paper.loop import Loop as Walked
     else:
         from tools.paper.figure4 import Figure4 as Walked
-    request = Request(
+    evaluation_options = EvaluationOptions(
         options.episodes, options.quick, options.physics, tuple(options.maps or ()), options.data_root
     )
-    return Walked(options.models or (), request, seeds, journal)
+    return Walked(options.models or (), evaluation_options, seeds, journal)

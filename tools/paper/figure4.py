@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from pedzoo.core.paths import write_whole
-from pedzoo.eval.closed_loop import Walked as Ways
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.results import Page, cell, pages
 from pedzoo.eval.rollout import rollout
 from pedzoo.viz.trajectories import draw_episode, legend
@@ -96,7 +96,7 @@ class Figure4(Walked):
                 env.physics.close()
                 for place, until in enumerate(("meeting", "end")):
                     axes = row[2 * number + place]
-                    draw_episode(axes, Ways(name, walked, env), 0, until)
+                    draw_episode(axes, PolicyRollout(name, walked, env), 0, until)
                     axes.set_title(f"{speeds} speeds, {axes.get_title()}", fontsize=8)
                     axes.set(xlim=WINDOW[0], ylim=WINDOW[1])
                     axes.tick_params(labelsize=7)

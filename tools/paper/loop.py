@@ -111,7 +111,7 @@ class Loop(Walked):
         return found
 
     def _given(self) -> str:
-        found = self.evaluation.request.maps
+        found = self.evaluation.options.maps
         return f", and those that were given: {', '.join(found)}" if found else ""
 
     def _trained(self) -> list[str]:

@@ -18,9 +18,9 @@ from pedzoo.eval.results import Page
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.eval.units import fingerprint
-from pedzoo.eval.workers.clock import Progress, Step
 from pedzoo.eval.workers.journal import Journal
 from pedzoo.eval.workers.pool import finished
+from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.store import find
 from tools.paper.base import Reproduction
@@ -173,7 +173,7 @@ class Table1(Reproduction):
                 if progress:
                     left = (time.perf_counter() - start) / count * (len(missing) - count)
                     done, label = len(self._done), self.jobs[number].label
-                    progress(Step(label, done / total, done, total, rows[0]["seconds"], left))
+                    progress(ProgressReport(label, done / total, done, total, rows[0]["seconds"], left))
 
     def report(self) -> dict[str, Any]:
         """Return all rows, means over folds, and what others have printed."""

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.results import INTERVALS, LEGEND, said
-from pedzoo.eval.suite import Request
-from pedzoo.eval.workers.clock import Progress
+from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.eval.workers.progress_meter import Progress
 from pedzoo.models.zoo.loading import list_models
 from tools.paper.base import Reproduction
 
@@ -30,7 +30,7 @@ class Walked(Reproduction):
     def __init__(
         self,
         models: Sequence[str] = (),
-        request: Request | None = None,
+        options: EvaluationOptions | None = None,
         seeds: Sequence[int] = (0,),
         journal: Path | None = None,
     ) -> None:
@@ -38,7 +38,7 @@ class Walked(Reproduction):
 
         Args:
             models: Instead of the usual ones; an unknown one is refused.
-            request: Episodes, physics, floor plans, and whether it is to be quick.
+            options: Episodes, physics, floor plans, and whether it is to be quick.
             seeds: Of the scenes.
             journal: A file that keeps finished parts.
 
@@ -49,7 +49,7 @@ class Walked(Reproduction):
         self.missing = [] if models else [name for name in self.models if name not in present]
         self.policies = list(models) or [name for name in self.models if name in present]
         names = [*self.policies, *self.baselines]
-        self.evaluation = Evaluation(names, self.suites, request, seeds, resume=journal)
+        self.evaluation = Evaluation(names, self.suites, options, seeds, resume=journal)
 
     @property
     def parts(self) -> tuple[int, int]:

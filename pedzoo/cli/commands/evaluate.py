@@ -21,7 +21,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.core.versions import versions
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
     from pedzoo.eval.results import markdown
-    from pedzoo.eval.suite import Request
+    from pedzoo.eval.suite import EvaluationOptions
     from pedzoo.viz.fundamental import plot_density_speed
     from pedzoo.viz.trajectories import check_plot_path
 
@@ -90,12 +90,12 @@ def run(argv: list[str]) -> int:
     # finished parts lie beside the report until it is written
     beside = f"{options.json}.partial" if options.json and options.json != "-" else None
 
-    known = {key: options[key] for key in Request._fields if key in options}
-    request = Request(**known | {"maps": tuple(options.maps), "root": options.data.root})
+    known = {key: options[key] for key in EvaluationOptions._fields if key in options}
+    evaluation_options = EvaluationOptions(**known | {"maps": tuple(options.maps), "root": options.data.root})
     evaluation = Evaluation(
         options.policies,
         _listed(options.suite),
-        request,
+        evaluation_options,
         whole_numbers("--seeds", options.seeds),
         options.deterministic,
         options.resume or beside,

@@ -117,19 +117,19 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
         files.append(str(file.with_name(f"{file.stem}.{plan.name}.npz")))
         save_plan(model, plan, files[1])
     steps = saved_config(options.model).get("protocol", {}).get("pred_len", PRED_LEN)
-    found = export_onnx(model, file, steps, {"name": options.model})
-    print(f"{file}  {found.size:,} bytes")
-    for title, ports in (("inputs", found.inputs), ("outputs", found.outputs)):
+    result = export_onnx(model, file, steps, {"name": options.model})
+    print(f"{file}  {result.size:,} bytes")
+    for title, ports in (("inputs", result.inputs), ("outputs", result.outputs)):
         print(f"{title}:")
         for name, port in ports.items():
             print(f"  {name:<17} ({', '.join(map(str, port.shape))})  {port.about}")
     print("against torch, largest difference in metres per step:")
-    for check in found.parity:
+    for check in result.parity:
         print(f"  {check.scenes:>3} scenes of {check.people:>3} people: {check.difference:.1e}")
     if model.walking_safety:
         print("the safety layer, which keeps steps clear of people and walls, is not in the graph")
-    if model.walking_pace:
+    if model.walking_extend_goal:
         print(f"nearer goals are not moved out to {AHEAD_SECONDS:g} s at the desired velocity in the graph")
     for name in files[1:]:
         print(f"{name}  map_image and map_affine of {options.plan}")
-    return {"files": files, "parity": [check._asdict() for check in found.parity]}
+    return {"files": files, "parity": [check._asdict() for check in result.parity]}

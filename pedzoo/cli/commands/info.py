@@ -64,9 +64,9 @@ def _print(card: ModelCard) -> None:
         _print_facts(console, title, facts)
     if not card.evaluations:
         console.print("\nResults: not measured yet")
-    for found in results(card):
-        console.print(f"\n{found.said}")
-        print_tables([Page("", found.head, found.rows, 1)])
+    for result in results(card):
+        console.print(f"\n{result.said}")
+        print_tables([Page("", result.head, result.rows, 1)])
 
 
 def _print_facts(console: Any, title: str, facts: Mapping[str, str]) -> None:

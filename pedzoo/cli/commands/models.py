@@ -68,14 +68,14 @@ def _row(name: str) -> dict[str, Any]:
 
 def _numbers(card: ModelCard) -> dict[str, float]:
     """Return the headline of a card: errors on its own fold, and success at the door."""
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
     for report in card.evaluations:
         for row in report["rows"]:
             if report["command"] == "forecast" and report["protocol"].get("fold") == card.training["fold"]:
-                found |= {key: value for key, value in row["metrics"].items() if key in COLUMNS}
+                result |= {key: value for key, value in row["metrics"].items() if key in COLUMNS}
             if row["case"].get("suite") == "door" and "success" in row["metrics"]:
-                found["door"] = row["metrics"]["success"]
-    return found
+                result["door"] = row["metrics"]["success"]
+    return result
 
 
 def _print(architectures: list[dict[str, str]], weights: list[dict[str, Any]]) -> None:

@@ -19,7 +19,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.core.errors import UserError, unknown
     from pedzoo.core.registry import SCENARIOS
     from pedzoo.core.versions import versions
-    from pedzoo.eval.closed_loop import Comparison
+    from pedzoo.eval.comparison import Comparison
     from pedzoo.metrics.closed_loop import NAMES
     from pedzoo.viz.trajectories import check_plot_path, plot_rollouts
     from pedzoo.viz.video import check_video_path, film

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 
 EPISODES = 200
 
@@ -12,7 +12,7 @@ EPISODES = 200
 class Door(Suite):
     """One case, the scenario ``door`` with its defaults."""
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes",)
     columns: ClassVar[tuple[str, ...]] = (
         "success",
         "deadlock",
@@ -28,6 +28,10 @@ class Door(Suite):
         "specific_flow_per_m_s",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return the one case."""
-        return [Case(self.name, "door", "door", request.physics or "bullet", request.number(EPISODES), {})]
+        return [
+            EvaluationCase(
+                self.name, "door", "door", options.physics or "bullet", options.number(EPISODES), {}
+            )
+        ]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from pedzoo.core.spec import Spec
-from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.maps.library import load_plan
 
 CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
@@ -31,25 +31,25 @@ class Goals(Suite):
     large plans, whose ways take minutes, is waited for once.
     """
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes", "maps")
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps")
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return five cases for the drawn floor plans and five for those that were given.
 
         Raises:
             UserError: There is no such floor plan.
         """
         plans = {"drawn": list(DRAWN)}
-        if request.maps:
-            plans[Path(request.maps[0]).stem if len(request.maps) == 1 else GIVEN] = list(request.maps)
-        physics, episodes = request.physics or "bullet", request.number(EPISODES)
-        found = []
+        if options.maps:
+            plans[Path(options.maps[0]).stem if len(options.maps) == 1 else GIVEN] = list(options.maps)
+        physics, episodes = options.physics or "bullet", options.number(EPISODES)
+        result = []
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)
             table = f"{self.name} {name}"
             for people, goals in CELLS:
-                found.append(
-                    Case(
+                result.append(
+                    EvaluationCase(
                         suite=self.name,
                         name=f"{name} {people}/{goals}",
                         scenario=Spec(
@@ -64,4 +64,4 @@ class Goals(Suite):
                         shares=name,
                     )
                 )
-        return found
+        return result

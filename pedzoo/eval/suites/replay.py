@@ -12,7 +12,7 @@ from pedzoo.data.datasets.eth_ucy import SCENES, EthUcy
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
-from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit, walked
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, walked
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
@@ -31,7 +31,7 @@ ROLLOUTS = 3
 """Of a policy with noise, if all are simulated; where every person has a scene, one of each is enough."""
 
 QUICK_SHARE = 0.1
-"""Whoever comes in this first part of the recordings is simulated in a quick run."""
+"""A quick run simulates the people of this first part of the recordings."""
 
 
 ONE_SHARE = {"univ": 0.25}
@@ -49,7 +49,7 @@ class Replay(Suite):
     """
 
     simulated: ClassVar[tuple[str, ...]] = SIMULATED
-    uses: ClassVar[tuple[str, ...]] = ("rollouts",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("rollouts",)
     warm_start: ClassVar[str] = "recorded"
     counted: ClassVar[str] = "people"
     headline: ClassVar[tuple[str, ...]] = ("realism", "success")
@@ -68,79 +68,79 @@ class Replay(Suite):
         "wall_contact_excess_per_min",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return two cases for each fold of which there are recordings, else for the embedded one.
 
         Raises:
             UserError: A folder was asked for that has none.
         """
-        found = []
-        usual = 1 if request.quick else ROLLOUTS
-        for fold in _folds(request.root):
-            inputs = digest_of(fold, request.root)
+        result = []
+        usual = 1 if options.quick else ROLLOUTS
+        for fold in _folds(options.root):
+            inputs = digest_of(fold, options.root)
             for simulated in self.simulated:
                 settings: dict[str, Any] = {"fold": fold, "simulated": simulated}
                 share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
-                share = round(share * QUICK_SHARE, 3) if request.quick else share
+                share = round(share * QUICK_SHARE, 3) if options.quick else share
                 if share < 1:
                     settings["share"] = share
-                if request.root is not None and fold != EMBEDDED:
-                    settings["root"] = request.root
-                case = Case(
+                if options.root is not None and fold != EMBEDDED:
+                    settings["root"] = options.root
+                case = EvaluationCase(
                     suite=self.name,
                     name=f"{fold} {simulated}",
                     scenario=Spec("replay", settings),
-                    physics=request.physics or "compiled",
-                    episodes=request.rollouts or (usual if simulated == "all" else 1),
+                    physics=options.physics or "compiled",
+                    episodes=options.rollouts or (usual if simulated == "all" else 1),
                     case={"fold": fold, "simulated": simulated},
                     inputs=inputs,
                     effort=100.0 * share,
                     table=f"{self.name} {simulated}",
                     shares=fold,
                 )
-                found.append(case)
-        return found
+                result.append(case)
+        return result
 
-    def notes(self, request: Request, policies: Sequence[str]) -> list[str]:
+    def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return what the real rows are, what is missing, and which weights walk where."""
-        folds = _folds(request.root)
-        found = [
+        folds = _folds(options.root)
+        result = [
             f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
             f"and 95 % of {SPLITS} random splits: the noise floor"
         ]
-        rounds, alone = request.rollouts or (1 if request.quick else ROLLOUTS), request.rollouts or 1
+        rounds, alone = options.rollouts or (1 if options.quick else ROLLOUTS), options.rollouts or 1
         each = {"all": f"{rounds} x where all are simulated", "one": f"{alone} x where one is"}
         often = ", ".join(each[simulated] for simulated in self.simulated)
-        found.append(f"{self.name}: models with noise walk {often}; others once")
+        result.append(f"{self.name}: models with noise walk {often}; others once")
         if folds == [EMBEDDED]:
             missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
-            return [*found, f"{self.name}: {missing}"]
-        found += [
+            return [*result, f"{self.name}: {missing}"]
+        result += [
             f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
             for fold, share in ONE_SHARE.items()
-            if fold in folds and "one" in self.simulated and not request.quick
+            if fold in folds and "one" in self.simulated and not options.quick
         ]
         for policy in policies:
             walks = {fold: for_fold(policy, fold) for fold in folds}
             others = [name for name in dict.fromkeys(walks.values()) if name != policy]
             if others:
-                found.append(
+                result.append(
                     f"{self.name}: {policy} is {', '.join(others)} on the folds that these did not see"
                 )
             if seen := [fold for fold, name in walks.items() if has_seen(name, fold)]:
-                found.append(f"{self.name}: {policy} was trained on {', '.join(seen)}: marked *")
-        return found
+                result.append(f"{self.name}: {policy} was trained on {', '.join(seen)}: marked *")
+        return result
 
     def units(
-        self, case: Case, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
-    ) -> list[Unit]:
+        self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
+    ) -> list[WorkUnit]:
         """Return the work on a case: the policies', and that on the real crowd."""
         fold = case.case["fold"]
-        units = [Unit(name, for_fold(name, fold), case, seeds, deterministic) for name in policies]
-        return [*units, Unit(REAL, REAL, case, (0,), True)]
+        units = [WorkUnit(name, for_fold(name, fold), case, seeds, deterministic) for name in policies]
+        return [*units, WorkUnit(REAL, REAL, case, (0,), True)]
 
-    def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
-        """Walk one unit; whoever has no noise does so once."""
+    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+        """Walk one unit; policies without noise walk once."""
         case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
             return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
@@ -160,7 +160,7 @@ def _folds(root: str | None) -> list[str]:
     Raises:
         UserError: ``root`` has none.
     """
-    found = []
+    result = []
     for fold in SCENES:
         try:
             EthUcy(fold, root)
@@ -168,8 +168,8 @@ def _folds(root: str | None) -> list[str]:
             if root is not None:
                 raise
         else:
-            found.append(fold)
-    return found or [EMBEDDED]
+            result.append(fold)
+    return result or [EMBEDDED]
 
 
 def digest_of(fold: str, root: str | None) -> str:
@@ -180,10 +180,10 @@ def digest_of(fold: str, root: str | None) -> str:
     """
     if fold == EMBEDDED:
         return ""  # its files are pedzoo's
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for recording in EthUcy(fold, root, "true").recordings("test"):
         tracks = recording.tracks
         for values in (tracks.frame, tracks.agent, tracks.xy):
-            found.update(values.tobytes())
-        found.update(load_plan(recording.plan).digest.encode() if recording.plan else b"")
-    return found.hexdigest()
+            result.update(values.tobytes())
+        result.update(load_plan(recording.plan).digest.encode() if recording.plan else b"")
+    return result.hexdigest()

@@ -66,8 +66,8 @@ def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor
 
     def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
         """Return sums (P, columns), or counts, by person and a number of columns."""
-        found = torch.bincount(around.person * columns + index, weights, people * columns)
-        return found.view(people, columns).double()
+        result = torch.bincount(around.person * columns + index, weights, people * columns)
+        return result.view(people, columns).double()
 
     def points(when: Tensor) -> Tensor:
         return torch.bincount(rollout.person[when], minlength=people).double()
@@ -124,15 +124,15 @@ def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
 
 def resampled_distances(first: Crowd, second: Crowd, mine: Tensor, theirs: Tensor) -> dict[str, Tensor]:
     """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples; weights are (R, P)."""
-    found = {}
+    result = {}
     for name in FEATURES:
         one, other = first.samples[name], second.samples[name]
-        found[name] = torch.full((len(mine),), torch.nan, dtype=torch.float64)
+        result[name] = torch.full((len(mine),), torch.nan, dtype=torch.float64)
         if len(one.value) and len(other.value):
             edges = grid(one.value, other.value)
             ours, real = (counted(samples, edges, mine.shape[1]) for samples in (one, other))
-            found[name] = resampled(ours, real, edges, mine, theirs)
-    return found
+            result[name] = resampled(ours, real, edges, mine, theirs)
+    return result
 
 
 def compared(
@@ -165,30 +165,30 @@ def compared(
         distance: Of every feature (R,), of the same resamples.
         spread: Of every feature, see `spreads`.
     """
-    found: dict[str, Tensor] = {}
+    result: dict[str, Tensor] = {}
     for name, unit in FEATURES.items():
-        found[f"w1_{name}_{unit}"] = distance[name]
-        found[f"w1_{name}"] = distance[name] / (spread[name] or math.nan)
-    normalised = torch.stack([found[f"w1_{name}"] for name in FEATURES])
-    found["realism"] = normalised.nanmean(0)
+        result[f"w1_{name}_{unit}"] = distance[name]
+        result[f"w1_{name}"] = distance[name] / (spread[name] or math.nan)
+    normalised = torch.stack([result[f"w1_{name}"] for name in FEATURES])
+    result["realism"] = normalised.nanmean(0)
     for kind in ("agent_contact", "wall_contact"):
         own = mine @ getattr(crowd, kind).T / (mine @ crowd.minutes).unsqueeze(1)
         excess = own - theirs @ getattr(real, kind).T / (theirs @ real.minutes).unsqueeze(1)
-        found[f"{kind}_share"], found[f"{kind}s_per_min"] = own.unbind(1)
-        found[f"{kind}_excess"], found[f"{kind}_excess_per_min"] = excess.unbind(1)
-    found["speed_std_m_per_s"] = _between(_mean_speeds(crowd), mine)
+        result[f"{kind}_share"], result[f"{kind}s_per_min"] = own.unbind(1)
+        result[f"{kind}_excess"], result[f"{kind}_excess_per_min"] = excess.unbind(1)
+    result["speed_std_m_per_s"] = _between(_mean_speeds(crowd), mine)
     (speed, steps), (true, weight) = density_speed(crowd, mine), density_speed(real, theirs)
     both = (steps > 0) & (weight > 0)
     square = ((speed - true).square() * weight).where(both, 0.0).sum(1)
-    found["density_speed_rmse_m_per_s"] = (square / weight.where(both, 0.0).sum(1)).sqrt()
+    result["density_speed_rmse_m_per_s"] = (square / weight.where(both, 0.0).sum(1)).sqrt()
     ours, recorded = (
         quantiles(*side.samples["acceleration"], weights, tuple(TAIL.values()))
         for side, weights in ((crowd, mine), (real, theirs))
     )
     for name, own, true in zip(TAIL, ours.T, recorded.T, strict=True):
-        found[f"acceleration_{name}_m_per_s2"] = own
-        found[f"acceleration_{name}_ratio"] = own / true
-    return found
+        result[f"acceleration_{name}_m_per_s2"] = own
+        result[f"acceleration_{name}_ratio"] = own / true
+    return result
 
 
 def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -81,12 +81,12 @@ def counted(samples: Samples, edges: Tensor, people: int) -> Counts:
     """
     if len(samples.value) and float(samples.value.max()) > float(edges[-1]):
         raise ValueError(f"a value of {float(samples.value.max())} lies beyond the last edge {edges[-1]:g}")
-    shape, found = (people, len(edges) + 1), []
+    shape, result = (people, len(edges) + 1), []
     for right in (False, True):  # the first edge that is not below the value; the first above it
         place = torch.searchsorted(edges, samples.value.double(), right=right)
         each = torch.bincount(samples.person * shape[1] + place, minlength=shape[0] * shape[1])
-        found.append(each.view(shape)[:, :-1].cumsum(1).double())
-    return Counts(*found)
+        result.append(each.view(shape)[:, :-1].cumsum(1).double())
+    return Counts(*result)
 
 
 def resampled(first: Counts, second: Counts, edges: Tensor, mine: Tensor, theirs: Tensor) -> Tensor:

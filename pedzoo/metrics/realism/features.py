@@ -144,11 +144,11 @@ def surroundings(steps: Steps) -> Surroundings:
     rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): all who are there at once
     moments = episode * steps.person.shape[2] + step
     size = max(1, _AT_ONCE // steps.xy.shape[1])
-    found = []
+    result = []
     for moment, own in zip(moments.split(size), slot.split(size), strict=True):
         x, y, vx, vy, there, known, radius = (value[moment] for value in rows)
-        found.append(_around(x, y, vx, vy, there, known, radius, own))
-    nearest, collision, close = (torch.cat(values) for values in zip(*found, strict=True))
+        result.append(_around(x, y, vx, vy, there, known, radius, own))
+    nearest, collision, close = (torch.cat(values) for values in zip(*result, strict=True))
     speed = steps.velocity[episode, slot, step].norm(dim=-1)
     return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)
 

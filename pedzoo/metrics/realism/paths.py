@@ -37,9 +37,9 @@ def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
     order = walk.argsort(stable=True)
     first = length.cumsum(0) - length
     place = torch.arange(len(walk)) - first[walk[order]]
-    found = xy.new_zeros(walks, int(length.max()) if walks else 0, 2)
-    found[walk[order], place] = xy[order]
-    return found, length
+    result = xy.new_zeros(walks, int(length.max()) if walks else 0, 2)
+    result[walk[order], place] = xy[order]
+    return result, length
 
 
 def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor:
@@ -56,7 +56,7 @@ def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor
         second: The walks to compare them with (W, M, 2).
         others: How many points these have (W,) long.
     """
-    found = torch.full((len(first),), torch.nan, dtype=torch.float64)
+    result = torch.full((len(first),), torch.nan, dtype=torch.float64)
     order = (points + others).argsort()
     order = order[(points > 0)[order] & (others > 0)[order]]
     while len(order):  # walks of about the same length together, from the longest
@@ -64,8 +64,8 @@ def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor
         some = order[-max(1, _AT_ONCE // longest**2) :]
         order = order[: -len(some)]
         here, there = (int(count[some].max()) for count in (points, others))
-        found[some] = _warped(first[some, :here], points[some], second[some, :there], others[some])
-    return found
+        result[some] = _warped(first[some, :here], points[some], second[some, :there], others[some])
+    return result
 
 
 def _warped(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor:
@@ -79,13 +79,13 @@ def _warped(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Te
     # the cheapest ways to the cells of the last two diagonals, by row; with an entry before the first row
     last, earlier = torch.full((2, rows + 1, walks), torch.inf).unbind(0)
     earlier[0] = 0.0  # the corner before both first points
-    found = torch.full((walks,), torch.nan, dtype=torch.float64)
+    result = torch.full((walks,), torch.nan, dtype=torch.float64)
     ends = points + others - 2
     for diagonal in range(wide - 1):
         distance = between.as_strided((rows, walks), ((wide - 1) * walks, 1), diagonal * walks)
         here = torch.full_like(last, torch.inf)
         here[1:] = torch.minimum(earlier[:-1] + distance, torch.minimum(last[:-1], last[1:])) + distance
         over = (ends == diagonal).nonzero().view(-1)
-        found[over] = here[points[over], over].double() / (points + others)[over]
+        result[over] = here[points[over], over].double() / (points + others)[over]
         last, earlier = here, last
-    return found
+    return result

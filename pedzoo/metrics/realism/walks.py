@@ -92,8 +92,8 @@ def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
     for part in parts:
         steps = every_step(part)
         scene[part.person[part.controlled]] = part.controlled.nonzero()[:, 0] + before
-        found = _seconds(part, torch.arange(people).expand(len(part.failed), people), people)
-        seconds = torch.where(found.isnan(), seconds, found)
+        result = _seconds(part, torch.arange(people).expand(len(part.failed), people), people)
+        seconds = torch.where(result.isnan(), seconds, result)
         positions.append(steps.xy[steps.scored])
         whose.append(steps.person[steps.scored])
         before += len(part.failed)
@@ -136,7 +136,7 @@ def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
     rounds = len(tables.success)
     ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
     walks = weights @ (~tables.success.isnan()).sum(0).double()
-    found = {
+    result = {
         "success": weights @ tables.success.nansum(0) / walks,
         "deadlock": weights @ tables.deadlock.nansum(0) / walks,
         "time_ratio_median": _median(ratio, weights),
@@ -145,8 +145,8 @@ def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
     }
     if rounds > 1:
         best = tables.ade.nan_to_num(torch.inf).amin(0)
-        found[f"closed_loop_min_ade_{rounds}_m"] = _mean(best.where(best.isfinite(), torch.nan), weights)
-    return found
+        result[f"closed_loop_min_ade_{rounds}_m"] = _mean(best.where(best.isfinite(), torch.nan), weights)
+    return result
 
 
 def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:

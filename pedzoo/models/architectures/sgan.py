@@ -21,9 +21,9 @@ from pedzoo.models.base import Forecaster, arguments
 from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
-from pedzoo.models.blocks.folded import NOTHING, Folded, fold
-from pedzoo.models.blocks.kept import Kept
+from pedzoo.models.blocks.fused_weights import NOTHING, FusedWeights, fuse
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
+from pedzoo.models.blocks.parameter_cache import ParameterCache
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people import lines
 from pedzoo.models.blocks.people.approach import ApproachPooling
@@ -82,7 +82,7 @@ class SGAN(Forecaster):
         mode_weight: float = 0.0,
         energy_weight: float = 0.0,
         safety: bool = False,
-        pace: bool = False,
+        extend_goal: bool = False,
     ) -> None:
         """Create the parameters.
 
@@ -115,8 +115,8 @@ class SGAN(Forecaster):
                 minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
             safety: Whether those who walk are kept clear of others and walls: see
                 `pedzoo.policies.learned.safety`.
-            pace: Whether those who walk do not slow down for goals round a corner: see
-                `pedzoo.policies.learned.pace`.
+            extend_goal: Whether those who walk do not slow down for goals round a corner: see
+                `pedzoo.policies.learned.extended_goals`.
 
         Raises:
             UserError: Options that do not go together.
@@ -136,7 +136,7 @@ class SGAN(Forecaster):
         self.goal_protocol = goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
         self.walking_noise = "mixed" if noise == "mixed" else "episode"
-        self.walking_safety, self.walking_pace = safety, pace
+        self.walking_safety, self.walking_extend_goal = safety, extend_goal
         self.losses = VarietyLoss(best_k, error, variety_weight, mode_weight, energy_weight)
         self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
         self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
@@ -150,7 +150,7 @@ class SGAN(Forecaster):
             decoder_dim - noise_dim,
         )
         self.decoder = DisplacementDecoder(embedding_dim, decoder_dim)
-        self._kept = Kept(_fold, NOTHING)
+        self._parameter_cache = ParameterCache(_fuse, NOTHING)
         init_like_sgan(self)
         # after the published initialisation: a map encoder brings its own
         encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder, "rings": RingEncoder}
@@ -168,8 +168,8 @@ class SGAN(Forecaster):
             nn.init.zeros_(self.decoder.output.weight)
             nn.init.zeros_(self.decoder.output.bias)
 
-    def encode(self, batch: TensorDict, steps: int, folded: Folded = NOTHING) -> Encoded:
-        """Return all that does not depend on the noise; ``folded`` saves time, see `Folded`."""
+    def encode(self, batch: TensorDict, steps: int, fused: FusedWeights = NOTHING) -> Encoded:
+        """Return all that does not depend on the noise; ``fused`` saves time, see `FusedWeights`."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
@@ -189,11 +189,11 @@ class SGAN(Forecaster):
                 heading = frames.heading(moved, goal)
         frame = None if self.frame == "world" else heading
         moved = frames.into(frame, moved)
-        hidden = self.encoder(moved, folded.encoder)
+        hidden = self.encoder(moved, fused.encoder)
         features = [hidden]
         pooling = self.pooling
         if pooling is not None:
-            features.append(pooling(hidden, position, crowd, folded.pooling))
+            features.append(pooling(hidden, position, crowd, fused.pooling))
         if self.goal is not None and goal is not None and wanted is not None:
             features.append(self.goal(torch.cat((frames.into(frame, goal), frames.into(frame, wanted)), -1)))
         if self.map is not None:
@@ -201,7 +201,7 @@ class SGAN(Forecaster):
             features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
         if self.approach is not None:
             features.append(self.approach(position, last_step, heading, hidden, crowd))
-        context = self.to_decoder(torch.cat(features, -1), folded.to_decoder)
+        context = self.to_decoder(torch.cat(features, -1), fused.to_decoder)
         return Encoded(context, moved[:, -1], self._base(last_step, goal, steps), frame, crowd)
 
     def _base(self, last_step: Tensor, goal: Tensor | None, steps: int) -> Tensor | None:
@@ -224,7 +224,7 @@ class SGAN(Forecaster):
             )
         return crowd.to_people(z) if self.noise == "scene" else z
 
-    def decode(self, encoded: Encoded, z: Tensor, steps: int, folded: Folded = NOTHING) -> Tensor:
+    def decode(self, encoded: Encoded, z: Tensor, steps: int, fused: FusedWeights = NOTHING) -> Tensor:
         """Return displacements in the world (K, P, T, 2) for noise ``z`` (K, P, noise_dim)."""
         samples, people = z.shape[:2]
         context, first = encoded.context, encoded.first
@@ -237,7 +237,7 @@ class SGAN(Forecaster):
         if self.trait is not None:
             context = self.trait(context, z)
         hidden = torch.cat((context, z), 1)
-        path = self.decoder(hidden, first, steps, folded.first, folded.decoder)
+        path = self.decoder(hidden, first, steps, fused.first, fused.decoder)
         path = frames.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base[:, :steps]
 
@@ -245,28 +245,28 @@ class SGAN(Forecaster):
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2)."""
-        folded = self._kept(self)
-        encoded = self.encode(batch, steps, folded)
-        path = self.decode(encoded, self.draw(encoded, samples, generator), steps, folded)
+        fused = self._parameter_cache(self)
+        encoded = self.encode(batch, steps, fused)
+        path = self.decode(encoded, self.draw(encoded, samples, generator), steps, fused)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
-        folded = self._kept(self)
-        encoded = self.encode(batch, steps, folded)
+        fused = self._parameter_cache(self)
+        encoded = self.encode(batch, steps, fused)
         zero = encoded.context.new_zeros(1, encoded.context.shape[0], self.noise_dim)
-        path = self.decode(encoded, zero, steps, folded)
+        path = self.decode(encoded, zero, steps, fused)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); no others are decoded."""
-        folded = self._kept(self)
-        encoded = self.encode(batch, horizon, folded)
+        fused = self._parameter_cache(self)
+        encoded = self.encode(batch, horizon, fused)
         if noise is None:
             z = encoded.context.new_zeros(len(encoded.context), self.noise_dim)
         else:
             z = encoded.crowd.pack(noise)
-        path = self.decode(encoded, z.unsqueeze(0), steps, folded)
+        path = self.decode(encoded, z.unsqueeze(0), steps, fused)
         return encoded.crowd.unpack(path[0])
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
@@ -292,5 +292,5 @@ class SGAN(Forecaster):
         return self.losses(self, batch, encoded or self.encode(batch, steps), steps, generator, sample)
 
 
-def _fold(model: SGAN) -> Folded:
-    return fold(model.encoder, model.pooling, model.to_decoder, model.decoder)
+def _fuse(model: SGAN) -> FusedWeights:
+    return fuse(model.encoder, model.pooling, model.to_decoder, model.decoder)

@@ -14,13 +14,13 @@ Layers: TypeAlias = list[tuple[Tensor, Tensor]]
 class MLP(nn.Sequential):
     """The layers of `mlp`."""
 
-    def forward(self, input: Tensor, folded: Layers | None = None) -> Tensor:
-        """Return the last layer's output (P, D); ``folded`` is what `fold` returned for these parameters."""
-        for weight, bias in folded or self.fold():
+    def forward(self, input: Tensor, fused: Layers | None = None) -> Tensor:
+        """Return the last layer's output (P, D); ``fused`` is what `fuse` returned for these parameters."""
+        for weight, bias in fused or self.fuse():
             input = functional.linear(input, weight, bias).relu_()
         return input
 
-    def fold(self) -> Layers:
+    def fuse(self) -> Layers:
         """Return weight and bias of each layer."""
         return [(layer.weight, layer.bias) for layer in self if isinstance(layer, nn.Linear)]
 

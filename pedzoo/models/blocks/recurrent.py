@@ -38,24 +38,24 @@ class DisplacementEncoder(nn.Module):
         self.embedding = nn.Linear(2, embedding_dim)
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)
 
-    def forward(self, displacements: Tensor, folded: EncoderWeights | None = None) -> Tensor:
+    def forward(self, displacements: Tensor, fused: EncoderWeights | None = None) -> Tensor:
         """Return the last hidden state (P, hidden_dim); arguments as in `states`."""
-        return self.states(displacements, folded=folded)[0][0]
+        return self.states(displacements, fused=fused)[0][0]
 
     def states(
         self,
         displacements: Tensor,
         start: tuple[Tensor, Tensor] | None = None,
-        folded: EncoderWeights | None = None,
+        fused: EncoderWeights | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return hidden and cell state (1, P, hidden_dim) after ``displacements``.
 
         Args:
             displacements: What people did (P, T, 2), metres per step.
             start: The states before it; None where nothing was before but the zero.
-            folded: What `fold` returned for the same parameters.
+            fused: What `fuse` returned for the same parameters.
         """
-        hidden, cell, weights = folded or self.fold()
+        hidden, cell, weights = fused or self.fuse()
         people, steps = displacements.shape[:2]
         width = hidden.shape[2]
         hidden, cell = start or (hidden.expand(1, people, width), cell.expand(1, people, width))
@@ -66,7 +66,7 @@ class DisplacementEncoder(nn.Module):
         ends = [_lstm(moved, (h, c), weights, batch_first=True)[1:] for moved, h, c in pieces]
         return torch.cat([end[0] for end in ends], 1), torch.cat([end[1] for end in ends], 1)
 
-    def fold(self) -> EncoderWeights:
+    def fuse(self) -> EncoderWeights:
         """Return hidden and cell state (1, 1, H) after a displacement of zero, and what `_folded` does."""
         weights = _folded(self.lstm, self.embedding)
         gates = _without_forget(weights[2] + weights[3])
@@ -101,7 +101,7 @@ class DisplacementDecoder(nn.Module):
         first: Tensor,
         steps: int,
         folded_first: FirstWeights | None = None,
-        folded: DecoderWeights | None = None,
+        fused: DecoderWeights | None = None,
     ) -> Tensor:
         """Return the next displacements (P, steps, 2), metres per step.
 
@@ -109,14 +109,14 @@ class DisplacementDecoder(nn.Module):
             hidden: Initial hidden state (P, hidden_dim); the cell state starts at zero.
             first: Last observed displacement (P, 2).
             steps: How many displacements are wanted.
-            folded_first: What `fold_first` returned for the same parameters; used if ``steps`` is 1.
-            folded: What `fold` returned for them; used otherwise.
+            folded_first: What `fuse_first` returned for the same parameters; used if ``steps`` is 1.
+            fused: What `fuse` returned for them; used otherwise.
         """
         if steps == 1:
-            weight, bias, w_out, b_out = folded_first or self.fold_first()
+            weight, bias, w_out, b_out = folded_first or self.fuse_first()
             gates = functional.linear(torch.cat((first, hidden), 1), weight, bias)
             return functional.linear(_from_rest(gates)[0], w_out, b_out).unsqueeze(1)
-        weights, w_out, b_out = folded or self.fold()
+        weights, w_out, b_out = fused or self.fuse()
         rows = _rows(steps * hidden.shape[1], hidden)
         whole = len(hidden) <= rows
         pieces = [(hidden, first)] if whole else zip(hidden.split(rows), first.split(rows), strict=True)
@@ -128,13 +128,13 @@ class DisplacementDecoder(nn.Module):
             parts.append(functional.linear(_lstm(inputs, state, weights)[0], w_out, b_out))
         return (parts[0] if len(parts) == 1 else torch.cat(parts, 1)).transpose(0, 1)
 
-    def fold_first(self) -> FirstWeights:
+    def fuse_first(self) -> FirstWeights:
         """Return weight (3H, 2 + H) and bias (3H,) of the gates of `_from_rest`, and the output's."""
         w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
         weight, bias = _without_forget(torch.cat((w_in, w_hh), 1)), _without_forget(b_ih + b_hh)
         return weight, bias, self.output.weight, self.output.bias
 
-    def fold(self) -> DecoderWeights:
+    def fuse(self) -> DecoderWeights:
         """Return the weights of `_folded` with the output fed back, and the output's weight and bias."""
         w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
         w_out, b_out = self.output.weight, self.output.bias
@@ -188,6 +188,6 @@ def _lstm(
     options = True, 1, 0.0, torch.is_grad_enabled(), False, batch_first
     if not inputs.is_cuda:
         return torch.lstm(inputs, state, weights, *options)
-    # cuDNN warns about weights that are no slices of one buffer, which folded ones never are.
+    # cuDNN warns about weights that are no slices of one buffer, which fused ones never are.
     with torch.backends.cudnn.flags(enabled=False):
         return torch.lstm(inputs, state, weights, *options)

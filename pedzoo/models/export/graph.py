@@ -81,8 +81,8 @@ class Graph(nn.Module):
             goal=inputs.get("goal"),
             desired_velocity=inputs.get("desired_velocity"),
         )
-        found = self.answers(self.model, batch, inputs.get("noise"))
-        return tuple(torch.where(mask[..., None, None], path, 0.0) for path in found)
+        result = self.answers(self.model, batch, inputs.get("noise"))
+        return tuple(torch.where(mask[..., None, None], path, 0.0) for path in result)
 
     def answers(self, model: Forecaster, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, ...]:
         """Return what the ``outputs`` of a batch are by ``model``, each (B, A, steps, 2)."""
@@ -98,23 +98,23 @@ class Graph(nn.Module):
 
 
 def _inputs(model: Forecaster) -> dict[str, Port]:
-    found = {
+    result = {
         "history": Port(("scenes", "people", OBS_LEN, 2), "positions, metres, oldest first, every 0.4 s"),
         "mask": Port(("scenes", "people"), "who is there; the others are padding", torch.bool),
     }
     if "goal" in model.needs:
-        found["goal"] = Port(("scenes", "people", 2), "short-term goal, metres, where history is, too")
-        found["desired_velocity"] = Port(("scenes", "people", 2), "preferred speed along the way to it, m/s")
+        result["goal"] = Port(("scenes", "people", 2), "short-term goal, metres, where history is, too")
+        result["desired_velocity"] = Port(("scenes", "people", 2), "preferred speed along the way to it, m/s")
     if "map" in model.needs:
         channels, seen = 1, "distances to the nearest wall, metres, negative inside walls, from -5 to 5"
         if alexnet_of(model):
             channels, seen = alexnet.CHANNELS, "AlexNet's features"
-        found["map_image"] = Port((channels, "rows", "columns"), f"floor plan of all scenes: {seen}")
-        found["map_affine"] = Port((2, 3), "from positions to (column, row) of map_image, whole at centres")
+        result["map_image"] = Port((channels, "rows", "columns"), f"floor plan of all scenes: {seen}")
+        result["map_affine"] = Port((2, 3), "from positions to (column, row) of map_image, whole at centres")
     if model.noise_dim:
         drawn = "independent standard normal numbers, the same for a person all along"
-        found["noise"] = Port(("scenes", "people", model.noise_dim), drawn)
-    return found
+        result["noise"] = Port(("scenes", "people", model.noise_dim), drawn)
+    return result
 
 
 def _outputs(model: Forecaster, steps: int) -> dict[str, Port]:
@@ -124,7 +124,7 @@ def _outputs(model: Forecaster, steps: int) -> dict[str, Port]:
     )
     if model.noise_dim and model.mode_at_zero:
         about += "; noise zero gives the most likely future"
-    found = {"displacements": Port(shape, about)}
+    result = {"displacements": Port(shape, about)}
     if model.noise_dim and not model.mode_at_zero:
-        found["most_likely"] = Port(shape, "the most likely future, whatever the noise")
-    return found
+        result["most_likely"] = Port(shape, "the most likely future, whatever the noise")
+    return result

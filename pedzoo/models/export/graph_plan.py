@@ -79,8 +79,8 @@ class PlanInput(MapBank):
         pixel = points @ self._affine[:, :2].t() + self._affine[:, 2]
         rows, columns = self._image.shape[1:]
         where = torch.stack((2 * pixel[..., 0] / (columns - 1), 2 * pixel[..., 1] / (rows - 1)), -1) - 1
-        found = functional.grid_sample(self._image[None], where[None], "bilinear", "border", True)
-        return found[0].permute(1, 2, 0)
+        result = functional.grid_sample(self._image[None], where[None], "bilinear", "border", True)
+        return result[0].permute(1, 2, 0)
 
 
 class _FeatureReader(MapEncoder):

@@ -64,7 +64,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
         noise = torch.randn(*agents.shape, model.noise_dim, generator=generator)
         given = plan | {key: value.numpy() for key, value in {**agents, "noise": noise}.items()}
         try:
-            found = session.run(list(graph.outputs), {key: given[key] for key in graph.ports})
+            result = session.run(list(graph.outputs), {key: given[key] for key in graph.ports})
         except (Fail, InvalidArgument, RuntimeException) as error:
             reason = " ".join(str(error).split())
             raise UserError(
@@ -72,7 +72,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
                 "model, take sizes from x.shape[0] and not from len(x), which the graph does not follow"
             ) from error
         expected = graph.answers(model, scenes, noise)
-        apart = [_difference(a, b.numpy()) for a, b in zip(found, expected, strict=True)]
+        apart = [_difference(a, b.numpy()) for a, b in zip(result, expected, strict=True)]
         checks.append(Parity(agents.shape[0], agents.shape[1], max(apart)))
     worst = max(checks, key=lambda check: check.difference)
     if worst.difference > TOLERANCE:
@@ -83,8 +83,8 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     return checks
 
 
-def _difference(found: Any, expected: np.ndarray) -> float:
-    return float(np.nan_to_num(np.abs(found - expected), nan=np.inf).max())
+def _difference(result: Any, expected: np.ndarray) -> float:
+    return float(np.nan_to_num(np.abs(result - expected), nan=np.inf).max())
 
 
 def _embedded(model: Forecaster) -> tuple[TensorDict, dict[str, Any]]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 
 RECORDS = ("config.yaml", "metrics.csv", "versions.json")
@@ -60,7 +61,7 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
             f"checkpoint {str(checkpoint)!r} is not in the folder of its run: {str(run)!r} has no "
             f"{' and no '.join(missing)}; expected RUN/checkpoints/best.ckpt as pedzoo fit leaves it"
         )
-    config = yaml.safe_load((run / "config.yaml").read_text())
+    config = renamed.new_config(yaml.safe_load((run / "config.yaml").read_text()))
     # a resumed run keeps the records of how it began
     begun = run / "before-resume-1" / "versions.json"
     command = json.loads((begun if begun.is_file() else run / "versions.json").read_text())["command"]
@@ -99,12 +100,12 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
 
 def monitored(run: Path, metric: str) -> dict[int, float]:
     """Return a validation metric by epoch, also of the time before the run was resumed."""
-    found: dict[int, float] = {}
+    result: dict[int, float] = {}
     for file in (*run.glob("before-resume-*/metrics.csv"), run / "metrics.csv"):
         with file.open() as lines:
             rows = csv.DictReader(lines)
-            found |= {int(row["epoch"]): float(row[metric]) for row in rows if row.get(metric)}
-    return found
+            result |= {int(row["epoch"]): float(row[metric]) for row in rows if row.get(metric)}
+    return result
 
 
 class Option(NamedTuple):
@@ -118,13 +119,13 @@ class Option(NamedTuple):
 def options_of(command: Sequence[str]) -> list[Option]:
     """Return the options of a command line, ``--key value`` or ``--key=value``, in their order."""
     starts = [i for i, word in enumerate(command) if word.startswith("--") or word == "-c"]
-    found = []
+    result = []
     for start, end in pairwise([*starts, len(command)]):
         words = command[start:end]
         key, equals, value = words[0].lstrip("-").partition("=")
         value = value if equals else " ".join(words[1:]) or "true"
-        found.append(Option("config" if key == "c" else key, value, words))
-    return found
+        result.append(Option("config" if key == "c" else key, value, words))
+    return result
 
 
 def _other_seeds(run: Path, config: dict[str, Any], own: dict[int, float]) -> dict[int, float]:
@@ -132,16 +133,16 @@ def _other_seeds(run: Path, config: dict[str, Any], own: dict[int, float]) -> di
 
     A run leaves no mark when it ends: one is finished that came as far as this one, by its ``own`` values.
     """
-    found: dict[int, float] = {}
+    result: dict[int, float] = {}
     family = re.sub(r"-seed\d+(-\d+)?$", "", run.name)
     for other in sorted(run.parent.glob(f"{escape(family)}-seed*")):
         if other == run or not all((other / name).is_file() for name in RECORDS):
             continue
-        theirs = yaml.safe_load((other / "config.yaml").read_text())
+        theirs = renamed.new_config(yaml.safe_load((other / "config.yaml").read_text()))
         values = monitored(other, config["monitor"])
         if _agree(theirs, config) and max(values, default=0) >= max(own, default=0):
-            found |= _best(int(theirs["seed_everything"]), values, config)
-    return found
+            result |= _best(int(theirs["seed_everything"]), values, config)
+    return result
 
 
 def _best(seed: int, values: dict[int, float], config: dict[str, Any]) -> dict[int, float]:

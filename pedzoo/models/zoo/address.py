@@ -65,15 +65,15 @@ def place(name: str) -> Place:
 def kept_models() -> dict[str, list[str]]:
     """Return the addresses of all models whose cards were fetched, by their plain names."""
     root = cache_home() / KEPT
-    found: dict[str, list[str]] = {}
+    result: dict[str, list[str]] = {}
     for path in sorted(root.glob("hf/*/*/*/*.yaml")):
         owner, repo, revision = path.relative_to(root).parts[1:-1]
-        found.setdefault(path.stem, []).append(f"hf://{owner}/{repo}@{revision}/{path.stem}")
+        result.setdefault(path.stem, []).append(f"hf://{owner}/{repo}@{revision}/{path.stem}")
     for path in sorted(root.glob("http*/*/**/*.yaml")):
         scheme, host, *folders = path.relative_to(root).parts[:-1]
         address = "/".join([unquote(host), *folders, path.stem])
-        found.setdefault(path.stem, []).append(f"{scheme}://{address}")
-    return {name: addresses for name, addresses in found.items() if is_name(name)}
+        result.setdefault(path.stem, []).append(f"{scheme}://{address}")
+    return {name: addresses for name, addresses in result.items() if is_name(name)}
 
 
 def download(

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import yaml
 from typing_extensions import TypedDict
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.models.zoo.header import Config
@@ -161,15 +162,15 @@ def read_card(path: str | Path) -> ModelCard:
     if path.stat().st_size > _LARGEST:
         raise UserError(f"{str(path)!r} is no model card: larger than {_LARGEST // 1_000_000} MB")
     try:
-        found = load_yaml(path.read_bytes())
-        check_keys(found, ModelCard)
-        return ModelCard(**found)
+        result = load_yaml(path.read_bytes())
+        check_keys(result, ModelCard)
+        return ModelCard(**result | {"config": renamed.new_init(result["config"])})
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error
 
 
 def load_yaml(text: bytes | str) -> Any:
-    """Return what YAML of somebody else's says, without the ways in which a small text becomes endless.
+    """Return the values of untrusted YAML; texts that would expand without end are refused.
 
     Raises:
         UserError: It is no YAML, has values that are not of the kind they say, references or many levels.

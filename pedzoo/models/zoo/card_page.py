@@ -30,7 +30,7 @@ def page(card: ModelCard) -> str:
         f'```python\nimport pedzoo\n\nmodel = pedzoo.load("{card.name}")\n```\n',
         f"```\npedzoo rollout {card.name} --scenario door\n```\n",
         "## Results\n",
-        *(f"{found.said}\n\n{_table(found.head, found.rows)}" for found in results(card)),
+        *(f"{result.said}\n\n{_table(result.head, result.rows)}" for result in results(card)),
         *([] if card.evaluations else ["Not measured yet.\n"]),
     ]
     for title, facts in sections(card).items():
@@ -45,7 +45,7 @@ def sections(card: ModelCard) -> dict[str, dict[str, str]]:
         "command": " ".join(map(str, card.training["command"] or [])),
         "overrides": ", ".join(f"{key}={value}" for key, value in (card.training["overrides"] or {}).items()),
     }
-    found: dict[str, Mapping[str, Any]] = {
+    result: dict[str, Mapping[str, Any]] = {
         "Weights": {
             "file": card.file,
             "size": f"{card.size:,} bytes",
@@ -61,7 +61,7 @@ def sections(card: ModelCard) -> dict[str, dict[str, str]]:
     }
     return {
         title: {str(key): str(value) for key, value in facts.items() if value not in (None, "")}
-        for title, facts in found.items()
+        for title, facts in result.items()
         if facts
     }
 

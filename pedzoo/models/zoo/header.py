@@ -9,6 +9,7 @@ from typing import Any, NotRequired
 from safetensors import SafetensorError, safe_open
 from typing_extensions import TypedDict
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.models.zoo.keys import check, check_plain
 
@@ -41,7 +42,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
     """Return the config in the metadata of an open file.
 
     Raises:
-        UserError: There is none that pedzoo wrote, or it is of a class in somebody's file of code.
+        UserError: There is none that pedzoo wrote, or it is of a class in a file of code.
     """
     metadata = file.metadata() or {}
     if "config" not in metadata:
@@ -59,7 +60,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
             f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
             "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.loading.fill"
         )
-    return config
+    return renamed.new_init(config)
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

@@ -78,13 +78,13 @@ Weights are plain safetensors: nothing in this repository is code. They are chec
 
 def _front(card: ModelCard) -> dict[str, Any]:
     licence = card.licence.lower()
-    found: dict[str, Any] = {"license": licence}
+    result: dict[str, Any] = {"license": licence}
     if licence not in LICENCES:
-        found = {"license": "other", "license_name": re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")}
-    found |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
+        result = {"license": "other", "license_name": re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")}
+    result |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
     if results := [_result(report, row) for report in card.evaluations for row in report["rows"]]:
-        found["model-index"] = [{"name": card.name, "results": results}]
-    return found
+        result["model-index"] = [{"name": card.name, "results": results}]
+    return result
 
 
 def _result(report: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:

@@ -29,11 +29,11 @@ _WORDS = {
 _hints = cache(partial(get_type_hints, include_extras=True))
 
 
-def check(found: Any, form: Any, where: str = "") -> None:
+def check(result: Any, form: Any, where: str = "") -> None:
     """Check that a value has a form.
 
     Args:
-        found: The value.
+        result: The value.
         form: A `TypedDict` (``closed`` ones refuse other keys), a dataclass (its fields as keys),
             ``list[X]``, ``dict[str, X]``, ``tuple[X, X]`` (a list of so many), a plain type; one of these
             ``| None``; or ``Annotated[type, form]``.
@@ -45,46 +45,46 @@ def check(found: Any, form: Any, where: str = "") -> None:
     while get_origin(form) in (Annotated, NotRequired):
         form = get_args(form)[-1]
     choices = get_args(form) if isinstance(form, UnionType) else (form,)
-    if form is Any or (NoneType in choices and _fits(found, NoneType)):
+    if form is Any or (NoneType in choices and _fits(result, NoneType)):
         return
     form = choices[0]
     if is_typeddict(form) or is_dataclass(form):
-        check_keys(found, form, where)
-        for key in _hints(form).keys() & found.keys():
-            check(found[key], _hints(form)[key], f"{where} {key}".strip())
+        check_keys(result, form, where)
+        for key in _hints(form).keys() & result.keys():
+            check(result[key], _hints(form)[key], f"{where} {key}".strip())
         return
-    if not _fits(found, form):
+    if not _fits(result, form):
         expected = " or ".join(map(_in_words, choices))
-        raise UserError(f"{where or 'it'} is {found!r:.60}, expected {expected}")
+        raise UserError(f"{where or 'it'} is {result!r:.60}, expected {expected}")
     kind, inner = get_origin(form), get_args(form)
     if kind is dict:
-        for key, value in found.items():
+        for key, value in result.items():
             check(value, inner[1], f"{where} {key!r:.60}")
     elif kind is list:
-        for value in found:
+        for value in result:
             check(value, inner[0], where)
 
 
-def check_keys(found: Any, form: Any, where: str = "") -> None:
+def check_keys(result: Any, form: Any, where: str = "") -> None:
     """Check the keys of a mapping, and not their values. Arguments and errors as of `check`."""
     known, where = _hints(form), f"{where} " if where else ""
-    if not isinstance(found, Mapping):
-        raise UserError(f"{where or 'it '}is {found!r:.60}, expected a mapping of {', '.join(known)}")
-    for key in found:
+    if not isinstance(result, Mapping):
+        raise UserError(f"{where or 'it '}is {result!r:.60}, expected a mapping of {', '.join(known)}")
+    for key in result:
         if key not in known and getattr(form, "__closed__", True):
             raise unknown(f"{where}key", str(key), known)
     for key in known:
-        if key not in found and get_origin(known[key]) is not NotRequired:
+        if key not in result and get_origin(known[key]) is not NotRequired:
             raise UserError(f"{where}{key} is missing")
 
 
-def _fits(found: Any, form: Any) -> bool:
+def _fits(result: Any, form: Any) -> bool:
     kind, inner = get_origin(form) or form, get_args(form)
     if kind is tuple:
-        return isinstance(found, list) and len(found) == len(inner) and all(map(_fits, found, inner))
-    if isinstance(found, bool):
+        return isinstance(result, list) and len(result) == len(inner) and all(map(_fits, result, inner))
+    if isinstance(result, bool):
         return kind is bool
-    return isinstance(found, int | float if kind is float else kind)
+    return isinstance(result, int | float if kind is float else kind)
 
 
 def _in_words(form: Any) -> str:

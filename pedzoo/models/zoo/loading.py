@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.registry import MODELS
@@ -87,7 +88,7 @@ def build(config: dict[str, Any]) -> Forecaster:
     name, init = config["architecture"], config["init"]
     try:
         return _made(MODELS.get(name), init, name)
-    except (TypeError, RuntimeError) as error:  # values of other kinds, sizes that nobody has
+    except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
 
@@ -151,6 +152,7 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
         ) from error
     if not isinstance(checkpoint, dict) or "pedzoo" not in checkpoint:
         raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
+    checkpoint["pedzoo"] = renamed.new_init(checkpoint["pedzoo"])
     return checkpoint
 
 

@@ -60,8 +60,8 @@ def _found(name: str) -> Entry | None:
         return None
     path = Path(name).expanduser()
     if path.name == name:
-        if is_name(name) and (found := _by_name(name)):
-            return found
+        if is_name(name) and (result := _by_name(name)):
+            return result
         has_card = (path / CARD).is_file() or card_files(path)
         return _only_one(path) if name not in MODELS.names() and has_card else None
     if path.is_dir():
@@ -91,10 +91,10 @@ def weights_of(entry: Entry) -> Path:
         return download([card.url], f"weights/{card.sha256}/{card.file}", card.sha256, card.size)
     if not path.is_file():
         raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
-    if (found := sha256_of(path)) != card.sha256:
+    if (result := sha256_of(path)) != card.sha256:
         remedy = "reinstall pedzoo" if shipped("checkpoints") in entry.path.parents else "get both anew"
         raise UserError(
-            f"weights {str(path)!r} have sha256 {found}, but their card says {card.sha256}: {remedy}"
+            f"weights {str(path)!r} have sha256 {result}, but their card says {card.sha256}: {remedy}"
         )
     return path
 
@@ -166,8 +166,8 @@ def _only_one(folder: Path) -> Entry:
     if (own := folder / CARD).is_file():
         return Entry(read_card(own), own)
     if len(cards := card_files(folder)) != 1:
-        told = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
-        raise UserError(f"folder {str(folder)!r} is not that of one model: {told}")
+        remedy = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
+        raise UserError(f"folder {str(folder)!r} is not that of one model: {remedy}")
     return _named(*cards.values())
 
 

@@ -47,7 +47,7 @@ _PLACES = 8
 _QUARTER = TRACE_SECONDS / STEP_SECONDS
 
 
-class Steps(NamedTuple):
+class ProposedSteps(NamedTuple):
     """What B scenes of A people are about to do.
 
     Attributes:
@@ -83,7 +83,7 @@ class Steps(NamedTuple):
         """How much of the step is to be clear."""
         return 1.0 if self.velocity is None else BEYOND
 
-    def walk(self, step: Tensor) -> Tensor:
+    def integrate(self, step: Tensor) -> Tensor:
         """Return where steps (B, A, 2) lead after 0.1, 0.3 and 0.4 s (3, 2, B, A), metres from here.
 
         As `pedzoo.core.kinematics.blended` does, straight in between.
@@ -101,7 +101,7 @@ class Steps(NamedTuple):
         return torch.where(self.moved, torch.stack((begin, middle, middle + command)), straight)
 
 
-class Pairs(NamedTuple):
+class PairConstraints(NamedTuple):
     """Every agent and every other agent.
 
     Attributes:
@@ -123,7 +123,7 @@ class Pairs(NamedTuple):
     first: float
 
     @classmethod
-    def of(cls, steps: Steps, narrow: Tensor | None) -> Pairs:
+    def of(cls, steps: ProposedSteps, narrow: Tensor | None) -> PairConstraints:
         """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool."""
         position = steps.position.movedim(-1, 0)
         away = position.unsqueeze(3) - position.unsqueeze(2)
@@ -144,7 +144,7 @@ class Pairs(NamedTuple):
         room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
         return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first)
 
-    def corrected(self, walk: Tensor) -> Tensor:
+    def correction(self, walk: Tensor) -> Tensor:
         """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off others."""
         move = walk.unsqueeze(4) - walk.unsqueeze(3)
         part, at, gap = self._approach(move)
@@ -193,7 +193,7 @@ class Pairs(NamedTuple):
         return part, at, (at.square().sum(0) + 1e-9).sqrt()
 
 
-class Near(NamedTuple):
+class WallConstraints(NamedTuple):
     """Walls on the agents' ways.
 
     Attributes:
@@ -215,7 +215,7 @@ class Near(NamedTuple):
     weight: Tensor
 
     @classmethod
-    def of(cls, steps: Steps, walls: LocalWalls, gap: Tensor) -> Near:
+    def of(cls, steps: ProposedSteps, walls: LocalWalls, gap: Tensor) -> WallConstraints:
         """Return them; ``gap`` is how far walls are (B, A), metres."""
         place = torch.arange(1, _PLACES + 1, device=gap.device, dtype=gap.dtype)
         begin, middle = _QUARTER * _PLACES, (1 - _QUARTER) * _PLACES
@@ -229,12 +229,12 @@ class Near(NamedTuple):
         position = steps.position.movedim(-1, 0).unsqueeze(1)
         return cls(walls, position, room, steps.radius, steps.moved, parts, weight.view(-1, 1, 1))
 
-    def corrected(self, walk: Tensor) -> Tensor:
+    def correction(self, walk: Tensor) -> Tensor:
         """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off walls."""
         gap, away = self._along(walk)
         # in the midst of a wall the way out may be the far side: places before it know better
-        told = (gap > 0) | (gap <= 0).all(0)
-        most, place = ((self.room - gap) / self.weight * told).max(0, keepdim=True)
+        outside = (gap > 0) | (gap <= 0).all(0)
+        most, place = ((self.room - gap) / self.weight * outside).max(0, keepdim=True)
         direction = away.gather(1, place.expand(2, *place.shape))[:, 0]
         return torch.where(self.moved, most.clamp_min(0) * direction, 0.0)
 

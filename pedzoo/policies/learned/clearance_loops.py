@@ -34,9 +34,9 @@ def keep_clear(
 ):  # fmt: skip
     """Write steps (B, A, 2), metres, without contacts: see `pedzoo.policies.learned.safety.kept_clear`.
 
-    Args are those of `Steps`, with velocities as metres in a quarter of a step; whether velocities blend; and
-    constants. Then walls as scenes see them, frames (B, 7) and places (B, 3), no rows without walls, and
-    their tables. Then the results:
+    Args are those of `ProposedSteps`, with velocities as metres in a quarter of a step; whether velocities
+    blend; and constants. Then walls as scenes see them, frames (B, 7) and places (B, 3), no rows without
+    walls, and their tables. Then the results:
 
     * the steps;
     * which agents are in a narrow place (B, A);

@@ -28,7 +28,10 @@ def limited(x, y, longest):
 
 @jit
 def walk(x, y, before_x, before_y, longest, blends, path):
-    """Write where a step (x, y) is after its first, third and last quarter, path (6,): see `Steps.walk`."""
+    """Write where a step (x, y) is after its first, third and last quarter, path (6,).
+
+    See `ProposedSteps.integrate`.
+    """
     if not blends:
         path[0], path[1], path[2], path[3], path[4], path[5] = 0.25 * x, 0.25 * y, 0.75 * x, 0.75 * y, x, y
         return
@@ -127,19 +130,19 @@ def push(x, y, path, room, first, beyond, frame, place, choice, option, bound, l
 
     Also return whether any place is too near, and which is the worst, 0 for none.
     """
-    most, push_x, push_y, worst, told, lacks = 0.0, 0.0, 0.0, 0, False, False
+    most, push_x, push_y, worst, outside, lacks = 0.0, 0.0, 0.0, 0, False, False
     for everywhere in range(2):
         for n in range(1, 10 if beyond > 1 else 9):
             off_x, off_y, weight = place_on(path, n, first, beyond)
             _, _, index = quarter(x + off_x, y + off_y, frame, place)
             if bound[index] > max(room, 0.0):
-                told = True
+                outside = True
                 continue
             gap, away_x, away_y = wall_gap(x + off_x, y + off_y, frame, place, choice, option, limit)
-            told, lacks = told or gap > 0, lacks or gap < room
+            outside, lacks = outside or gap > 0, lacks or gap < room
             if (gap > 0 or everywhere) and (room - gap) / weight > most:
                 most, push_x, push_y, worst = (room - gap) / weight, away_x, away_y, n
-        if told:
+        if outside:
             break
     return most * push_x, most * push_y, lacks, worst
 

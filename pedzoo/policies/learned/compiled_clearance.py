@@ -10,14 +10,14 @@ from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import MARGIN, NARROW, ROUNDING, ROUNDS, SHOULDERS, Steps
+from pedzoo.policies.learned.clearance import MARGIN, NARROW, ROUNDING, ROUNDS, SHOULDERS, ProposedSteps
 
 _NONE: Any = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), np.zeros(1, np.int32)
 _NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
 _NO_RECORD = np.zeros((0, 0, 0, 7))
 
 
-def compiles(steps: Steps) -> bool:
+def compiles(steps: ProposedSteps) -> bool:
     """Return whether the compiled loops may take these: float32 on the CPU.
 
     Top speeds and radii have gradients in torch only.
@@ -29,7 +29,7 @@ def compiles(steps: Steps) -> bool:
     )
 
 
-def kept_clear_compiled(steps: Steps, walls: LocalWalls | None) -> Tensor:
+def kept_clear_compiled(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     """Do what `pedzoo.policies.learned.safety.kept_clear` does, with its gradients."""
     return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls)
 
@@ -64,17 +64,17 @@ class _KeptClear(torch.autograd.Function):
         """Return gradients (B, A, 2) of positions, steps and velocities."""
         from pedzoo.policies.learned.clearance_slopes import keep_clear_slope
 
-        found = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
+        values = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
         keep_clear_slope(
             *ctx.people, MARGIN, SHOULDERS, *ctx.ways, ROUNDING, *ctx.result,
-            gradients[0].detach().numpy(), *(part.numpy() for part in found),
+            gradients[0].detach().numpy(), *(part.numpy() for part in values),
         )  # fmt: skip
-        place, step, velocity = found
+        place, step, velocity = values
         return place, step, TRACE_SECONDS * velocity if ctx.needs_input_grad[2] else None, None, None
 
 
-def _people(steps: Steps) -> list[Any]:
-    """Return the arrays of `Steps`, velocities as metres in 0.1 s, and whether velocities blend."""
+def _people(steps: ProposedSteps) -> list[Any]:
+    """Return the arrays of `ProposedSteps`, velocities as metres in 0.1 s, and whether velocities blend."""
     blends = steps.velocity is not None
     before = steps.step if steps.velocity is None else steps.velocity * TRACE_SECONDS
     people: Any = steps.position, steps.step, before, *steps[2:8]

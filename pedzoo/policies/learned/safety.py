@@ -18,7 +18,7 @@ from pedzoo.core.batch import ROBOT, agents_of, maps_of
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import NARROW, ROUNDS, Near, Pairs, Steps
+from pedzoo.policies.learned.clearance import NARROW, ROUNDS, PairConstraints, ProposedSteps, WallConstraints
 from pedzoo.policies.learned.compiled_clearance import compiles, kept_clear_compiled
 from pedzoo.policies.learned.yielding import yielding
 
@@ -30,7 +30,7 @@ _SHARES = 1.0, 0.5, 0.0
 """Of a step that would touch something all the same."""
 
 
-def kept_clear(steps: Steps, walls: LocalWalls | None = None) -> Tensor:
+def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
     """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
 
     Two people share a correction. Agents that the policy does not move take no part in it, and robots leave
@@ -56,7 +56,7 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     there = agents["mask"].unsqueeze(-1)
     history, velocity = cast("Tensor", agents["history"]), cast("Tensor", agents["velocity"])
     here = history[:, :, -1]
-    steps = Steps(
+    steps = ProposedSteps(
         torch.where(there, here, 0.0),
         torch.where(moved.unsqueeze(-1), step, velocity * STEP_SECONDS).where(there, 0.0),
         TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
@@ -71,33 +71,37 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
 
 
-def kept_clear_in_torch(steps: Steps, walls: LocalWalls | None) -> Tensor:
+def kept_clear_in_torch(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     """Do what `kept_clear` does on any device and in any precision."""
-    narrow = near = None
+    narrow = wall_constraints = None
     if walls is not None:
         walls = walls.per_scene()
         ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
         gap, away = walls.look(ends, edges=False)
         narrow = (gap < NARROW).any(0)
         here = steps.position.movedim(-1, 0)
-        near = Near.of(steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0))
-    pairs = Pairs.of(steps, narrow)
+        wall_constraints = WallConstraints.of(
+            steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)
+        )
+    pairs = PairConstraints.of(steps, narrow)
     step = _capped(steps, steps.step)
     for _ in range(ROUNDS):
-        step = step + pairs.corrected(steps.walk(step)).movedim(0, -1)
-        if near is not None:
-            step = step + near.corrected(steps.walk(step)).movedim(0, -1)
+        step = step + pairs.correction(steps.integrate(step)).movedim(0, -1)
+        if wall_constraints is not None:
+            step = step + wall_constraints.correction(steps.integrate(step)).movedim(0, -1)
         step = _capped(steps, step)
-    return step * _kept_share(steps, step.detach(), pairs, near).unsqueeze(-1)
+    return step * _kept_share(steps, step.detach(), pairs, wall_constraints).unsqueeze(-1)
 
 
 @torch.no_grad()
-def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> Tensor:
+def _kept_share(
+    steps: ProposedSteps, step: Tensor, pairs: PairConstraints, wall_constraints: WallConstraints | None
+) -> Tensor:
     """Return which part of their steps (B, A) people walk: less of it if they would touch something.
 
     A person that others run into goes on: in a jam those in front have to get away first.
     """
-    walks = [steps.walk(share * step) for share in _SHARES]
+    walks = [steps.integrate(share * step) for share in _SHARES]
     kinds = len(walks)
     # contacts of a pair depend on both shares: they are known for all of them before an agent stops
     upper = {
@@ -108,8 +112,8 @@ def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> 
         [upper[i, j] if i <= j else upper[j, i].mT for i in range(kinds) for j in range(kinds)]
     )
     wall = torch.zeros(kinds, *steps.moved.shape, dtype=torch.bool, device=step.device)
-    if near is not None:
-        wall = torch.stack([*(near.touching(walk) for walk in walks[:2]), wall[2]])
+    if wall_constraints is not None:
+        wall = torch.stack([*(wall_constraints.touching(walk) for walk in walks[:2]), wall[2]])
     chosen = torch.zeros_like(steps.moved, dtype=torch.long)
     # half a step first, then none; every turn stops some agent, and agents that all stand do not touch
     for turn in range(step.shape[1] + 2):
@@ -125,5 +129,5 @@ def _kept_share(steps: Steps, step: Tensor, pairs: Pairs, near: Near | None) -> 
     return 1 - 0.5 * chosen.to(step.dtype)
 
 
-def _capped(steps: Steps, step: Tensor) -> Tensor:
+def _capped(steps: ProposedSteps, step: Tensor) -> Tensor:
     return torch.where(steps.moved.unsqueeze(-1), limit_speed(step, steps.longest), steps.step)

@@ -15,7 +15,7 @@ from pedzoo.core.batch import ids_of
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
-from pedzoo.policies.learned.pace import paced
+from pedzoo.policies.learned.extended_goals import extend_goals
 from pedzoo.policies.learned.safety import safe
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
@@ -57,7 +57,7 @@ class Walker(TensorDictModuleBase):
         execute_steps: int = 1,
         noise_seed: int = 0,
         safety: bool | None = None,
-        pace: bool | None = None,
+        extend_goal: bool | None = None,
     ) -> None:
         """Take a forecaster.
 
@@ -71,8 +71,8 @@ class Walker(TensorDictModuleBase):
             safety: Whether steps are led off others and walls where they would touch them, see
                 `pedzoo.policies.learned.safety`; what the model asked for is then written too, as ``asked``
                 (B, A, 2) in m/s. None: as the model says.
-            pace: Whether goals are as far ahead as people walk in the time, also where the way bends before,
-                see `pedzoo.policies.learned.pace`. None: as the model says.
+            extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
+                before, see `pedzoo.policies.learned.extended_goals`. None: as the model says.
 
         Raises:
             UserError: A setting is out of range.
@@ -86,7 +86,7 @@ class Walker(TensorDictModuleBase):
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
-        self.pace = model.walking_pace if pace is None else pace
+        self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
         self._plan: Plan | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -120,7 +120,7 @@ class Walker(TensorDictModuleBase):
         return kept.steps[torch.arange(len(key), device=key.device), :, now - kept.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
-        scenes = paced(tensordict) if self.pace else tensordict
+        scenes = extend_goals(tensordict) if self.extend_goal else tensordict
         return self.model.next_steps(scenes, self.noise_of(tensordict), steps, PRED_LEN)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
@@ -148,7 +148,7 @@ def lasting(noise_dim: int) -> int:
 
 
 def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:
-    """Refuse scenes of an environment that decides at another step than whoever is asked, ``what``.
+    """Refuse scenes of an environment that decides at another step than the policy ``what``.
 
     Raises:
         UserError: It does.

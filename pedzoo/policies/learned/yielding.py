@@ -15,7 +15,7 @@ from torch import Tensor
 from pedzoo.core.batch import usual_body
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import MARGIN, Steps
+from pedzoo.policies.learned.clearance import MARGIN, ProposedSteps
 
 HORIZON = 4.0
 """Seconds within which a contact with a robot counts."""
@@ -36,7 +36,7 @@ _LEAST_VIEW = 0.8
 """Seconds within which a contact with a wall counts at least."""
 
 
-def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
+def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     """Return steps (B, A, 2): those that are asked for, and others where they lead into a robot's course.
 
     Robots, and bodies of another radius than people's, count if the policy at hand does not move them. They
@@ -55,7 +55,7 @@ def yielding(steps: Steps, walls: LocalWalls | None) -> Tensor:
     return steps.step + (chosen - steps.step).detach()
 
 
-def _chosen(steps: Steps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
+def _chosen(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
     away = steps.position.unsqueeze(2) - steps.position.unsqueeze(1)
     velocity = steps.step / STEP_SECONDS
     apart = away.norm(dim=-1)

@@ -94,8 +94,8 @@ def nearest(
             own, line = _at_once(lines, own, line - 1, optimum, max_speed, towards)
             return result.index_copy_(1, rows, own), failed.index_copy_(0, rows, line)
         chosen = lines.gather(1, line.long().expand(4, 1, -1))[:, 0]
-        found, feasible = _best_on(chosen, lines, above(line, number), optimum, max_speed, towards)
-        own = pick(feasible, found, own)
+        values, feasible = _best_on(chosen, lines, above(line, number), optimum, max_speed, towards)
+        own = pick(feasible, values, own)
         end = torch.full_like(line, count)
         last = pick(feasible, line, end)  # who is stuck has no further lines
         result.index_copy_(1, rows, own)
@@ -114,11 +114,11 @@ def _at_once(
     count = lines.shape[1]
     number = torch.arange(-1, count, device=lines.device, dtype=lines.dtype)[:, None]
     one, other = number[1:], number.T[..., None]  # of pairs (one, other, person)
-    found, feasible = _best_on(
+    values, feasible = _best_on(
         lines, lines[:, :, None], above(other[:, 1:], one[..., None]), optimum, max_speed, towards
     )
     # from `start`, -1, and from the best velocity on each line: which line is the next that is violated?
-    places = torch.cat((start[:, None], found), dim=1)
+    places = torch.cat((start[:, None], values), dim=1)
     wrong = violation(lines[:, :, None], places[:, None]).gt_(0).mul_(above(one[..., None], other))
     if last is not None:
         wrong[:, 0] *= above(one, last)

@@ -133,9 +133,9 @@ def times(whole: float, dt: float, what: str) -> int:
     Raises:
         UserError: Not a whole number.
     """
-    found = round(whole / dt) if 0 < dt < math.inf else 0
-    if found < 1 or abs(found * dt - whole) > 1e-6:
+    result = round(whole / dt) if 0 < dt < math.inf else 0
+    if result < 1 or abs(result * dt - whole) > 1e-6:
         raise UserError(
             f"dt {dt}: {what} every {whole:g} s, expected a whole part of that, such as {whole / 4:g}"
         )
-    return found
+    return result

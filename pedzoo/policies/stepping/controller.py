@@ -26,8 +26,8 @@ from pedzoo.maps.ways.guidance import Guidance
 from pedzoo.maps.ways.planner import Planner
 from pedzoo.policies.stepping.called_with import PREF_SPEED, as_discs, as_points
 from pedzoo.policies.stepping.caller_clock import CallerClock, times
+from pedzoo.policies.stepping.online_goals import OnlineGoals
 from pedzoo.policies.stepping.roster import Roster
-from pedzoo.policies.stepping.ways import Ways
 
 Id = TypeVar("Id", bound=Hashable)
 
@@ -105,7 +105,7 @@ class Controller:
         grid = load_plan(map) if isinstance(map, str | Path) else map
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._ways = Ways(Planner(bank, clearance))
+        self._online_goals = OnlineGoals(Planner(bank, clearance))
         # with one call per decision there is nothing to blend
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
@@ -161,10 +161,10 @@ class Controller:
         position[agents.rows(present)] = as_points(present, "position").float()
         # on the way since the last call, or at once for a new goal
         agents = agents.arrived(agents.past[:, -1], position)
-        ways, told, new = self._ways, _of(people, goals), agents.is_new
+        online_goals, asked, new = self._online_goals, _of(people, goals), agents.is_new
         comes = bool(new.any())
-        if told or comes:
-            ways, agents = ways.with_goals(agents, position, told)
+        if asked or comes:
+            online_goals, agents = online_goals.with_goals(agents, position, asked)
             agents = agents.arrived(position, position)
 
         past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
@@ -172,7 +172,7 @@ class Controller:
         agents = agents._replace(past=past, trace=trace)
         decides = (new | clock.decides) & agents.walks
         if comes or decides.any():
-            guidance = ways.guide(agents, position)
+            guidance = online_goals.guide(agents, position)
             given = _of(people, velocities) | {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
             moving = guidance.desired_velocity.index_put(
                 (agents.rows(given),), as_points(given, "velocity").float()
@@ -183,7 +183,7 @@ class Controller:
             if decides.any():
                 batch = self._batch(agents, guidance, clock)
                 agents = self._decided(agents, batch, decides, new)
-        self._ways, self._agents, self._clock = ways, agents, clock
+        self._online_goals, self._agents, self._clock = online_goals, agents, clock
         answer = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1).double().numpy()
         return {one: answer[agents.row[one]] for one in people}
 
@@ -225,8 +225,8 @@ class Controller:
         other = agents.other.unsqueeze(1)
         ahead = agents.past[:, -1] + AHEAD_SECONDS * velocity
         return scene_batch(
-            maps=self._ways.planner.bank,
-            map_id=torch.tensor([[self._ways.map_id]]),
+            maps=self._online_goals.planner.bank,
+            map_id=torch.tensor([[self._online_goals.map_id]]),
             pose=identity_pose(1),
             history=clock.history(agents.past).unsqueeze(0),
             valid=everybody.unsqueeze(-1).expand(*size, OBS_LEN),

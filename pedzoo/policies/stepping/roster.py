@@ -87,8 +87,8 @@ class Roster(NamedTuple):
     def names(self, which: Tensor) -> str:
         """Return the ids of some agents (N,) bool for a message: the first few."""
         ids = self.ids
-        found = [repr(ids[i]) for i in which.nonzero()[:, 0].tolist()]
-        return ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
+        result = [repr(ids[i]) for i in which.nonzero()[:, 0].tolist()]
+        return ", ".join(result[:5]) + (f" and {len(result) - 5} more" if len(result) > 5 else "")
 
     def now(self, present: Mapping[Any, Any], pref_speed: float | Mapping[Any, float]) -> Roster:
         """Return the roster of exactly the agents of ``present``; newcomers have neither past nor goal.

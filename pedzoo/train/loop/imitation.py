@@ -109,25 +109,25 @@ class Imitation(nn.Module):
             batch: For these windows.
         """
         real = recorded(batch, walk.xy.shape[2])
-        found = {"displacement": self._displacement(walk, real)}
-        loss = self.displacement * found["displacement"]
+        result = {"displacement": self._displacement(walk, real)}
+        loss = self.displacement * result["displacement"]
         if self.distribution or self.tail:
             made = features(walk, repeated(batch, self.samples))
             with torch.no_grad():
                 true = features(real, batch)
             apart = {name: wasserstein(made[name], true[name]) / SPREADS[name] for name in SPREADS}
             weighted = torch.stack([self.features[name] * apart[name] for name in SPREADS])
-            found["distribution"] = weighted.sum() / sum(self.features.values())
-            loss = loss + self.distribution * found["distribution"]
-            found |= apart
+            result["distribution"] = weighted.sum() / sum(self.features.values())
+            loss = loss + self.distribution * result["distribution"]
+            result |= apart
             if self.tail:
-                found["tail"] = tail(made["acceleration"], true["acceleration"])
-                loss = loss + self.tail * found["tail"]
+                result["tail"] = tail(made["acceleration"], true["acceleration"])
+                loss = loss + self.tail * result["tail"]
         if self.discriminator is not None:
             adversarial = self._adversarial(self.discriminator, walk, real, batch)
-            found["adversarial"], found["discriminator"] = adversarial
+            result["adversarial"], result["discriminator"] = adversarial
             loss = loss + self.adversarial * adversarial[0] + adversarial[1]
-        return {"loss": loss, **found}
+        return {"loss": loss, **result}
 
     def _adversarial(
         self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict

@@ -19,9 +19,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.train.loop.courses import Course, CourseSampler
 from pedzoo.train.loop.imitation import Imitation
 from pedzoo.train.loop.loop_losses import LoopLosses, mean_cost
-from pedzoo.train.loop.mixture import Course, Mixture
 from pedzoo.train.loop.segments import unrolled
 from pedzoo.train.modules.module import ForecastModule, copied_keys
 
@@ -41,9 +41,9 @@ class LoopModule(ForecastModule):
         walking: LoopLosses,
         imitation: Imitation,
         steps: int = 25,
-        keep: int = 3,
+        max_segments: int = 3,
         forecast_weight: float = 1.0,
-        lenient: float = 0.0,
+        collision_ramp: float = 0.0,
         losses: dict[str, float] | None = None,
         **options: Any,
     ) -> None:
@@ -55,10 +55,10 @@ class LoopModule(ForecastModule):
             walking: What walking costs.
             imitation: What it costs to walk differently from recorded people.
             steps: Of 0.4 s in a segment.
-            keep: Segments after which an episode is given up.
+            max_segments: Segments after which an episode is given up.
             forecast_weight: Weight of the generator's own loss on recordings, per person.
-            lenient: Share of the training in which people and walls come to count what they will: a quarter
-                of it at the beginning. Whom they frighten from the first step on learns to creep.
+            collision_ramp: Share of the training in which the weights of people and walls rise to their full
+                values, from a quarter. A model that has the full weights from the start learns to creep.
             losses: Terms of one's own and their weights, as ``{"path/to/file.py:crowding": 2.0}``. They are
                 functions of a `Segment` and the floor plans (a `MapBank`), and return costs of decisions
                 (T, B, A). Means over the people that the policy moves are logged as ``train/crowding``.
@@ -68,15 +68,17 @@ class LoopModule(ForecastModule):
             UserError: A number is out of range.
         """
         super().__init__(generator, **options)
-        if min(steps, keep) < 1 or not 0 <= lenient <= 1:
+        if min(steps, max_segments) < 1 or not 0 <= collision_ramp <= 1:
             raise UserError(
-                f"steps {steps}, keep {keep}, lenient {lenient}: expected at least 1, 1, and 0 to 1"
+                f"steps {steps}, max_segments {max_segments}, collision_ramp {collision_ramp}: "
+                "expected at least 1, 1, and 0 to 1"
             )
         self.walking, self.imitation = walking, imitation
-        self.steps, self.keep, self.forecast_weight, self.lenient = steps, keep, forecast_weight, lenient
+        self.steps, self.max_segments = steps, max_segments
+        self.forecast_weight, self.collision_ramp = forecast_weight, collision_ramp
         self.losses = {name: (function_in_file(name), weight) for name, weight in (losses or {}).items()}
         self._walker = (Walker(generator),)  # in a tuple: its parameters are registered already
-        self.mixture = Mixture(courses, self.seed)
+        self.courses = CourseSampler(courses, self.seed)
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
 
     @property
@@ -127,16 +129,16 @@ class LoopModule(ForecastModule):
 
     def _walk(self) -> dict[str, Tensor]:
         """Return the terms of a segment."""
-        running = self.mixture.at(int(self.iteration), self.current_epoch, self.device)
-        seen = running.begin(self.keep)
+        active = self.courses.at(int(self.iteration), self.current_epoch, self.device)
+        seen = active.begin(self.max_segments)
         noise = self.walker.noise_of(seen)
-        segment = unrolled(running.env, self.walker, seen, self.steps)
-        running.end(segment.done)
+        segment = unrolled(active.env, self.walker, seen, self.steps)
+        active.end(segment.done)
         for name in ("touched", "grazed"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
-        terms = self.walking(segment, running.env.bank, noise, self.firmness())
+        terms = self.walking(segment, active.env.bank, noise, self.firmness())
         for name, (function, weight) in self.losses.items():
-            cost = function(segment, running.env.bank)
+            cost = function(segment, active.env.bank)
             if cost.shape != segment.moved.shape:
                 raise UserError(
                     f"loss {name}: returned {tuple(cost.shape)}, expected what each decision costs, "
@@ -146,9 +148,9 @@ class LoopModule(ForecastModule):
         return terms
 
     def firmness(self) -> float:
-        """Return what people and walls count now, as a share of what they will: see ``lenient``."""
+        """Return what people and walls count now, as a share of what they will: see ``collision_ramp``."""
         done = int(self.iteration) / self.iterations()
-        return 1.0 if done >= self.lenient else 0.25 + 0.75 * done / self.lenient
+        return 1.0 if done >= self.collision_ramp else 0.25 + 0.75 * done / self.collision_ramp
 
     def _log(self, values: dict[str, Tensor]) -> None:
         for name, value in values.items():
@@ -175,4 +177,4 @@ class LoopModule(ForecastModule):
 
     def teardown(self, stage: str) -> None:
         """Close the environments."""
-        self.mixture.close()
+        self.courses.close()

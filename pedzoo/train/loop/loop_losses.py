@@ -22,7 +22,7 @@ _SOON = 6.0
 """Seconds of delay that count 1."""
 
 _FAR = 1e3
-"""Metres to the nearest other where nobody else is."""
+"""Metres to the nearest other where there is no other agent."""
 
 _MEETING = 2.0
 """m/s relative to each other: two who come from the front at an easy pace."""
@@ -45,13 +45,13 @@ class LoopLosses:
         overspeed: float = 2.0,
         overspeed_from: float = 1.02,
         effort: float = 0.05,
-        corrected: float = 0.0,
-        trait: float = 0.5,
-        side: float = 0.0,
+        safety_correction: float = 0.0,
+        assertiveness: float = 0.5,
+        passing_side: float = 0.0,
     ) -> None:
         """Weigh the terms.
 
-        A metre too near must cost more than some seconds of waiting, or people squeeze past each other.
+        A metre too near must cost more than some seconds of waiting, or agents squeeze past each other.
 
         Args:
             progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
@@ -64,11 +64,11 @@ class LoopLosses:
             overspeed: m/s above ``overspeed_from`` times the preferred speed.
             overspeed_from: Share of the preferred speed.
             effort: Squared change of velocity from step to step, (m/s)^2.
-            corrected: What a safety layer changed, m/s.
-            trait: How assertive people are who drew a large first number z of noise: their own lost time
-                counts ``exp(trait * z)`` times as much. 0: the noise does not matter for it.
-            side: Metres that somebody who comes from the front is not on the side that the second number z of
-                one's noise likes to have them on, times abs(tanh(z)), see `wrong_side`.
+            safety_correction: What a safety layer changed, m/s.
+            assertiveness: An agent's lost time counts ``exp(assertiveness * z)`` times as much, where z is
+                the first number of its noise. 0: the noise does not matter for it.
+            passing_side: Metres that agents from the front are off the side that the second number z of an
+                agent's noise prefers, times abs(tanh(z)), see `wrong_side`.
 
         Raises:
             UserError: A negative weight.
@@ -77,10 +77,11 @@ class LoopLosses:
         if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
             raise UserError(f"losses of walking: {wrong}: expected at least 0")
         self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
-        self.corrected = corrected
+        self.safety_correction = safety_correction
         self.people_margin, self.wall_margin = people_margin, wall_margin
         self.meeting_margin = meeting_margin
-        self.overspeed, self.overspeed_from, self.trait, self.side = overspeed, overspeed_from, trait, side
+        self.overspeed, self.overspeed_from = overspeed, overspeed_from
+        self.assertiveness, self.passing_side = assertiveness, passing_side
 
     def __call__(
         self, segment: Segment, bank: MapBank, noise: Tensor | None = None, firmness: float = 1.0
@@ -98,21 +99,21 @@ class LoopLosses:
 
         speed = segment.asked.square().sum(-1).clamp_min(1e-12).sqrt()
         short = self.people_margin - least_gaps(segment, self.meeting_margin)
-        weight = None if noise is None else torch.exp(self.trait * noise[..., 0].clamp(-2, 2))
+        weight = None if noise is None else torch.exp(self.assertiveness * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
             "people": firmness * self.people * mean(_hinge(short)),
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }
-        if self.corrected:
+        if self.safety_correction:
             change = (segment.asked - segment.action).square().sum(-1).clamp_min(1e-8).sqrt()
-            terms["corrected"] = self.corrected * mean(change)
+            terms["safety_correction"] = self.safety_correction * mean(change)
         if bank.grids:
             near = segment.radius.unsqueeze(-1) + self.wall_margin - wall_distances(segment, bank)
             terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
-        if self.side and noise is not None and noise.shape[-1] > 1:
-            terms["side"] = self.side * mean(wrong_side(segment, noise[..., 1]))
+        if self.passing_side and noise is not None and noise.shape[-1] > 1:
+            terms["passing_side"] = self.passing_side * mean(wrong_side(segment, noise[..., 1]))
         return terms
 
 
@@ -136,8 +137,8 @@ def _hinge(short: Tensor) -> Tensor:
 def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
     """Return how late people are on their ways, seconds, a scalar: mean over the segment and the people.
 
-    What they made of the way, at the speed that they like, is taken off the time. Whoever arrives early has
-    the rest of the segment to their credit.
+    The way that they made, at their preferred speed, is taken off the time. Agents that arrive early have the
+    rest of the segment to their credit.
 
     Args:
         segment: What was walked.
@@ -179,7 +180,7 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
     Along the straight ways that people ask for, exact between begin and end, and not where a safety layer
-    leads them: with it nobody comes near anybody, and nothing would tell the network to give way by itself.
+    leads them: with it agents never come near each other, and the network would not learn to give way.
 
     Args:
         segment: What was walked.
@@ -199,21 +200,21 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     if meeting_margin:
         speed = move.detach().norm(dim=-1) / STEP_SECONDS
         gap = gap - meeting_margin * (speed / _MEETING).clamp_max(1)
-    nobody = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
+    absent = ~(present.unsqueeze(2) & present.unsqueeze(3)) | torch.eye(
         people, dtype=torch.bool, device=here.device
     )
-    return gap.masked_fill(nobody, _FAR).amin(-1)
+    return gap.masked_fill(absent, _FAR).amin(-1)
 
 
 def wall_distances(segment: Segment, bank: MapBank, points: int = 4) -> Tensor:
     """Return the distances to walls (T, B, A, points) along the ways that people ask for, metres.
 
-    Not where walls let them: whoever slides along a wall is still told which way to turn.
+    Not where walls let them: agents that slide along a wall still get a direction.
     """
     steps, scenes, people = segment.moved.shape
     part = torch.arange(1, points + 1, device=segment.asked.device) * (STEP_SECONDS / points)
     here = segment.trace[..., :1, :]
     way = here + segment.asked.unsqueeze(-2) * part.view(-1, 1)
     rows = way.transpose(0, 1).reshape(scenes, -1, 2)
-    found = bank.signed_distance(rows, segment.map_id, segment.pose)
-    return found.view(scenes, steps, people, points).transpose(0, 1)
+    result = bank.signed_distance(rows, segment.map_id, segment.pose)
+    return result.view(scenes, steps, people, points).transpose(0, 1)

@@ -65,7 +65,7 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         seen: What everybody sees now, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it.
         steps: T.
     """
-    found: list[tuple[Tensor, ...]] = []
+    result: list[tuple[Tensor, ...]] = []
     over = torch.zeros(env.batch_size[0], dtype=torch.bool, device=seen["map_id"].device)
     map_id, pose = seen["map_id"][:, 0], seen["scene_pose"]
     for _ in range(steps):
@@ -78,7 +78,7 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         moved = there & agents["controlled"]
         reward = after["agents", "reward"][..., 0]
         progress = torch.where(moved, reward + CONTACT_COST * (touched | grazed), 0.0)
-        found.append(
+        result.append(
             (
                 torch.cat((before, info["trace"]), 2),
                 agents.get("asked", agents["action"]),
@@ -98,5 +98,5 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         seen = after
         if bool(over.all()):
             break
-    stacked = [torch.stack(values) for values in zip(*found, strict=True)]
+    stacked = [torch.stack(values) for values in zip(*result, strict=True)]
     return Segment(*stacked, done=over, map_id=map_id, pose=pose)

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.optim import Optimizer
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
@@ -144,7 +145,7 @@ class ForecastModule(L.LightningModule):
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
-        changed = differences(theirs, ours, LOSSES)
+        changed = differences(renamed.new_init(theirs), ours, LOSSES)
         if changed:
             raise UserError(
                 f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"

@@ -25,7 +25,7 @@ from pedzoo.train.rl.experience import Gatherer, rated
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.rl.rewards import Reward
 
-_TOLD: dict[Any, str] = {
+_LOGGED: dict[Any, str] = {
     **{"loss_objective": "objective", "loss_critic": "critic", "loss_recorded": "recorded"},
     **{"kl_approx": "kl", "clip_fraction": "clipped"},
 }
@@ -133,7 +133,7 @@ class PPOModule(ForecastModule):
         self._parts: _Parts | None = None
 
     def setup(self, stage: str) -> None:
-        """Plan the scenes, too: what cannot be is told before anything is written."""
+        """Plan the scenes, too: errors are raised before anything is written."""
         super().setup(stage)
         if stage == "fit":
             for scenario in self.scenarios:
@@ -181,17 +181,17 @@ class PPOModule(ForecastModule):
         self.set_lr(optimizer, self.lr)
         optimizer.param_groups[1]["lr"] = self.lr_critic
         parts = _parts_of(batch, self.minibatches)
-        told = []
+        logged = []
         for number, chosen in enumerate(self._minibatches(len(lived), random)):
-            found = cast("TensorDict", loss(lived[chosen]))
+            result = cast("TensorDict", loss(lived[chosen]))
             if self.recorded:
                 part = parts[number % len(parts)]
-                found["loss_recorded"] = self.recorded * self.generator.loss(part, random) / len(part)
-            terms = [found[key] for key in found.keys() if str(key).startswith("loss_")]
+                result["loss_recorded"] = self.recorded * self.generator.loss(part, random) / len(part)
+            terms = [result[key] for key in result.keys() if str(key).startswith("loss_")]
             self._update(optimizer, torch.stack(terms).sum())
-            told.append(found.select(*_TOLD, strict=False).detach())
-        means = cast("TensorDict", torch.stack(told)).mean(0)
-        return {_TOLD[key]: value for key, value in means.items()} | _told(lived)
+            logged.append(result.select(*_LOGGED, strict=False).detach())
+        means = cast("TensorDict", torch.stack(logged)).mean(0)
+        return {_LOGGED[key]: value for key, value in means.items()} | _decision_means(lived)
 
     def _minibatches(self, count: int, random: torch.Generator) -> Iterator[Tensor]:
         """Yield which decisions (M,) long are in every update."""
@@ -233,8 +233,8 @@ def _parts_of(batch: TensorDict, count: int) -> list[TensorDict]:
     return [cast("TensorDict", part) for part in batch.split(-(-len(batch) // count))]
 
 
-def _told(lived: TensorDict) -> dict[str, Tensor]:
-    """Return what is logged of decisions: means over those that count."""
+def _decision_means(lived: TensorDict) -> dict[str, Tensor]:
+    """Return means over the decisions that count."""
     people = cast("TensorDict", lived["agents"])
     scored, reward = people["scored"], cast("Tensor", lived["next", "agents", "reward"])
     target, value = (people[key][scored] for key in ("value_target", "value"))

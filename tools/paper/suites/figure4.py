@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.sim.rollout import Rollout
 from tools.paper.outcome import OUTCOMES, outcome_ratios
@@ -26,7 +26,7 @@ SCENARIOS = {
 class Figure4(Suite):
     """Two people of equal speed, two of unequal speed, and one alone."""
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes",)
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contact_episodes")
     columns: ClassVar[tuple[str, ...]] = (
         "success",
@@ -40,11 +40,13 @@ class Figure4(Suite):
         "bearing_sweep_deg",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return the three cases, each with a table of its own: a mean over them says nothing."""
-        physics, episodes = request.physics or "bullet", request.number(EPISODES)
+        physics, episodes = options.physics or "bullet", options.number(EPISODES)
         return [
-            Case(self.name, name, scenario, physics, episodes, {"speeds": name}, table=f"{self.name} {name}")
+            EvaluationCase(
+                self.name, name, scenario, physics, episodes, {"speeds": name}, table=f"{self.name} {name}"
+            )
             for name, scenario in SCENARIOS.items()
         ]
 

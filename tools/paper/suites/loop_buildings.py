@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from pedzoo.core.spec import Spec
-from pedzoo.eval.suite import Case, Request
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions
 from pedzoo.eval.suites.goals import Goals
 from pedzoo.metrics import safety
 from pedzoo.metrics.ratios import Ratio, ratio
@@ -40,20 +40,20 @@ class LoopBuildings(Goals):
         "path_ratio",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return those of `Goals` and one for each crowd.
 
         Raises:
             UserError: There is no such floor plan.
         """
         settings: dict[str, Any] = {"map": list(OFFICES), "goals": 1, "pool": POOL}
-        return super().cases(request) + [
-            Case(
+        return super().cases(options) + [
+            EvaluationCase(
                 suite=self.name,
                 name=f"crowd of {people}",
                 scenario=Spec("goals", settings | {"people": people}),
-                physics=request.physics or "compiled",
-                episodes=request.number(episodes),
+                physics=options.physics or "compiled",
+                episodes=options.number(episodes),
                 case={"map": "offices", "people": str(people), "goals": "1"},
                 effort=3.0 * people,
                 table=f"{self.name} crowd of {people}",

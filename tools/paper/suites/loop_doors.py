@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, NamedTuple
 
-from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 
 
 class Doorway(NamedTuple):
@@ -46,7 +46,7 @@ DOORWAYS = {
 class LoopDoors(Suite):
     """Every doorway is a case with a table of its own: a mean over them says nothing."""
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes",)
     headline: ClassVar[tuple[str, ...]] = ("clean",)
     columns: ClassVar[tuple[str, ...]] = (
         "clean",
@@ -65,15 +65,15 @@ class LoopDoors(Suite):
         "acceleration_m_per_s2",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return one case for each doorway."""
         return [
-            Case(
+            EvaluationCase(
                 suite=self.name,
                 name=name,
                 scenario=doorway.scenario,
-                physics=request.physics or doorway.physics,
-                episodes=request.number(doorway.episodes),
+                physics=options.physics or doorway.physics,
+                episodes=options.number(doorway.episodes),
                 case={"doorway": name},
                 effort=float(doorway.people),
                 table=f"{self.name} {name}",

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
-from pedzoo.eval.suite import Case, Request, Suite, Tell, Unit
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised
 from pedzoo.policies.load import load_policy
@@ -53,20 +53,20 @@ CHOICES = {
 class LoopNoise(Suite):
     """One case for each choice."""
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes",)
     counted: ClassVar[str] = "scenes"
     headline: ClassVar[tuple[str, ...]] = ("varied",)
     columns: ClassVar[tuple[str, ...]] = ("varied", "disagreement", "settled", *ALSO)
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return the cases."""
         return [
-            Case(
+            EvaluationCase(
                 suite=self.name,
                 name=name,
                 scenario=choice.scenario,
-                physics=request.physics or "compiled",
-                episodes=request.number(EPISODES),
+                physics=options.physics or "compiled",
+                episodes=options.number(EPISODES),
                 case={"choice": name},
                 effort=2.0 * DRAWS,
                 table=f"{self.name} {name}",
@@ -74,12 +74,14 @@ class LoopNoise(Suite):
             for name, choice in CHOICES.items()
         ]
 
-    def units(self, case: Case, policies: Any, seeds: tuple[int, ...], deterministic: bool) -> list[Unit]:
+    def units(
+        self, case: EvaluationCase, policies: Any, seeds: tuple[int, ...], deterministic: bool
+    ) -> list[WorkUnit]:
         """Return the work on a case, of policies that have noise."""
         noisy = [] if deterministic else [name for name in policies if has_noise(load_policy(name))]
         return super().units(case, noisy, seeds, deterministic)
 
-    def rows(self, unit: Unit, tell: Tell | None = None) -> list[dict[str, Any]]:
+    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
         """Walk one unit, ``n`` scenes with `DRAWS` draws of noise each.
 
         * ``varied``: share of scenes in which not all draws that settle the choice settle it the same way.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pedzoo.eval.suite import Case, Request
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions
 from pedzoo.eval.suites.replay import Replay
 
 
@@ -25,11 +25,11 @@ class LoopReplay(Replay):
         "wall_contact_excess_per_min",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return a case for each fold of which there are recordings, else for the embedded one.
 
         Raises:
             UserError: A folder was asked for that has none.
         """
-        found = super().cases(request)
+        found = super().cases(options)
         return [case._replace(table=f"{self.name} {case.case['fold']}") for case in found]

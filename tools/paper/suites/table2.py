@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from pedzoo.core.spec import Spec
-from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics import navigation
@@ -23,7 +23,7 @@ SPEEDS = {"1.3": (1.3, 0.2), "0.5": (0.5, 0.0)}
 class Table2(Suite):
     """Every cell of the table at both speeds, on the floor plans that are given or on three drawn ones."""
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes", "maps")
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps")
     columns: ClassVar[tuple[str, ...]] = (
         "success",
         "episode_success",
@@ -34,16 +34,16 @@ class Table2(Suite):
         "wall_contacts_per_min",
     )
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return five cases for each speed.
 
         Raises:
             UserError: There is no such floor plan.
         """
-        files = list(request.maps or DRAWN)
-        name = "drawn" if not request.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
+        files = list(options.maps or DRAWN)
+        name = "drawn" if not options.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
         inputs = " ".join(load_plan(file).digest for file in files)
-        physics, episodes = request.physics or "bullet", request.number(EPISODES)
+        physics, episodes = options.physics or "bullet", options.number(EPISODES)
         found = []
         for speed, (mean, deviation) in SPEEDS.items():
             for people, goals in CELLS:
@@ -51,7 +51,7 @@ class Table2(Suite):
                 settings = {**cell, "speed": mean, "speed_std": deviation}
                 case = {"map": name, "speed": speed, "people": str(people), "goals": str(goals)}
                 found.append(
-                    Case(
+                    EvaluationCase(
                         suite=self.name,
                         name=f"{speed} m/s {people}/{goals}",
                         scenario=Spec("goals", settings),

@@ -70,7 +70,7 @@ class SocialPooling(nn.Module):
         self.mlp = mlp(embedding_dim + hidden_dim, mlp_dim, bottleneck_dim)
 
     def forward(
-        self, hidden: Tensor, position: Tensor, crowd: Crowd, folded: PoolingWeights | None = None
+        self, hidden: Tensor, position: Tensor, crowd: Crowd, fused: PoolingWeights | None = None
     ) -> Tensor:
         """Return the pooled vectors (P, bottleneck_dim).
 
@@ -78,26 +78,26 @@ class SocialPooling(nn.Module):
             hidden: Hidden states (P, hidden_dim).
             position: World positions (P, 2), metres.
             crowd: Who shares a scene with whom.
-            folded: What `fold` returned for the same parameters.
+            fused: What `fuse` returned for the same parameters.
         """
-        folded = folded or self.fold()
+        fused = fused or self.fuse()
         # Differences of large coordinates lose digits: positions count from the first person of the scene.
         origin = position[:1] if crowd.shape[0] == 1 else position[crowd.first]
         away = position - origin
-        u = functional.linear(torch.cat((away, hidden), 1), folded.w_u, folded.b_u)
-        v = functional.linear(away, folded.w_v)
+        u = functional.linear(torch.cat((away, hidden), 1), fused.w_u, fused.b_u)
+        v = functional.linear(away, fused.w_v)
         if crowd.absent is not None:
-            best = _max_over_slots(u, v, folded.w_2, crowd.absent)
-            return functional.linear(v, folded.minus_w_2, folded.b_2).add_(best).relu_()
+            best = _max_over_slots(u, v, fused.w_2, crowd.absent)
+            return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
         if torch.is_grad_enabled():
-            return torch.relu(_MaxOverPairs.apply(u, v, folded.w_2, crowd.groups, crowd.first) + folded.b_2)
+            return torch.relu(_MaxOverPairs.apply(u, v, fused.w_2, crowd.groups, crowd.first) + fused.b_2)
         if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
-            best = _max_over_few_pairs(u, v, folded.w_2, crowd.shape[1])
+            best = _max_over_few_pairs(u, v, fused.w_2, crowd.shape[1])
         else:
-            best = _max_over_pairs(u, v, folded.w_2, crowd.groups)[0]
-        return functional.linear(v, folded.minus_w_2, folded.b_2).add_(best).relu_()
+            best = _max_over_pairs(u, v, fused.w_2, crowd.groups)[0]
+        return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
 
-    def fold(self) -> PoolingWeights:
+    def fuse(self) -> PoolingWeights:
         """Return what follows from the parameters alone."""
         inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
         w_e, b_e, w_1 = self.embedding.weight, self.embedding.bias, inner.weight
@@ -161,7 +161,7 @@ def _max_over_pairs(
     width, pairs = u.shape[1], max(1, _buffer_size(u) // u.shape[1])
     pieces = [_piece(group, pairs) for group in groups]
     buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
-    found = []
+    result = []
     for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
         # A single group is everybody, in order.
         seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
@@ -173,8 +173,8 @@ def _max_over_pairs(
                 torch.maximum(seen[i : i + scenes].unsqueeze(1), some, out=cells.view(*shape, width))
                 # With the few channels first this product is four times as fast: (C, G', rows, n).
                 best, winner = (weight @ cells.t()).view(-1, *shape).max(3)
-                found.append((best.flatten(1), winner.flatten(1)))
-    best, winner = found[0] if len(found) == 1 else (torch.cat(x, 1) for x in zip(*found, strict=True))
+                result.append((best.flatten(1), winner.flatten(1)))
+    best, winner = result[0] if len(result) == 1 else (torch.cat(x, 1) for x in zip(*result, strict=True))
     best, winner = best.t(), winner.t()
     if len(groups) > 1:
         back = torch.argsort(torch.cat([group.flatten() for group in groups]))
@@ -189,7 +189,7 @@ def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
 
 
 def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor) -> Tensor:
-    """Return the maxima of `_max_over_pairs` over whoever is not ``absent`` (B, A), for all B * A slots."""
+    """Return the maxima of `_max_over_pairs` over agents that are not ``absent`` (B, A), for B * A slots."""
     mine, others = v.view(*absent.shape, 1, -1), u.view(absent.shape[0], 1, absent.shape[1], -1)
     pairs = functional.linear(torch.maximum(others, mine), weight)
     return pairs.masked_fill(absent[:, None, :, None], -torch.inf).amax(2).flatten(0, 1)

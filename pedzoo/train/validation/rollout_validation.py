@@ -19,8 +19,8 @@ from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario, physics_class
 from pedzoo.train.modules.module import ForecastModule
-from pedzoo.train.validation.show import show
-from pedzoo.train.validation.stage import Stage, apart, share, walking_copy
+from pedzoo.train.validation.rollout_media import log_rollout_media
+from pedzoo.train.validation.validation_scenario import ValidationScenario, isolated, share, walking_copy
 
 METRICS = (
     *("success", "episode_success", "clean", "deadlock", "failed"),
@@ -100,7 +100,7 @@ class ClosedLoopValidation(Callback):
 
     def _forget(self) -> None:
         self._walker: Walker | None = None
-        self._stages: list[Stage] = []
+        self._validation_scenarios: list[ValidationScenario] = []
         self._walked = False
 
     @property
@@ -128,7 +128,7 @@ class ClosedLoopValidation(Callback):
         if monitor is None or not monitor.startswith("rollout/"):
             return
         if not self.scenarios:
-            raise UserError(f"--monitor {monitor}: nobody walks in this training; set --rollout.scenarios")
+            raise UserError(f"--monitor {monitor}: this training has no rollouts; set --rollout.scenarios")
         if monitor not in self.names:
             raise unknown("metric to --monitor", monitor, self.names)
         best = BEST.get(monitor.rpartition("/")[2], mode)
@@ -154,7 +154,7 @@ class ClosedLoopValidation(Callback):
         walker = walking_copy(model)
         for name, scenario in self.scenarios.items():
             env = make_env(scenario, physics=self.physics, seed=self.seed)
-            with apart(self.seed), closing(env.physics):
+            with isolated(self.seed), closing(env.physics):
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
                     who = type(model).__name__
@@ -177,7 +177,9 @@ class ClosedLoopValidation(Callback):
         episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
         first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
         for name, scenario in self.scenarios.items():
-            self._stages.append(Stage(name, scenario, self.physics, self.seed, first, episodes))
+            self._validation_scenarios.append(
+                ValidationScenario(name, scenario, self.physics, self.seed, first, episodes)
+            )
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Walk, and log."""
@@ -189,29 +191,29 @@ class ClosedLoopValidation(Callback):
             return
         self._walked = True
         assert isinstance(pl_module, ForecastModule)
-        with apart(self.seed):
+        with isolated(self.seed):
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
             means = dict.fromkeys(MEANS, torch.tensor(0.0))
-            for stage in self._stages:
-                found = self._measure(stage, self._walker, trainer, pl_module.device)
-                values = {key: found.get(key, torch.tensor(math.nan)) for key in METRICS}
+            for scenario in self._validation_scenarios:
+                result = self._measure(scenario, self._walker, trainer, pl_module.device)
+                values = {key: result.get(key, torch.tensor(math.nan)) for key in METRICS}
                 for key, value in values.items():
                     shown = key == "success"
-                    pl_module.log(f"rollout/{stage.name}/{key}", value, prog_bar=shown, sync_dist=True)
+                    pl_module.log(f"rollout/{scenario.name}/{key}", value, prog_bar=shown, sync_dist=True)
                 for key in means:
-                    means[key] = means[key] + values[key].float().cpu() / len(self._stages)
+                    means[key] = means[key] + values[key].float().cpu() / len(self._validation_scenarios)
             for key, value in means.items():
                 pl_module.log(f"rollout/{key}", value, sync_dist=True)
 
     def _measure(
-        self, stage: Stage, walker: Walker, trainer: L.Trainer, device: torch.device
+        self, scenario: ValidationScenario, walker: Walker, trainer: L.Trainer, device: torch.device
     ) -> dict[str, Tensor]:
         """Return the metrics of a scenario over the episodes of all processes."""
-        walked, score = stage.walk(walker, self.deterministic), ClosedLoopScore()
+        walked, score = scenario.walk(walker, self.deterministic), ClosedLoopScore()
         if walked is not None:
             score.update(walked.rollout, walked.env.decision_dt)
             if self.picture or self.video:
-                show(trainer, stage.name, walked, self.picture, self.video)
+                log_rollout_media(trainer, scenario.name, walked, self.picture, self.video)
         if trainer.world_size > 1:
             score.to(device)  # where processes talk to each other
         return score.compute()
@@ -223,13 +225,13 @@ class ClosedLoopValidation(Callback):
     def on_exception(
         self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
     ) -> None:
-        """Close the environments: nobody tears down after an error or Ctrl-C."""
+        """Close the environments: Lightning calls no teardown after an error or Ctrl-C."""
         self.close()
 
     def close(self) -> None:
         """Let go of model and environments."""
-        for stage in self._stages:
-            stage.close()
+        for scenario in self._validation_scenarios:
+            scenario.close()
         self._forget()
 
     def state_dict(self) -> dict[str, Any]:
@@ -242,4 +244,9 @@ class ClosedLoopValidation(Callback):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copy and pickle without what belongs to a run."""
-        return self.__dict__ | {"_walker": None, "_stages": [], "_walked": False, "_checked": None}
+        return self.__dict__ | {
+            "_walker": None,
+            "_validation_scenarios": [],
+            "_walked": False,
+            "_checked": None,
+        }

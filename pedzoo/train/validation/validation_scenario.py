@@ -1,4 +1,4 @@
-"""Where weights in training walk: a process's share of a scenario's episodes, apart from the training."""
+"""The episodes that a process walks to validate weights in training, apart from that training."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import torch
 
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import walk
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
@@ -17,7 +17,7 @@ from pedzoo.sim.rollout import joined
 from pedzoo.sim.scenes.scenario import Scenario
 
 
-class Stage:
+class ValidationScenario:
     """Consecutive episodes of a scenario, the same whenever they are walked.
 
     Attributes:
@@ -37,7 +37,7 @@ class Stage:
 
         Args:
             name: What the scenario is called.
-            scenario: Shared by all stages of it.
+            scenario: Its scenes; scenarios may share it.
             physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
             seed: Of the scenes.
             first: Number of the first episode.
@@ -50,13 +50,13 @@ class Stage:
         if self._env is not None:
             self._env.policy_name = "the model in training"
 
-    def walk(self, walker: Walker, deterministic: bool) -> Walked | None:
+    def walk(self, walker: Walker, deterministic: bool) -> PolicyRollout | None:
         """Return what ``walker`` does in the episodes; None where there are none."""
         if self._env is None:
             return None
         self._env.set_seed(self._seed)
         rollout = joined(list(walk(walker, self._env, self._episodes, deterministic)))
-        return Walked(type(walker.model).__name__, rollout, self._env)
+        return PolicyRollout(type(walker.model).__name__, rollout, self._env)
 
     def close(self) -> None:
         """Let go of the physics."""
@@ -76,8 +76,8 @@ def walking_copy(model: Forecaster) -> Walker:
 
 
 @contextmanager
-def apart(seed: int) -> Iterator[None]:
-    """Leave no traces in a training.
+def isolated(seed: int) -> Iterator[None]:
+    """Leave the state of a training as it is.
 
     Outside of inference mode, in which Lightning validates: environments keep what they make from one
     validation to the next. Random numbers that are not drawn by scene come from a state of their own.

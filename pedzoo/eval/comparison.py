@@ -17,7 +17,7 @@ from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.warm_start import WarmStart
 
 
-class Walked(NamedTuple):
+class PolicyRollout(NamedTuple):
     """What one policy did.
 
     Attributes:
@@ -74,7 +74,7 @@ class Comparison:
         settings = {"warm_start": warm_start, "clearance": clearance}
         settings |= {"decision_dt": decision_dt, "device": device}
         self._prepared = {}
-        self.walked: list[Walked] = []
+        self.walked: list[PolicyRollout] = []
         made = make_scenario(scenario)
         for name in dict.fromkeys(policies):
             self._prepared[name] = prepare(name, made, physics, episodes, seed, **settings)
@@ -108,7 +108,7 @@ class Comparison:
                     parts.append(part)
             finally:
                 if parts:
-                    self.walked.append(Walked(name, joined(parts), env))
+                    self.walked.append(PolicyRollout(name, joined(parts), env))
 
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds and rows of all that has walked."""

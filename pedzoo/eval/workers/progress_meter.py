@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from pedzoo.eval.suite import Unit
+from pedzoo.eval.suite import WorkUnit
 
 
-class Step(NamedTuple):
+class ProgressReport(NamedTuple):
     """How far an evaluation is.
 
     Attributes:
@@ -18,7 +18,7 @@ class Step(NamedTuple):
         units: Finished ones.
         total: All of them.
         seconds: That the unit took; None while it is going on.
-        left: Seconds that the rest is expected to take; None while nobody knows.
+        left: Seconds that the rest is expected to take; None while that is unknown.
     """
 
     label: str
@@ -29,26 +29,26 @@ class Step(NamedTuple):
     left: float | None
 
 
-Progress = Callable[[Step], None]
+Progress = Callable[[ProgressReport], None]
 
 
-class Clock:
-    """Tells how far an evaluation is, and guesses how long the rest takes."""
+class ProgressMeter:
+    """Reports how far an evaluation is, and estimates how long the rest takes."""
 
-    def __init__(self, units: list[Unit], done: set[int], progress: Progress | None) -> None:
+    def __init__(self, units: list[WorkUnit], done: set[int], progress: Progress | None) -> None:
         """Start.
 
         Args:
             units: All of the evaluation.
             done: Numbers of those that were done before.
-            progress: Called whenever there is something to tell.
+            progress: Called at every change.
         """
         self._units, self._done, self._progress = units, set(done), progress
         self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
         self._before = sum(self._weights[number] for number in done)
         self._start = time.perf_counter()
 
-    def within(self, unit: Unit, share: float) -> None:
+    def within(self, unit: WorkUnit, share: float) -> None:
         """Tell that a share of a unit is done."""
         number = self._units.index(unit)
         self._tell(number, share * self._weights[number], None)
@@ -66,4 +66,4 @@ class Clock:
         passed = time.perf_counter() - self._start
         left = passed / mine * (total - done) if mine > 0 else None
         label, units = self._units[number].label, len(self._units)
-        self._progress(Step(label, done / total, len(self._done), units, seconds, left))
+        self._progress(ProgressReport(label, done / total, len(self._done), units, seconds, left))

@@ -1,4 +1,4 @@
-"""What follows from parameters alone is computed once, until they change."""
+"""A cache of values that depend on a module's parameters alone."""
 
 from __future__ import annotations
 
@@ -16,45 +16,45 @@ T = TypeVar("T")
 _version = attrgetter("_version")
 
 
-class Kept(Generic[M, T]):
-    """A function of a module's parameters, whose value is kept while they stay as they are.
+class ParameterCache(Generic[M, T]):
+    """Caches the value of a function of a module's parameters until a parameter changes.
 
     Parameters stay while they are the same objects, in the same memory, of the same version: optimizers,
     ``load_state_dict``, ``.to()`` and edits in place all change one of these. As for autograd, only what is
-    written in place into ``parameter.data`` goes unseen. Copies of a module begin with nothing kept.
+    written in place into ``parameter.data`` goes unseen. A copy of a module begins with an empty cache.
     """
 
     def __init__(self, make: Callable[[M], T], nothing: T) -> None:
-        """Keep nothing yet.
+        """Start empty.
 
         Args:
             make: A function, defined at the top of a file, that reads nothing but parameters of its module.
-            nothing: What is returned where nothing can be kept, above all while a gradient is wanted.
+            nothing: The value where nothing can be cached, above all while a gradient is computed.
         """
         self._make, self._nothing = make, nothing
-        self._kept: tuple[T, _Origin] | None = None
+        self._cached: tuple[T, _Origin] | None = None
 
     def __call__(self, module: M) -> T:
         """Return the function's value for ``module``."""
         if torch.is_grad_enabled():
             return self._nothing
-        kept = self._kept
+        cached = self._cached
         try:
-            if kept is not None and kept[1].stays(module):
-                return kept[0]
+            if cached is not None and cached[1].stays(module):
+                return cached[0]
             origin = _Origin(module)
         except RuntimeError:
-            # parameters made in inference mode or without memory of their own: nothing tells of a change
+            # parameters made in inference mode or without memory of their own: no change can be detected
             return self._nothing
-        # whoever asks next may be in a region of automatic precision or not
+        # the next caller may run under autocast or not
         with torch.autocast(origin.parameters[0].device.type, enabled=False):
             value = self._make(module)
-        self._kept = value, origin
+        self._cached = value, origin
         return value
 
-    def __reduce__(self) -> tuple[type[Kept], tuple[Callable[[M], T], T]]:
+    def __reduce__(self) -> tuple[type[ParameterCache], tuple[Callable[[M], T], T]]:
         """Copy and pickle without the value."""
-        return Kept, (self._make, self._nothing)
+        return ParameterCache, (self._make, self._nothing)
 
 
 class _Origin:

@@ -14,7 +14,7 @@ from helpers.batches import make_batch, random_weights
 from torch import Tensor, nn
 
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.blocks.kept import Kept
+from pedzoo.models.blocks.parameter_cache import ParameterCache
 
 OPTIONS: dict[str, Any] = {"bottleneck_dim": 3, "best_k": 2}
 MODES = pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
@@ -124,7 +124,7 @@ def test_copies_are_on_their_own(copied: Callable[[SGAN], SGAN]) -> None:
     with torch.no_grad():
         before = answers(model)
         other = copied(model)
-        assert other._kept._kept is None
+        assert other._parameter_cache._cached is None
         for parameter in other.parameters():
             parameter.mul_(1.2)
         after = answers(other)
@@ -139,7 +139,7 @@ def test_parameters_of_inference_mode_are_never_kept() -> None:
         before = answers(model)
         model.encoder.embedding.weight.mul_(1.5)
         assert not any(map(torch.equal, answers(model), before))
-        assert model._kept._kept is None
+        assert model._parameter_cache._cached is None
 
 
 def test_gradients_flow_after_answers_without_them() -> None:
@@ -156,7 +156,7 @@ def test_automatic_precision_does_not_stay() -> None:
     model, fresh = made(), made()
     with torch.no_grad():
         with torch.autocast("cpu", dtype=torch.bfloat16):
-            model._kept(model)
+            model._parameter_cache(model)
         for got, want in zip(answers(model), answers(fresh), strict=True):
             assert torch.equal(got, want)
 
@@ -172,7 +172,7 @@ def test_functional_calls_do_not_leave_their_parameters() -> None:
 
 def test_a_value_is_made_once() -> None:
     calls = []
-    kept, module = Kept(lambda m: calls.append(m) or len(calls), 0), nn.Linear(2, 2)
+    kept, module = ParameterCache(lambda m: calls.append(m) or len(calls), 0), nn.Linear(2, 2)
     assert kept(module) == 0
     with torch.no_grad():
         assert [kept(module), kept(module)] == [1, 1]

@@ -1,4 +1,4 @@
-"""Where a policy is trained in the loop: several environments, a share of the updates each."""
+"""The courses of a training in the loop: environments, each with a share of the updates."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Course:
 
 
 @dataclass
-class Running:
-    """The scenes of a course, wherever they have come to.
+class ActiveCourse:
+    """A course with its environment and the age of each scene.
 
     Attributes:
         course: Which.
@@ -55,16 +55,16 @@ class Running:
     env: PedestrianEnv
     age: Tensor = field(default_factory=lambda: torch.zeros(0))
 
-    def begin(self, keep: int) -> TensorDict:
-        """Return what everybody sees where the next segment begins.
+    def begin(self, max_segments: int) -> TensorDict:
+        """Return what agents observe where the next segment begins.
 
-        Scenes that are over, or have gone on for ``keep`` segments, are replaced by new ones. Others go on
-        where they are: who is stuck has to find the way out.
+        Scenes that are over, or have gone on for ``max_segments`` segments, are replaced by new ones. Others
+        go on where they are: agents that are stuck have to find the way out.
 
         Args:
-            keep: Segments.
+            max_segments: Segments.
         """
-        fresh = (self.age < 0) | (self.age >= keep)
+        fresh = (self.age < 0) | (self.age >= max_segments)
         if len(self.age) == 0:
             seen = self.env.reset()
             self.age = torch.zeros(self.env.batch_size[0], dtype=torch.long)
@@ -81,8 +81,8 @@ class Running:
         self.age = torch.where(done.cpu(), -1, self.age + 1)
 
 
-class Mixture:
-    """The courses of a training, made when they are first needed.
+class CourseSampler:
+    """Draws the course of each update, and makes its environment when it is first needed.
 
     Which course an update gets, and all scenes of an epoch, depend on the seed, the update's and the epoch's
     number alone: a run that goes on sees what an uninterrupted one would have.
@@ -97,36 +97,36 @@ class Mixture:
         if not courses:
             raise UserError("no courses: expected at least one scenario to train in")
         for course in courses:
-            make_scenario(course.scenario)  # a mistake is told before the training, and not in its midst
+            make_scenario(course.scenario)  # report a mistake before the training starts
         self.courses, self.seed = courses, seed
-        self._running: dict[int, Running] = {}
+        self._active: dict[int, ActiveCourse] = {}
         self._shares = torch.tensor([course.share for course in courses]).cumsum(0)
         self._epoch: int | None = None
 
-    def at(self, update: int, epoch: int, device: torch.device | str = "cpu") -> Running:
+    def at(self, update: int, epoch: int, device: torch.device | str = "cpu") -> ActiveCourse:
         """Return the course of an update, its scenes on a device; in a new epoch all scenes are new."""
         if epoch != self._epoch:
             self._epoch = epoch
-            for number, running in self._running.items():
-                self._restart(running, number, epoch)
+            for number, active in self._active.items():
+                self._restart(active, number, epoch)
         key = join(torch.zeros((), dtype=torch.long), self.seed, "course", update)
         lot = uniform(key) * self._shares[-1]
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
-        if number not in self._running:
+        if number not in self._active:
             course = self.courses[number]
-            running = Running(course, make_env(course.scenario, course.scenes, device=device))
-            running.env.policy_name = "the model in training"
-            self._restart(running, number, epoch)
-            self._running[number] = running
-        return self._running[number]
+            active = ActiveCourse(course, make_env(course.scenario, course.scenes, device=device))
+            active.env.policy_name = "the model in training"
+            self._restart(active, number, epoch)
+            self._active[number] = active
+        return self._active[number]
 
-    def _restart(self, running: Running, number: int, epoch: int) -> None:
+    def _restart(self, active: ActiveCourse, number: int, epoch: int) -> None:
         seed = join(torch.zeros((), dtype=torch.long), self.seed, "scenes", number, epoch)
-        running.env.set_seed(int(seed) & 0x7FFFFFFF)
-        running.age = torch.zeros(0)
+        active.env.set_seed(int(seed) & 0x7FFFFFFF)
+        active.age = torch.zeros(0)
 
     def close(self) -> None:
         """Let go of all environments."""
-        for running in self._running.values():
-            running.env.physics.close()
-        self._running = {}
+        for active in self._active.values():
+            active.env.physics.close()
+        self._active = {}

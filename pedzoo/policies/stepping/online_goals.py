@@ -1,4 +1,4 @@
-"""The ways of people who come and go: their goals are given to the planner, and forgotten with time."""
+"""Goals that change while a controller runs: the planner gets new ones and forgets unused ones."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pedzoo.policies.stepping.called_with import as_points
 from pedzoo.policies.stepping.roster import Roster
 
 _KEPT = 64
-"""Goals that no person has any more are forgotten when there are more than this in all, and 4 per agent."""
+"""Unused goals are dropped when the planner holds more than this and more than 4 per agent."""
 
 
-class Ways(NamedTuple):
-    """A planner on one floor plan, whose frame is the scene's.
+class OnlineGoals(NamedTuple):
+    """The goals of a scene's agents, and a planner on one floor plan in the scene's frame.
 
     Attributes:
         planner: Its bank holds the floor plan alone, or nothing.
@@ -35,8 +35,10 @@ class Ways(NamedTuple):
         grids = self.planner.bank.grids
         return grids[0].map_id if grids else -1
 
-    def with_goals(self, people: Roster, position: Tensor, goals: Mapping[Any, Any]) -> tuple[Ways, Roster]:
-        """Return the ways, and the people with their goals. A goal that is new ends their standing.
+    def with_goals(
+        self, people: Roster, position: Tensor, goals: Mapping[Any, Any]
+    ) -> tuple[OnlineGoals, Roster]:
+        """Return the planner with the goals, and the people with theirs. A new goal ends standing.
 
         Args:
             people: All agents that are here.
@@ -46,10 +48,10 @@ class Ways(NamedTuple):
         Raises:
             UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
         """
-        told = {one: goal for one, goal in goals.items() if goal is not None}
-        idle = people.rows({one: None for one in goals if one not in told})
+        given = {one: goal for one, goal in goals.items() if goal is not None}
+        idle = people.rows({one: None for one in goals if one not in given})
         asked, stands = people.goal.clone(), people.stands.clone()
-        asked[people.rows(told)] = as_points(told, "goal")
+        asked[people.rows(given)] = as_points(given, "goal")
         asked[idle], stands[idle] = torch.nan, True
         has_goal = ~asked[:, 0].isnan()
         missing = ~(has_goal | stands | people.other)
@@ -66,12 +68,12 @@ class Ways(NamedTuple):
             return self, people
         planner, added = self.planner, fresh
         if planner.goals > max(_KEPT, 4 * len(fresh)):
-            # what is kept of a goal is as large as the floor plan, and people keep coming with others
+            # the field of a goal is as large as the floor plan, and new goals keep coming
             planner, added = Planner(planner.bank, planner.clearance), has_goal
-        ways, goal_id = Ways(planner), goal_id.clone()
-        goal_id[added] = ways._added(people, asked, added)
+        online_goals, goal_id = OnlineGoals(planner), goal_id.clone()
+        goal_id[added] = online_goals._added(people, asked, added)
         people = people._replace(goal_id=goal_id)
-        guidance = ways.guide(people, position)
+        guidance = online_goals.guide(people, position)
         unreached = guidance.distance.isinf() & fresh
         if unreached.any():
             raise UserError(
@@ -79,7 +81,7 @@ class Ways(NamedTuple):
                 f"door between that leaves clearance {planner.clearance} m"
             )
         goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
-        return ways, people._replace(goal_point=goal_point)
+        return online_goals, people._replace(goal_point=goal_point)
 
     def guide(self, people: Roster, position: Tensor) -> Guidance:
         """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
@@ -90,17 +92,17 @@ class Ways(NamedTuple):
         row = torch.tensor([0 if self.planner.bank.grids else -1])
         fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
         points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
-        told = self.planner.guide_scenes(
+        guidance = self.planner.guide_scenes(
             points, goal_id, row, identity_pose(1), speed, AHEAD_SECONDS, fastest
         )
-        return Guidance(*(part.squeeze(0) for part in told))
+        return Guidance(*(part.squeeze(0) for part in guidance))
 
     def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
         row = 0 if self.planner.bank.grids else -1
         try:
             return self.planner.add_goals(row, asked[which])
         except UserError:
-            for i in which.nonzero()[:, 0].tolist():  # whose is it?
+            for i in which.nonzero()[:, 0].tolist():  # name the agent
                 try:
                     self.planner.add_goals(row, asked[i : i + 1])
                 except UserError as error:

@@ -5,19 +5,21 @@ from __future__ import annotations
 from typing import ClassVar
 
 from pedzoo.core.registry import SCENARIOS
-from pedzoo.eval.suite import Case, Request, Suite
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.sim.scenes.encounter import Encounter
 
 EPISODES = 20
 
 
-class Cards(Suite):
+class Encounters(Suite):
     """Every scenario of the registry that is an encounter, with its defaults."""
 
-    uses: ClassVar[tuple[str, ...]] = ("episodes",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes",)
 
-    def cases(self, request: Request) -> list[Case]:
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return a case for each encounter."""
         names = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
-        physics, episodes = request.physics or "compiled", request.number(EPISODES)
-        return [Case(self.name, name, name, physics, episodes, {"card": name}) for name in names]
+        physics, episodes = options.physics or "compiled", options.number(EPISODES)
+        return [
+            EvaluationCase(self.name, name, name, physics, episodes, {"encounter": name}) for name in names
+        ]

@@ -15,8 +15,8 @@ from pedzoo.models.blocks.recurrent import (
 )
 
 
-class Folded(NamedTuple):
-    """What the parts' ``fold`` compute from parameters alone; None where each call shall do so."""
+class FusedWeights(NamedTuple):
+    """What the parts' ``fuse`` compute from parameters alone; None where each call shall do so."""
 
     encoder: EncoderWeights | None = None
     pooling: PoolingWeights | None = None
@@ -25,12 +25,12 @@ class Folded(NamedTuple):
     decoder: DecoderWeights | None = None
 
 
-NOTHING = Folded()
+NOTHING = FusedWeights()
 
 
-def fold(
+def fuse(
     encoder: DisplacementEncoder, pooling: SocialPooling | None, to_decoder: MLP, decoder: DisplacementDecoder
-) -> Folded:
+) -> FusedWeights:
     """Return all of it."""
-    pooled = None if pooling is None else pooling.fold()
-    return Folded(encoder.fold(), pooled, to_decoder.fold(), decoder.fold_first(), decoder.fold())
+    pooled = None if pooling is None else pooling.fuse()
+    return FusedWeights(encoder.fuse(), pooled, to_decoder.fuse(), decoder.fuse_first(), decoder.fuse())

@@ -10,7 +10,7 @@ import lightning as L
 from lightning.pytorch.loggers import WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
-from pedzoo.eval.closed_loop import Walked
+from pedzoo.eval.comparison import PolicyRollout
 
 FILM = (480, 360)
 """Width and height of videos, pixels."""
@@ -20,7 +20,9 @@ FILM_SECONDS = 20.0
 
 
 @rank_zero_only
-def show(trainer: L.Trainer, scenario: str, walked: Walked, picture: bool, video: bool) -> None:
+def log_rollout_media(
+    trainer: L.Trainer, scenario: str, walked: PolicyRollout, picture: bool, video: bool
+) -> None:
     """Send what can be seen to all loggers of Weights & Biases: ``rollout/SCENARIO/ways`` and ``/video``.
 
     Args:

@@ -1,4 +1,4 @@
-"""Goals as far ahead as people walk in the time: where the way bends, the one that is seen is nearer."""
+"""Goals moved out to where people are 3.2 s later, also where the way bends before."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from torch.nn import functional
 from pedzoo.core.types import AHEAD_SECONDS
 
 
-def paced(batch: TensorDictBase) -> TensorDictBase:
+def extend_goals(batch: TensorDictBase) -> TensorDictBase:
     """Return scenes in which no short-term goal is nearer than where the desired velocity leads in 3.2 s.
 
-    Goals ``window_end`` of recordings are where people are 3.2 s later, so who learned from them takes a near
-    goal for an order to slow down. A planner's goal is near because there is a corner, behind which nothing
-    is seen: people go round it at their own speed. Nearer goals are moved out along the line to them.
+    Goals ``window_end`` of recordings are where people are 3.2 s later. A model that learned from them slows
+    down for a near goal. A planner's goal is near where the way turns a corner: people go round it at their
+    own speed. Nearer goals are moved out along the line to them.
 
     Args:
         batch: Scenes with goals; those without are returned as they are. Not changed.
@@ -28,11 +28,11 @@ def paced(batch: TensorDictBase) -> TensorDictBase:
     position = cast("Tensor", agents["history"])[:, :, -1]
     goal, desired = (cast("Tensor", agents[key]) for key in ("goal", "desired_velocity"))
     away = goal - position
-    # whoever stands on the goal goes on as desired
+    # an agent on its goal goes on as desired
     ahead = functional.normalize(away + 0.1 * functional.normalize(desired, dim=-1), dim=-1)
     lacking = AHEAD_SECONDS * desired.norm(dim=-1, keepdim=True) - away.norm(dim=-1, keepdim=True)
-    told = agents.copy()
-    told["goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
+    extended = agents.copy()
+    extended["goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
     scenes = batch.copy()
-    scenes["agents"] = told
+    scenes["agents"] = extended
     return scenes
