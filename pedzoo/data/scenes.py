@@ -14,7 +14,7 @@ from pedzoo.core.batch import scene_batch
 from pedzoo.core.types import STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import recorded_goals
 from pedzoo.data.recordings import Recording
-from pedzoo.data.windows import People, cut_windows, why_empty
+from pedzoo.data.windows import KeptPeople, cut_windows, why_empty
 from pedzoo.maps.bank import MapBank
 
 POSITIONS, DIRECTIONS = {"history", "future", "goal"}, {"velocity", "desired_velocity"}
@@ -42,7 +42,7 @@ class SceneSet:
         maps: MapBank,
         obs_len: int,
         pred_len: int,
-        people: People = "complete",
+        people: KeptPeople = "complete",
         min_people: int = 2,
     ) -> None:
         """Cut the windows of all recordings.

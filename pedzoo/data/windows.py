@@ -15,7 +15,7 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.data.tracks import Tracks
 
-People = Literal["complete", "present"]
+KeptPeople = Literal["complete", "present"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Windows:
 
 
 def cut_windows(
-    tracks: Tracks, obs_len: int, pred_len: int, people: People = "complete", min_people: int = 2
+    tracks: Tracks, obs_len: int, pred_len: int, people: KeptPeople = "complete", min_people: int = 2
 ) -> Windows:
     """Return all windows of ``obs_len + pred_len`` frames, stride 1, people sorted by number.
 
@@ -126,7 +126,7 @@ def _find_rows(
 
 
 def why_empty(
-    recordings: Sequence[Tracks], obs_len: int, pred_len: int, people: People, min_people: int
+    recordings: Sequence[Tracks], obs_len: int, pred_len: int, people: KeptPeople, min_people: int
 ) -> UserError:
     """Return the error for recordings that give no window, with the reason and the way out."""
     length, steps = obs_len + pred_len, [len(np.unique(tracks.frame)) for tracks in recordings]

@@ -175,7 +175,7 @@ class MapBank:
 
         Distances are those to the cells as they are, not to a field read between them: what contacts and
         sliding along walls rest on. On real maps one place in 20,000 or fewer, none of them beside a wall,
-        gets a few hundredths of a cell too much (see `pedzoo.maps.walls.contenders`).
+        gets a few hundredths of a cell too much (see `pedzoo.maps.walls.nearest_boxes`).
 
         The world outside a map is free, its walls are felt from there, and a position inside a wall at the
         map's edge may be nearest to the outside. Where no wall is within ``max_distance`` or a scene has no

@@ -255,8 +255,8 @@ class PedestrianEnv(EnvBase):
         """Return the next ``episodes`` of some rows, those of a row one after the other."""
         number = self._number[rows].unsqueeze(1) + self._stride * torch.arange(episodes)
         self._number = self._number.index_add(0, rows, torch.full_like(rows, episodes * self._stride))
-        state = self._episodes.begin(Draws.of(self._seed, number.view(-1)))
-        return _Scenes(state, self.rules.guide(state))
+        state = self._episodes.begin(Draws.for_episodes(self._seed, number.view(-1)))
+        return _Scenes(state, self.rules.guidance(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state

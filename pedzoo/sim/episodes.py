@@ -71,7 +71,7 @@ class Episodes:
         opening = opening.to(self._device)
         if not recorded and self._warm_start == "orca":
             state = warm.rolled(state, self._physics, self._rules, self._walls)
-        guidance = self._rules.guide(state)
+        guidance = self._rules.guidance(state)
         if layout.opening is None:
             state, guidance = self._apart(state, guidance)
         way = guidance.distance
@@ -109,7 +109,7 @@ class Episodes:
                 break
             goal = torch.where(near, state.next_goal, state.goal_id)
             state = state._replace(goal_id=goal, drawn=state.drawn + near)
-            guidance = self._rules.guide(state)
+            guidance = self._rules.guidance(state)
         return state, guidance
 
     def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:

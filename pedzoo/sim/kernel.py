@@ -49,7 +49,7 @@ class Rules:
     """What holds for all scenes of a simulation.
 
     Attributes:
-        guide: Says where agents are told to walk.
+        guidance: Says where agents are told to walk.
         ticks: S, trace points of 0.1 s in one decision.
         substeps: M, sub-steps of every 0.1 s.
         goals: Goals that an agent has to reach.
@@ -61,7 +61,7 @@ class Rules:
         script: Plays recorded people back; None for none.
     """
 
-    guide: Callable[[State], Guidance]
+    guidance: Callable[[State], Guidance]
     ticks: int
     substeps: int
     goals: int = 1
@@ -74,15 +74,15 @@ class Rules:
 def rules_of(scenario: Scenario, ticks: int, substeps: int, device: torch.device | str = "cpu") -> Rules:
     """Return the rules of a prepared scenario for decisions of S ``ticks``, for scenes on a device."""
     leave = scenario.finished == "leave"
-    guide, script = partial(_guided, scenario), scenario.script
+    guidance, script = partial(_guidance, scenario), scenario.script
     if script is not None:
         script = script.to(device)
-    return Rules(guide, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
+    return Rules(guidance, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
 
 
-def _guided(scenario: Scenario, state: State) -> Guidance:
+def _guidance(scenario: Scenario, state: State) -> Guidance:
     """Return what the scenario's planner says to all agents."""
-    return scenario.planner.guide_scenes(
+    return scenario.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
         state.row,
@@ -136,7 +136,7 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
         turn_rate = torch.where(theirs, motion.turn_rate, turn_rate)
     after = after._replace(heading=turned, turn_rate=turn_rate)
 
-    guidance = rules.guide(after)
+    guidance = rules.guidance(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before
     way = torch.where(guidance.distance.isfinite(), guidance.distance, after.way)
     progress = state.way - torch.where(hit, 0.0, way)

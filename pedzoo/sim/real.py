@@ -42,7 +42,7 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     episodes = Episodes(scenario, "recorded", physics, planned)
     rules = kernel.Rules(_still, TRACE_PER_STEP, fine, script=script)
     for number in torch.arange(scenes).split(_AT_ONCE):
-        start = episodes.begin(Draws.of(0, number))
+        start = episodes.begin(Draws.for_episodes(0, number))
         yield _walked(scenario, script, physics, rules, start)
 
 

@@ -88,7 +88,7 @@ def test_a_compiled_decision_is_that_of_the_kernel(
         deadline=torch.where(torch.arange(state.mask.shape[1]) % 2 == 1, 1.0, state.deadline),
     )
     generator = torch.Generator().manual_seed(0)
-    guidance = rules.guide(state)
+    guidance = rules.guidance(state)
     reached = 0
     for number in range(40):
         action = guidance.desired_velocity + 0.3 * torch.randn(*state.mask.shape, 2, generator=generator)

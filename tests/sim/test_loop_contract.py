@@ -424,7 +424,7 @@ def test_a_partial_reset_changes_only_the_scenes_that_are_reset() -> None:
     assert torch.equal(env.state.clock, torch.tensor([1.2, 0.0, 1.2]))
     assert not torch.equal(env.state.key[1], before.key[1])
     # the scene that follows is the one a batch of three comes to next
-    assert torch.equal(env.state.key[1:2], Draws.of(0, torch.tensor([4])).key)
+    assert torch.equal(env.state.key[1:2], Draws.for_episodes(0, torch.tensor([4])).key)
 
 
 def test_episodes_follow_one_another_in_a_long_rollout() -> None:
@@ -434,7 +434,7 @@ def test_episodes_follow_one_another_in_a_long_rollout() -> None:
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
     assert all(len(row) > 1 for row in keys)
     for row, found in enumerate(keys):
-        expected = Draws.of(5, torch.arange(len(found)) * 3 + row).key
+        expected = Draws.for_episodes(5, torch.arange(len(found)) * 3 + row).key
         assert found == expected.tolist()
     starts = long["time"][..., 0] == 0
     assert int(starts.sum()) == sum(map(len, keys))

@@ -524,7 +524,7 @@ def test_partial_resets_and_auto_reset(folder: Path) -> None:
     long = make_env(scenario, num_envs=3).rollout(120, policy, break_when_any_done=False)
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
     for row, found in enumerate(keys):
-        assert found == Draws.of(0, torch.arange(len(found)) * 3 + row).key.tolist()
+        assert found == Draws.for_episodes(0, torch.arange(len(found)) * 3 + row).key.tolist()
     assert all(len(row) > 2 for row in keys)
 
 
@@ -656,7 +656,7 @@ def test_goals_that_share_ways_are_still_their_own() -> None:
         ids = planner.add_goals(0, goals)
         many = ids.repeat_interleave(2)
         map_id, pose = torch.full((8,), bank.grids[0].map_id), torch.tensor([[0.0, 1, 0, 0]]).repeat(8, 1)
-        looks.append(planner.look(start.repeat(4, 1), many, map_id, pose))
+        looks.append(planner.next_waypoints(start.repeat(4, 1), many, map_id, pose))
     exact, rough = looks
     assert torch.allclose(rough.goal_point, torch.from_numpy(goals).float().repeat_interleave(2, 0))
     assert float((exact.distance - rough.distance).abs().max()) < 0.3

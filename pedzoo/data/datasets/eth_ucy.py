@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import data_root
-from pedzoo.core.types import STEP_SECONDS, Clock
+from pedzoo.core.types import STEP_SECONDS, TimeBase
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 
@@ -37,7 +37,7 @@ HOW_TO_GET = "`pedzoo download eth_ucy` gets those of ETH/UCY, to where they are
 class EthUcy:
     """The recordings of one fold."""
 
-    def __init__(self, fold: str, root: str | None, clock: Clock = "benchmark") -> None:
+    def __init__(self, fold: str, root: str | None, clock: TimeBase = "benchmark") -> None:
         """Find the fold's files below ``root``, PEDZOO_DATA or the folder of ``pedzoo download``.
 
         Raises:

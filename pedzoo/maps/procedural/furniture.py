@@ -123,12 +123,12 @@ def _places(dice: Dice, room: Room, kind: Kind) -> Iterator[list[Piece]]:
     length, depth = max(rect.x1 for _, rect in pieces), max(rect.y1 for _, rect in pieces)
     for _ in range(_TRIES):
         part = dice.choice(room.parts)
-        side = dice.whole(0, 3)
+        side = dice.integer(0, 3)
         wall, across = (part.width, part.height) if side < 2 else (part.height, part.width)
         along, away = wall - length, across - depth
         if along < 0 or away < 0:
             continue
-        at, off = dice.whole(0, along), 0
+        at, off = dice.integer(0, along), 0
         if kind.place == "corner":
             at = dice.choice((0, along))
         elif kind.place == "middle":

@@ -153,7 +153,7 @@ def _attempt(
 ) -> tuple[list[Room], list[Door], list[Piece]] | None:
     """Return rooms, doors and furniture, or None where this draw gives no sound plan."""
     dice = Dice(*key)
-    wall = dice.whole(units(0.1), units(0.2))
+    wall = dice.integer(units(0.1), units(0.2))
     long, short = max(size), min(size)
     rooms = KINDS[kind].draw_rooms(dice, Rect(wall, wall, long - wall, short - wall))
     if rooms is None:

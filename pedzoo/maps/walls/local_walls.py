@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.walls.constants import INTO, WALL
-from pedzoo.maps.walls.contenders import CONTENDERS
+from pedzoo.maps.walls.nearest_boxes import CANDIDATES
 from pedzoo.maps.walls.walls import Walls
 
 _STEPS = 16
@@ -136,7 +136,7 @@ class LocalWalls:
         shape = index.shape
         choice = walls.choice.index_select(0, index.reshape(-1))
         option = walls.option.index_select(1, choice).to(place.dtype)
-        corners, sign = option[:-1].view(2, 2, CONTENDERS, *shape), option[-1].view(shape)
+        corners, sign = option[:-1].view(2, 2, CANDIDATES, *shape), option[-1].view(shape)
         apart = place.unsqueeze(1) - place.unsqueeze(1).clamp(corners[0], corners[1])
         squared, best = torch.addcmul(apart[0] * apart[0], apart[1], apart[1]).min(dim=0)
         apart = apart.gather(1, best.expand(2, 1, *shape))[:, 0]

@@ -90,9 +90,7 @@ class Ways(NamedTuple):
         row = torch.tensor([0 if self.planner.bank.grids else -1])
         fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
         points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
-        told = self.planner.guide_scenes(
-            points, goal_id, row, identity_pose(1), speed, AHEAD_SECONDS, fastest
-        )
+        told = self.planner.guidance(points, goal_id, row, identity_pose(1), speed, AHEAD_SECONDS, fastest)
         return Guidance(*(part.squeeze(0) for part in told))
 
     def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ REACH = 5.0
 """Metres up to which distances and rays are asked for, where nothing else is said."""
 
 
-class People(NamedTuple):
+class Bodies(NamedTuple):
     """Where people are in B scenes.
 
     Attributes:
@@ -43,9 +43,9 @@ class People(NamedTuple):
     pose: Tensor
     radius: Tensor | None = None
 
-    def scene(self, number: int) -> People:
+    def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
-        return People(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
+        return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
 
 
 class Distances(NamedTuple):
@@ -173,7 +173,7 @@ class Physics(ABC):
 
     def _advance(self, state: State, walk: Walk) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+        people = Bodies(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
         if compiles(state.past, walk.velocity):
             paths = torch.empty(*walk.moving.shape, walk.velocity.shape[1], walk.substeps, 2)
             walked = advance_compiled(self.bank, state, walk, paths)
@@ -197,7 +197,7 @@ class Physics(ABC):
         return path, gap
 
     @abstractmethod
-    def distances(self, people: People, reach: float = REACH) -> Distances:
+    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """Return the distances to the nearest person and wall, as far as ``reach`` metres.
 
         Raises:
@@ -205,7 +205,7 @@ class Physics(ABC):
         """
 
     @abstractmethod
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """Return which agents touch another one or a wall on the way.
 
         Agents touch when their centres are closer than the sum of their radii, a wall is touched by a centre
@@ -217,7 +217,7 @@ class Physics(ABC):
         """
 
     @abstractmethod
-    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """Return how far rays go before they meet a wall or a body (B, R), metres; else ``reach``.
 
         A ray that starts inside a body does not see that body; one that starts inside a wall goes nowhere.
@@ -231,7 +231,7 @@ class Physics(ABC):
 
     @abstractmethod
     def image(
-        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+        self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """Return a picture (H, W, 3) uint8 RGB of one scene.
 
@@ -252,13 +252,13 @@ class Physics(ABC):
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _radius(self, people: People) -> Tensor:
+    def _radius(self, people: Bodies) -> Tensor:
         """Return the radii of the bodies (B, A), metres."""
         if people.radius is not None:
             return people.radius
         return people.position.new_full(people.mask.shape, self.body_radius)
 
-    def _present(self, people: People) -> Tensor:
+    def _present(self, people: Bodies) -> Tensor:
         return people.mask & people.position.isfinite().all(-1)
 
     def _check_reach(self, reach: float) -> None:
@@ -268,11 +268,11 @@ class Physics(ABC):
                 f"make the bank with MapBank(..., max_distance={reach})"
             )
 
-    def _plan(self, people: People, scene: int) -> OccupancyGrid | None:
+    def _plan(self, people: Bodies, scene: int) -> OccupancyGrid | None:
         row = int(self.bank.index(people.map_id[scene].view(1)))
         return self.bank.grids[row] if row >= 0 else None
 
-    def _framed(self, people: People, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
+    def _framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
         """Return a camera whose center and width are known."""
         camera = camera or Camera()
         if camera.center is not None and camera.width is not None:

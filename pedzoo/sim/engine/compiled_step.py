@@ -66,7 +66,7 @@ def step_compiled(
         clock=clock, failed=failed, mask=mask, controlled=controlled, person=person, past=past,
         velocity=velocity, heading=heading, goal_id=goal_id, drawn=drawn, reached=count, late=late,
     )  # fmt: skip
-    guidance = rules.guide(after)
+    guidance = rules.guidance(after)
     told = guidance.distance, state.way, state.planned, state.deadline, state.pref_speed
     settle(
         *(value.detach().numpy() for value in told),

@@ -14,7 +14,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.engine.base import REACH, Distances, People, Physics
+from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.engine.bullet_scene import BulletScene
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.frames import Affine, scene_to_grid
@@ -87,7 +87,7 @@ class Bullet(Physics):
         self._scenes.clear()
         self._closed = True
 
-    def _asked(self, people: People, present: Tensor) -> Iterator[_Asked]:
+    def _asked(self, people: Bodies, present: Tensor) -> Iterator[_Asked]:
         """Yield scene after scene.
 
         Raises:
@@ -120,7 +120,7 @@ class Bullet(Physics):
         return self._scenes[row]
 
     @torch.no_grad()
-    def distances(self, people: People, reach: float = REACH) -> Distances:
+    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """See `Physics.distances`; not differentiable."""
         self._check_reach(reach)
         shape = people.mask.shape
@@ -164,7 +164,7 @@ class Bullet(Physics):
         return best, away
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         extra = self._radius(people) - self.body_radius
         # a bound on how far anybody gets
@@ -235,7 +235,7 @@ class Bullet(Physics):
                 touching[person, trace] = found is not None and found[0] < extra[person]
 
     @torch.no_grad()
-    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `Physics.rays`: pybullet's batched ray test, at the height of the chest."""
         found = np.full(origin.shape[:2], reach)
         starts = _array(origin)
@@ -278,7 +278,7 @@ class Bullet(Physics):
         return found
 
     def image(
-        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+        self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.base import Bodies
 from pedzoo.sim.engine.compiled import advance_compiled, compiles, contacts_compiled
 from pedzoo.sim.motion import Contacts, Motion, Walk
 from pedzoo.sim.physics.torch import Torch
@@ -23,7 +23,7 @@ class Compiled(Torch):
         return super()._advance(state, walk)
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         if not compiles(path):
             return super().contacts(path, people)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.engine.base import REACH, Distances, People, Physics
+from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.near import agent_contacts
 from pedzoo.sim.engine.top_view import draw_top_view
@@ -22,7 +22,7 @@ _CHUNK = 4_000_000
 class Torch(Physics):
     """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
 
-    def distances(self, people: People, reach: float = REACH) -> Distances:
+    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """See `Physics.distances`; differentiable with respect to positions."""
         self._check_reach(reach)
         present = self._present(people)
@@ -61,7 +61,7 @@ class Torch(Physics):
         return Motion(trace, *(part.permute(1, 2, 0) for part in (flags[0], flags[1], reached)))
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         radius = self._radius(people)
         row = self.bank.index(people.map_id[:, 0])
@@ -78,7 +78,7 @@ class Torch(Physics):
         )
 
     @torch.no_grad()
-    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `Physics.rays`: a traversal of the grid, and discs by formula."""
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
@@ -93,7 +93,7 @@ class Torch(Physics):
         ]
         return torch.where(valid, torch.minimum(walls, torch.cat(bodies, 1)), reach)
 
-    def _body_rays(self, people: People, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
+    def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
         present = self._present(people)
         if not people.mask.shape[1]:
             return origin.new_full(origin.shape[:2], reach)
@@ -107,7 +107,7 @@ class Torch(Physics):
         return torch.where(seen, entry, reach).amin(-1).clamp_max(reach)
 
     def image(
-        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+        self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; always from the top, drawn without any renderer."""
         return draw_top_view(

@@ -27,7 +27,7 @@ REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "
 SpeedOf = Literal["observed", "track"]
 
 
-class People(NamedTuple):
+class RecordedPeople(NamedTuple):
     """P recorded people; row p is ``person`` p of states and rollouts.
 
     Times of recordings are seconds since their first row, in frames of 0.4 s.
@@ -87,7 +87,7 @@ def people_of(
     planner: Planner,
     share: float = 1.0,
     speed: SpeedOf = "observed",
-) -> tuple[People, Tensor]:
+) -> tuple[RecordedPeople, Tensor]:
     """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
 
     Args:
@@ -98,14 +98,14 @@ def people_of(
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
     """
     found = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
-    people = People(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*found, strict=True)))
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
     xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
     return people, xy.float()
 
 
-def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
+def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPeople:
     """Return the people of one recording without goals."""
     agent, begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)
     end = begin + count - 1
@@ -120,7 +120,7 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
     def places(rows: np.ndarray) -> Tensor:
         return torch.from_numpy(tracks.xy[rows])
 
-    return People(
+    return RecordedPeople(
         recording=torch.full((len(agent),), number),
         agent=torch.from_numpy(agent),
         first=torch.from_numpy(first),
@@ -135,7 +135,7 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
     )
 
 
-def _with_goals(people: People, mine: Tensor, row: int, planner: Planner) -> People:
+def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:
     """Return people of whom those of one recording, ``mine`` (P,) bool, have goals where they can."""
     gone = people.until[mine & people.controlled]
     if not len(gone):
@@ -153,7 +153,7 @@ def _with_goals(people: People, mine: Tensor, row: int, planner: Planner) -> Peo
     start = people.start[mine].float()
     map_id = torch.full((len(start),), planner.bank.grids[row].map_id if row >= 0 else -1)
     way = people.way.float()
-    way[mine] = planner.look(start, goal_id[mine], map_id, identity_pose(len(start))).distance
+    way[mine] = planner.next_waypoints(start, goal_id[mine], map_id, identity_pose(len(start))).distance
     lost = way.isinf()
     stayed = ((goal - people.start).norm(dim=1) <= GOAL_RADIUS) & ~blocked
     what = people.what

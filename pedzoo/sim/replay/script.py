@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.replay.people import People
+from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
@@ -59,13 +59,13 @@ class Opening(NamedTuple):
 class Script:
     """Moves people as they were recorded, and says who is there.
 
-    Whoever is on stage is played back first. The policy takes over in the frame that `People` says, and has
-    them until they arrive or their time is up. Nobody else ever uses their slot before that, so who is in
-    which slot depends on the script alone. Everything happens in step with the frames of 0.4 s, except that
+    People are played back first. The policy takes over in the frame that `RecordedPeople` says, and moves
+    them until they arrive or their time is up. Their slot is theirs until then, so which person is in which
+    slot depends on the script alone. Everything happens in step with the frames of 0.4 s, except that
     people leave with the decision in which they arrive.
     """
 
-    def __init__(self, people: People, xy: Tensor, who: Tensor, scenes: Scenes) -> None:
+    def __init__(self, people: RecordedPeople, xy: Tensor, who: Tensor, scenes: Scenes) -> None:
         """Take the parts.
 
         Args:
@@ -82,7 +82,7 @@ class Script:
         """Return the script on a device: itself where it is there already."""
         if self.xy.device == torch.device(device):
             return self
-        people = People(*(value.to(device) for value in self.people))
+        people = RecordedPeople(*(value.to(device) for value in self.people))
         scenes = Scenes(*(value.to(device) for value in self.scenes))
         return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
 

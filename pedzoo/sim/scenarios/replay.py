@@ -18,7 +18,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.ways.planner import Planner
 from pedzoo.sim.real import real_parts
-from pedzoo.sim.replay.people import People, SpeedOf, people_of
+from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of
 from pedzoo.sim.replay.script import Scenes, Script
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
@@ -52,7 +52,7 @@ class Replay(Scenario):
     """
 
     unknown: Unknown = "free"
-    persons: People
+    persons: RecordedPeople
     recordings: list[str]
     scenes: int
 
@@ -207,7 +207,7 @@ class Replay(Scenario):
     def layout(self, draws: Draws) -> Layout:
         """Return the recorded beginning of scenes; they follow one another in the order of episodes."""
         if draws.episode is None or self.script is None:
-            raise ValueError("a replay needs the numbers of its episodes, Draws.of(seed, episode)")
+            raise ValueError("a replay needs the numbers of its episodes, Draws.for_episodes(seed, episode)")
         scene = draws.episode % self.scenes
         opening, history = self.script.opening(scene)
         there = opening.person >= 0

@@ -95,7 +95,7 @@ class Standing(Door):
         beside = (width / 2 - ROOM).clamp_min(0.0) * (2 * draws.uniform("beside") - 1)
         place = torch.stack((self.at.of(draws, 1)[:, 0], beside), dim=-1)
         goals = self._goals.to(width.device)[self.variants.drawn(draws)]
-        goal = goals.gather(1, draws.whole("goal", 2, 1))
+        goal = goals.gather(1, draws.integers("goal", 2, 1))
         speed = self.speeds(draws)[:, -1:]
         return coming._replace(
             start=torch.cat((coming.start, place.unsqueeze(1)), dim=1),
