@@ -165,12 +165,12 @@ def _whole(url: str, target: Path, sha256: str | None, size: int | None, token: 
                 raise _RefusedError(f"{error}, tried {len(WAITS) + 1} times") from error
             time.sleep(max(wait, error.wait))
             continue
-        found = sha256_of(part)
-        if sha256 in (None, found):
+        digest = sha256_of(part)
+        if sha256 in (None, digest):
             return part
         part.unlink()
         if not mixed:
-            raise _RefusedError(f"does not have the expected content: sha256 {found}, expected {sha256}")
+            raise _RefusedError(f"does not have the expected content: sha256 {digest}, expected {sha256}")
         mixed = False  # some of it was left by an earlier download: once more, all from here
 
 

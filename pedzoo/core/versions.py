@@ -15,15 +15,15 @@ PACKAGES = ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "nump
 
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on, and the commit where pedzoo runs from a checkout."""
-    found = {"pedzoo": __version__, "python": sys.version.split()[0]}
+    result = {"pedzoo": __version__, "python": sys.version.split()[0]}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            result[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "absent"
+            result[package] = "absent"
     if commit := _commit():
-        found["commit"] = commit
-    return found
+        result["commit"] = commit
+    return result
 
 
 def _commit() -> str:

@@ -120,8 +120,8 @@ def _find_rows(
     rows = np.empty((len(here), obs_len + pred_len), dtype=np.int32)
     for column in range(rows.shape[1]):  # one at a time: all at once would take eight times the memory
         wanted = key[here] + column - (obs_len - 1)
-        found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-        rows[:, column] = np.where(key[found] == wanted, found, -1)
+        index = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        rows[:, column] = np.where(key[index] == wanted, index, -1)
     return rows
 
 
@@ -130,19 +130,19 @@ def why_empty(
 ) -> UserError:
     """Return the error for recordings that give no window, with the reason and the way out."""
     length, steps = obs_len + pred_len, [len(np.unique(tracks.frame)) for tracks in recordings]
-    found = ", ".join(
+    recorded = ", ".join(
         f"{tracks.name!r} ({tracks.people} people, {n} steps)"
         for tracks, n in zip(recordings, steps, strict=True)
     )
     if max(steps) < length:
         return UserError(
             f"a window needs obs_len + pred_len = {obs_len} + {pred_len} = {length} steps, but "
-            f"there is only {found}: record longer, or lower --data.obs_len or --data.pred_len"
+            f"there is only {recorded}: record longer, or lower --data.obs_len or --data.pred_len"
         )
     ways = ["--data.people present keeps partly seen people"] * (people == "complete")
     ways += ["--data.min_people 1 keeps lone people"] * (min_people > 1)
     part = "all" if people == "complete" else "enough"
     return UserError(
-        f"no window of {length} steps has {min_people} people who are seen in {part} of it: {found}; "
+        f"no window of {length} steps has {min_people} people who are seen in {part} of it: {recorded}; "
         f"{', '.join(ways) or 'record more'}"
     )

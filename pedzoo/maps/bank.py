@@ -234,8 +234,8 @@ def _restored(
     max_distance: float,
 ) -> MapBank:
     """Return the bank of this process with such content, made where there is none."""
-    found = _ALIVE.get(content)
-    if found is None:
-        found = MapBank(grids, unknown, max_distance)
-        found._ids = ids  # a floor plan may have two names
-    return found
+    bank = _ALIVE.get(content)
+    if bank is None:
+        bank = MapBank(grids, unknown, max_distance)
+        bank._ids = ids  # a floor plan may have two names
+    return bank

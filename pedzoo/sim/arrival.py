@@ -7,7 +7,7 @@ from torch import Tensor
 
 from pedzoo.core.draws import Draws
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.motion import Walk
+from pedzoo.sim.motion import MotionInput
 from pedzoo.sim.scenes.scenario import Scenario
 
 LEAST_SECONDS = 20.0
@@ -17,17 +17,17 @@ WAYS = 4.0
 """And so many times as long as the way to it takes at the speed that they like."""
 
 
-def arrived(path: Tensor, goal: Tensor, walk: Walk) -> Tensor:
+def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
     """Return who has come within 0.3 m of their goal until each trace point (B, A, S) bool.
 
     Args:
         path: Sub-steps (2, S * M, B, A), metres.
         goal: Goals (B, A, 2).
-        walk: Says which agents may.
+        inputs: Says which agents may.
     """
     x, y = path.detach() - goal.detach().movedim(-1, 0).unsqueeze(1)
-    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & walk.wanted
-    return (near.unflatten(0, (-1, walk.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
+    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & inputs.wanted
+    return (near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
 
 
 def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:

@@ -48,8 +48,8 @@ class _Scenes(NamedTuple):
 
     def with_rows(self, index: Tensor, other: _Scenes) -> _Scenes:
         """Return the scenes with those at ``index`` replaced."""
-        told = zip(self.guidance, other.guidance, strict=True)
-        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in told))
+        pairs = zip(self.guidance, other.guidance, strict=True)
+        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
         return _Scenes(self.state.with_rows(index, other.state), guidance)
 
 
@@ -75,9 +75,10 @@ class PedestrianEnv(EnvBase):
 
     Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info``
     has what closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached``
-    are those of every 0.1 s since the last decision (see `Events`); for ``late`` and ``way`` see `State`.
+    are those of every 0.1 s since the last decision (see `Events`); ``overdue`` and
+    ``remaining_path`` are those of `State`.
 
-    The reward is the way that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
+    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
 
     Attributes:
@@ -167,9 +168,9 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: `reset` was never called.
         """
-        told = self._scenes.guidance if self._scenes else ()
+        guidance = self._scenes.guidance if self._scenes else ()
         state = State(*(value.detach() for value in self.state))
-        self._scenes = _Scenes(state, Guidance(*(value.detach() for value in told)))
+        self._scenes = _Scenes(state, Guidance(*(value.detach() for value in guidance)))
         return self._observation(*self._scenes)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
@@ -291,7 +292,10 @@ class PedestrianEnv(EnvBase):
         else:
             happened = outcome[:4]
         names = ("trace", "agent_contact", "wall_contact", "reached")
-        info = dict(zip(names, happened, strict=True)) | {"late": state.late, "way": state.way}
+        info = dict(zip(names, happened, strict=True)) | {
+            "overdue": state.overdue,
+            "remaining_path": state.remaining_path,
+        }
         batch = observed(state, guidance, self.bank)
         batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
         batch["failed"] = state.failed.unsqueeze(1)

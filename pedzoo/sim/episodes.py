@@ -74,12 +74,12 @@ class Episodes:
         guidance = self._rules.guidance(state)
         if layout.opening is None:
             state, guidance = self._apart(state, guidance)
-        way = guidance.distance
-        cut_off = ((opening.controlled | (state.stands > 0)) & way.isinf()).nonzero()
+        remaining_path = guidance.distance
+        cut_off = ((opening.controlled | (state.stands > 0)) & remaining_path.isinf()).nonzero()
         if len(cut_off):
             raise self._no_way(state, guidance, *cut_off[0].tolist())
         if layout.opening is not None:  # people who are played back may be where no way leads from
-            way = torch.where(way.isfinite(), way, 0.0)
+            remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
         clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
         position, past = state.position, state.past
         if velocity is None:
@@ -94,10 +94,10 @@ class Episodes:
             heading=faces,
             goal_point=guidance.goal_point,
             reached=torch.zeros_like(state.reached),
-            deadline=deadline(clock, way, state.pref_speed) if until is None else until,
-            late=torch.zeros_like(state.late),
-            way=way,
-            planned=torch.where(opening.controlled, planned(way), 0.0),
+            deadline=deadline(clock, remaining_path, state.pref_speed) if until is None else until,
+            overdue=torch.zeros_like(state.overdue),
+            remaining_path=remaining_path,
+            planned=torch.where(opening.controlled, planned(remaining_path), 0.0),
         )
 
     def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
@@ -133,7 +133,7 @@ class Episodes:
             scene=opening.scene,
             controlled=opening.controlled,
             person=opening.person,
-            known=opening.known,
+            observed_points=opening.observed_points,
             velocity=velocity,
             heading=_or(layout.heading, heading_of(velocity)),
             radius=_or(layout.radius, usual),
@@ -199,5 +199,5 @@ def _everybody(layout: Layout) -> Opening:
         scene=torch.zeros_like(layout.map_id),
         person=torch.where(layout.mask, slot, -1),
         controlled=walks,
-        known=torch.full_like(layout.goal, PAST_LEN),
+        observed_points=torch.full_like(layout.goal, PAST_LEN),
     )

@@ -39,12 +39,12 @@ class Rollout:
         agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false where nobody is.
         wall_contact: A wall was (E, A, T) bool.
         reached: Goals reached until then by whoever is in the slot (E, A, T) long.
-        late: A goal was not reached in time (E, A) bool.
+        overdue: A goal was not reached in time (E, A) bool.
         failed: The policy gave no number (E,) bool.
         mask: Who was there at the beginning (E, A) bool.
         past: The warm start (E, A, 29, 2), its last point is where the episode begins.
         pref_speed: The speed that people like (E, A), m/s.
-        way: Length of the way to the first goal (E, A), metres.
+        first_path_length: Length of the path to the first goal (E, A), metres.
         radius: Radii of the bodies (E, A), metres.
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (E, A) long.
         map_id: Floor plan (E,) long.
@@ -63,12 +63,12 @@ class Rollout:
     agent_contact: Tensor
     wall_contact: Tensor
     reached: Tensor
-    late: Tensor
+    overdue: Tensor
     failed: Tensor
     mask: Tensor
     past: Tensor
     pref_speed: Tensor
-    way: Tensor
+    first_path_length: Tensor
     radius: Tensor
     kind: Tensor
     map_id: Tensor
@@ -141,8 +141,8 @@ class Rollout:
         who = torch.nn.functional.pad(torch.where(there, who, -1), (1, 1), value=-1)
         change = who[:, 1:] != who[:, :-1]
         begins, ends = change & (who[:, 1:] >= 0), change & (who[:, :-1] >= 0)
-        found = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
-        return [(slot, first, last - 1) for (slot, first), (_, last) in found]
+        result = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
+        return [(slot, first, last - 1) for (slot, first), (_, last) in result]
 
     def episodes(self, index: slice) -> Rollout:
         """Return some of the episodes."""
@@ -160,12 +160,12 @@ def joined(parts: Sequence[Rollout]) -> Rollout:
         last = value[:, :, -1:].expand(*value.shape[:2], missing, *value.shape[3:])
         return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
 
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for field in fields(Rollout):
         values = [getattr(part, field.name) for part in parts]
         if isinstance(values[0], Tensor):
             values = [grown(value) for value in values] if field.name in OVER_TIME else values
-            found[field.name] = torch.cat(values)
+            result[field.name] = torch.cat(values)
         else:
-            found[field.name] = values[0]
-    return Rollout(**found)
+            result[field.name] = values[0]
+    return Rollout(**result)

@@ -18,8 +18,8 @@ def observation(scenes: int, agents: int, trace_points: int, maps: MapBank) -> C
         agent_contact=flag(*ba, trace_points),
         wall_contact=flag(*ba, trace_points),
         reached=whole(*ba, trace_points),
-        late=flag(*ba),
-        way=real(*ba),
+        overdue=flag(*ba),
+        remaining_path=real(*ba),
         shape=ba,
     )
     people = Composite(

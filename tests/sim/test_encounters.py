@@ -62,7 +62,7 @@ def touched(result: Rollout) -> float:
 
 
 def arrived(result: Rollout) -> float:
-    good = success(result.reached, result.goals, result.late, result.failed, result.mask)
+    good = success(result.reached, result.goals, result.overdue, result.failed, result.mask)
     return float(good.double().mean())
 
 
@@ -81,7 +81,7 @@ def test_a_crowd_has_room_and_arrives(name: str) -> None:
     assert float(apart(state.position).min()) > 2 * BODY_RADIUS
     wall, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
     assert float(wall.min()) > BODY_RADIUS
-    assert state.way.isfinite().all()
+    assert state.remaining_path.isfinite().all()
     assert arrived(walked(f"{name}:people={most}", 4)) > 0.95
 
 

@@ -104,7 +104,7 @@ def test_a_compiled_decision_is_that_of_the_kernel(
             torch.testing.assert_close(one, two, msg=f"{name} in decision {number}")
         state, guidance, events = other
         reached = max(reached, int(events.reached.max()))
-    assert reached > 0 and state.failed.tolist() == [False, True, False] and state.late.any()
+    assert reached > 0 and state.failed.tolist() == [False, True, False] and state.overdue.any()
 
 
 def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:

@@ -187,7 +187,7 @@ def test_starts_goals_ways_and_times(folder: Path) -> None:
     assert 0.4 * float(people.last[alice]) == pytest.approx(6.4)
     assert people.start[alice].tolist() == pytest.approx([1 + 7 * 0.3, 1])
     assert people.exit[alice].tolist() == people.goal[alice].tolist() == pytest.approx([5.8, 1])
-    assert float(people.way[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
+    assert float(people.path_length[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
     assert float(people.pref_speed[alice]) == pytest.approx(0.3 / 0.4)
     # (8.1, 4) is not in an open cell: the nearest one's centre is 0.25 m or more from the wall at x = 8
     assert people.exit[edge].tolist() == pytest.approx([8.1, 4])
@@ -519,7 +519,7 @@ def test_partial_resets_and_auto_reset(folder: Path) -> None:
     after = env.state
     assert after.scene.tolist() == [0, 0, 2]  # scene 4 of the seed is the first again
     assert after.clock.tolist() == pytest.approx([1.2, 0, 1.2])
-    for key in ("past", "person", "controlled", "known"):
+    for key in ("past", "person", "controlled", "observed_points"):
         assert torch.equal(getattr(after, key)[[0, 2]], getattr(before, key)[[0, 2]])
     long = make_env(scenario, num_envs=3).rollout(120, policy, break_when_any_done=False)
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
@@ -603,7 +603,7 @@ def test_rewards_are_the_way_that_got_shorter(folder: Path) -> None:
     env = make_env(replay(folder))
     policy, now, total = GoToGoal(), env.reset(), 0.0
     slot = int((now["agents", "id"][0] == 0).nonzero()[0, 0])
-    way, length = float(env.state.way[0, slot]), 0.0
+    way, length = float(env.state.remaining_path[0, slot]), 0.0
     while bool(env.state.controlled[0, slot]):
         result = env.step(policy(now))
         touched = result["next", "agents", "info", "agent_contact"][0, slot].any()

@@ -58,7 +58,7 @@ def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
             low = torch.tensor(grid.origin[:2])
             high = low + torch.tensor(grid.cells.shape[::-1]) * grid.resolution
             assert ((points[scene] > low) & (points[scene] < high)).all()
-    assert state.way.isfinite().all()
+    assert state.remaining_path.isfinite().all()
     whole = (state.past, state.goal_point, state.map_id)
     for i in (0, 31, 47):
         alone = make_env(env.scenario, first_episode=i)

@@ -85,13 +85,13 @@ class EthUcy:
         return list({file.name: file for file in files}.values())
 
     def _below(self, scene: str) -> dict[Split, list[str]]:
-        found: dict[Split, list[str]] = {}
+        paths_by_split: dict[Split, list[str]] = {}
         for split in ("train", "val", "test"):
             folder = self.root / scene / split
             if not (files := sorted(folder.glob("*.txt"))):
                 raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
-            found[split] = [str(path.relative_to(self.root)) for path in files]
-        return found
+            paths_by_split[split] = [str(path.relative_to(self.root)) for path in files]
+        return paths_by_split
 
     def _recording(self, path: Path) -> Recording:
         name = path.stem.removesuffix("_train").removesuffix("_val")

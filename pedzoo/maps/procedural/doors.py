@@ -98,14 +98,14 @@ def draw_doors(dice: Dice, rooms: Sequence[Room], widths: tuple[int, int]) -> li
 
 def _walls(rooms: Sequence[Room]) -> list[_Wall]:
     """Return the stretches that two rooms have between them."""
-    found = []
+    result = []
     for (i, one), (j, other) in combinations(enumerate(rooms), 2):
         for a in one.parts:
             for b in other.parts:
                 for axis in (0, 1):
                     if wall := _between(a, b, axis):
-                        found.append(_Wall((i, j), wall, axis))
-    return found
+                        result.append(_Wall((i, j), wall, axis))
+    return result
 
 
 def _between(a: Rect, b: Rect, axis: int) -> Rect | None:

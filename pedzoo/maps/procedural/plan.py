@@ -105,10 +105,10 @@ def generate(
     seed = int(seed)
     width, height = (units(side) for side in size or KINDS[kind].draw_size(Dice(seed, kind, "size")))
     for attempt in range(_ATTEMPTS):
-        found = _attempt(kind, (seed, kind, attempt), (width, height), furnished, doors)
-        if found is None:
+        result = _attempt(kind, (seed, kind, attempt), (width, height), furnished, doors)
+        if result is None:
             continue
-        rooms, openings, pieces = found
+        rooms, openings, pieces = result
         cells = np.full((height, width), OCCUPIED, dtype=np.uint8)
         for rect in (*(part for room in rooms for part in room.parts), *(door.opening for door in openings)):
             cells[rect.y0 : rect.y1, rect.x0 : rect.x1] = FREE
@@ -165,10 +165,10 @@ def _attempt(
     pieces: list[Piece] = []
     for number, room in enumerate(rooms):
         mine = [door for door in doors if number in door.rooms]
-        found = furnish(Dice(*key, "furniture", number), room, mine, furnished)
-        if found is None:
+        result = furnish(Dice(*key, "furniture", number), room, mine, furnished)
+        if result is None:
             return None
-        pieces += found
+        pieces += result
     return rooms, doors, pieces
 
 

@@ -150,12 +150,12 @@ class _Front:
 
         everybody = np.arange(len(cell))
         shortest = via.argmin(axis=0)
-        found, chosen = via[shortest, everybody], beside[shortest, everybody]
+        shortest_length, chosen = via[shortest, everybody], beside[shortest, everybody]
         who = everybody
         for _ in range(_TRIES):
             best = total.argmin(axis=0)
             least = total[best, np.arange(len(who))]
-            worth = np.flatnonzero(least <= found[who])
+            worth = np.flatnonzero(least <= shortest_length[who])
             who, total, offered, least = who[worth], total[:, worth], offered[:, worth], least[worth]
             candidate = offered[best[worth], np.arange(len(who))]
             # a goal is looked for at its cell's centre: only there is the clearance certain
@@ -164,14 +164,14 @@ class _Front:
             asked = np.flatnonzero(~seen) if self.thick else np.arange(len(who))
             seen[asked] = self.graph.sight.clear(here[who[asked]], spot[asked])
             chosen[who[seen]] = candidate[seen]
-            found[who[seen]] = least[seen]
+            shortest_length[who[seen]] = least[seen]
             missed = np.flatnonzero(~seen)
             if not len(missed):
                 break
             who, offered = who[missed], offered[:, missed]
             total = np.where(offered == candidate[missed], np.float32(np.inf), total[:, missed])
         self.waypoint[base + cell] = chosen
-        self.length[base + cell] = found
+        self.length[base + cell] = shortest_length
 
 
 def _norm(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:

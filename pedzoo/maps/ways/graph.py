@@ -71,13 +71,13 @@ class OpenGraph:
         width = padded.shape[1]
         here = np.flatnonzero(padded)
         flat, numbers = padded.ravel(), number.ravel()
-        found = np.empty((len(self), len(STEPS)), dtype=np.int32)
+        result = np.empty((len(self), len(STEPS)), dtype=np.int32)
         for k, (down, right) in enumerate(STEPS):
             beside = flat[here + down * width] & flat[here + right]
-            found[:, k] = np.where(
+            result[:, k] = np.where(
                 beside | (down * right == 0), numbers[here + down * width + right], len(self)
             )
-        return found
+        return result
 
     @cached_property
     def matrix(self) -> csr_array:
@@ -173,9 +173,9 @@ def as_points(points: ArrayLike | Tensor) -> NDArray[np.float64]:
         UserError: One is not finite.
     """
     given = points.detach().cpu().numpy() if isinstance(points, Tensor) else points
-    found = np.array(given, dtype=np.float64).reshape(-1, 2)
-    if not np.isfinite(found).all():
+    result = np.array(given, dtype=np.float64).reshape(-1, 2)
+    if not np.isfinite(result).all():
         raise UserError(
-            f"goals must be finite positions in metres, got {found[~np.isfinite(found).all(1)][0]}"
+            f"goals must be finite positions in metres, got {result[~np.isfinite(result).all(1)][0]}"
         )
-    return found
+    return result

@@ -1,4 +1,4 @@
-"""What the planner says: where people's ways lead, and what they are told."""
+"""What the planner says: where people's ways lead, and how they are guided."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class NextWaypoints(NamedTuple):
 
 
 class Guidance(NamedTuple):
-    """What people are told, in the scene's frame, metres and seconds."""
+    """Carrots and desired velocities of people, in the scene's frame, metres and seconds."""
 
     goal: Tensor
     """The carrot (P, 2)."""

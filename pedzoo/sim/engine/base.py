@@ -19,7 +19,7 @@ from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.compiled import advance_compiled, compiles
-from pedzoo.sim.motion import Contacts, Motion, Owned, Walk
+from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
 from pedzoo.sim.state import State
 
 REACH = 5.0
@@ -156,7 +156,7 @@ class Physics(ABC):
         wanted = moving & (state.goal_id >= 0)
         own = self.owned(state)
         if own is None:
-            return self._advance(state, Walk(velocity, moving, substeps, played, wanted))
+            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted))
         own = own & moving
         if command is None:
             command = torch.zeros_like(state.velocity)
@@ -165,32 +165,32 @@ class Physics(ABC):
         if played is None:
             played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
         played = torch.where(own[:, :, None, None, None], moved.path, played)
-        motion = self._advance(state, Walk(velocity, moving & ~own, substeps, played, wanted))
+        motion = self._advance(state, MotionInput(velocity, moving & ~own, substeps, played, wanted))
         return motion._replace(
             heading=torch.where(own, moved.heading, torch.nan),
             turn_rate=torch.where(own, moved.turn_rate, 0.0),
         )
 
-    def _advance(self, state: State, walk: Walk) -> Motion:
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
         people = Bodies(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
-        if compiles(state.past, walk.velocity):
-            paths = torch.empty(*walk.moving.shape, walk.velocity.shape[1], walk.substeps, 2)
-            walked = advance_compiled(self.bank, state, walk, paths)
-            return Motion(walked.trace, *self.contacts(paths, people), walked.reached)
-        path, _ = self._walked(state, walk)
-        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, walk.substeps))
+        if compiles(state.past, inputs.velocity):
+            paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
+            integrated = advance_compiled(self.bank, state, inputs, paths)
+            return Motion(integrated.trace, *self.contacts(paths, people), integrated.reached)
+        path, _ = self._integrated(state, inputs)
+        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
         contacts = self.contacts(steps.detach(), people)
-        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, walk))
+        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
 
-    def _walked(self, state: State, walk: Walk) -> tuple[Tensor, Tensor | None]:
+    def _integrated(self, state: State, inputs: MotionInput) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
         walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
-        position, velocity = state.position.movedim(-1, 0), walk.velocity * walk.moving
-        path, gap = integrate(position, velocity, state.radius, walk.substeps, walls)
-        if walk.played is not None:
-            given = walk.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
-            scripted = state.mask & ~walk.moving
+        position, velocity = state.position.movedim(-1, 0), inputs.velocity * inputs.moving
+        path, gap = integrate(position, velocity, state.radius, inputs.substeps, walls)
+        if inputs.played is not None:
+            given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
+            scripted = state.mask & ~inputs.moving
             path = torch.where(scripted, given, path)
             if walls is not None and gap is not None:
                 gap = torch.where(scripted, walls.look(given, edges=False)[0], gap)
@@ -279,12 +279,12 @@ class Physics(ABC):
             return camera
         grid = self._plan(people, scene)
         if grid is None:
-            found = camera.around(people.position[scene][people.mask[scene]], size)
+            fitted = camera.around(people.position[scene][people.mask[scene]], size)
         else:
             corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
-            found = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
-        width = found.width if camera.width is None else camera.width
-        return Camera(camera.view, camera.center or found.center, width, camera.heading, camera.pitch)
+            fitted = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
+        width = fitted.width if camera.width is None else camera.width
+        return Camera(camera.view, camera.center or fitted.center, width, camera.heading, camera.pitch)
 
 
 def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:

@@ -78,7 +78,7 @@ class BulletLooks:
         width, height = size
         distance = math.dist(eye[0], eye[1])
         upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
-        found = self._p.getCameraImage(
+        image = self._p.getCameraImage(
             width,
             height,
             viewMatrix=self._p.computeViewMatrix(*eye),
@@ -94,9 +94,9 @@ class BulletLooks:
             renderer=self._p.ER_BULLET_HARDWARE_OPENGL if self._egl else self._p.ER_TINY_RENDERER,
             physicsClientId=self.client,
         )
-        picture = np.asarray(found[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
+        picture = np.asarray(image[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
-        picture[np.asarray(found[4]).reshape(height, width) < 0] = FLOOR
+        picture[np.asarray(image[4]).reshape(height, width) < 0] = FLOOR
         return picture
 
     def _figure(self, person: int, radius: float) -> int:

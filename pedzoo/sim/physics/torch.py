@@ -12,7 +12,7 @@ from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.near import agent_contacts
 from pedzoo.sim.engine.top_view import draw_top_view
-from pedzoo.sim.motion import Contacts, Motion, Walk
+from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.state import State
 
 _CHUNK = 4_000_000
@@ -46,16 +46,16 @@ class Torch(Physics):
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
-    def _advance(self, state: State, walk: Walk) -> Motion:
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `Physics.advance`; contacts come from the distances that the path has looked up already."""
-        (path, gap), substeps = self._walked(state, walk), walk.substeps
+        (path, gap), substeps = self._integrated(state, inputs), inputs.substeps
         with torch.no_grad():
             radius = state.radius
             points = path.detach()
             agent = agent_contacts(points, state.mask, radius)
             wall = torch.zeros_like(agent) if gap is None else (gap < radius) & state.mask
             near = (points - state.goal_point.movedim(-1, 0).unsqueeze(1)).square().sum(0) < GOAL_RADIUS**2
-            flags = torch.stack((agent, wall, near & walk.wanted)).unflatten(1, (-1, substeps)).any(2)
+            flags = torch.stack((agent, wall, near & inputs.wanted)).unflatten(1, (-1, substeps)).any(2)
             reached = flags[2].cumsum(0) > 0
         trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
         return Motion(trace, *(part.permute(1, 2, 0) for part in (flags[0], flags[1], reached)))

@@ -42,7 +42,7 @@ class RecordedPeople(NamedTuple):
         exit: Where they are last seen (P, 2), metres.
         goal: The goal: the exit, or the nearest place that one can walk to (P, 2), metres.
         goal_id: The planner's number of it (P,) long, -1 for none.
-        way: Length of the planner's way from start to goal (P,), metres; 0 without a goal.
+        path_length: Length of the planner's way from start to goal (P,), metres; 0 without a goal.
         pref_speed: The speed that they like (P,), m/s.
     """
 
@@ -55,7 +55,7 @@ class RecordedPeople(NamedTuple):
     exit: Tensor
     goal: Tensor
     goal_id: Tensor
-    way: Tensor
+    path_length: Tensor
     pref_speed: Tensor
 
     @property
@@ -77,8 +77,8 @@ class RecordedPeople(NamedTuple):
     @property
     def counts(self) -> dict[str, int]:
         """How many people there are of each kind, those that do not occur left out."""
-        found = Counter(self.what.tolist())
-        return {name: found[what] for what, name in enumerate(REASONS) if found[what]}
+        number = Counter(self.what.tolist())
+        return {name: number[what] for what, name in enumerate(REASONS) if number[what]}
 
 
 def people_of(
@@ -97,8 +97,8 @@ def people_of(
         share: Whoever can be taken over later than this share of a recording's time is played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
     """
-    found = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
-    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
+    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
     xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
@@ -130,7 +130,7 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
         exit=places(end),
         goal=places(end),
         goal_id=torch.full((len(agent),), -1),
-        way=torch.zeros(len(agent), dtype=torch.float64),
+        path_length=torch.zeros(len(agent), dtype=torch.float64),
         pref_speed=torch.from_numpy((walked[measured] - walked[begin]) / seconds).clamp_min(SLOWEST).float(),
     )
 
@@ -152,9 +152,11 @@ def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner
     goal_id[with_goal] = planner.add_goals(row, goal[with_goal])
     start = people.start[mine].float()
     map_id = torch.full((len(start),), planner.bank.grids[row].map_id if row >= 0 else -1)
-    way = people.way.float()
-    way[mine] = planner.next_waypoints(start, goal_id[mine], map_id, identity_pose(len(start))).distance
-    lost = way.isinf()
+    path_length = people.path_length.float()
+    path_length[mine] = planner.next_waypoints(
+        start, goal_id[mine], map_id, identity_pose(len(start))
+    ).distance
+    lost = path_length.isinf()
     stayed = ((goal - people.start).norm(dim=1) <= GOAL_RADIUS) & ~blocked
     what = people.what
     for reason, who in ((NO_WAY, lost), (STAYED, stayed), (BLOCKED, blocked)):
@@ -163,5 +165,5 @@ def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner
         what=what,
         goal=goal,
         goal_id=torch.where(lost, -1, goal_id),
-        way=torch.where(lost, 0.0, way).to(people.way),
+        path_length=torch.where(lost, 0.0, path_length).to(people.path_length),
     )

@@ -39,7 +39,7 @@ class Opening(NamedTuple):
         scene: Which scenes of the script (B,) long.
         person: Who is in each slot (B, A) long, -1 for nobody.
         controlled: Whom the policy moves (B, A) bool.
-        known: Trace points for which they have been seen (B, A) long.
+        observed_points: Trace points for which they have been seen (B, A) long.
         velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
         deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
     """
@@ -47,7 +47,7 @@ class Opening(NamedTuple):
     scene: Tensor
     person: Tensor
     controlled: Tensor
-    known: Tensor
+    observed_points: Tensor
     velocity: Tensor | None = None
     deadline: Tensor | None = None
 
@@ -86,17 +86,17 @@ class Script:
         scenes = Scenes(*(value.to(device) for value in self.scenes))
         return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
 
-    def due(self, scene: Tensor, frame: Tensor) -> Tensor:
+    def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
         """Return who has each slot (B, A) long at a recording's frame (B,); -1 for nobody."""
         table, until, lead = (
             values[scene] for values in (self.scenes.table, self.scenes.until, self.scenes.lead)
         )
-        due = self.who[table, :, frame.clamp_max(self.who.shape[2] - 1)]
+        scheduled = self.who[table, :, frame.clamp_max(self.who.shape[2] - 1)]
         # the last slot is kept for the lead, who is not met a second time
         leads = (lead >= 0) & (frame < self.people.until[lead])
-        due = torch.where(due == lead.unsqueeze(1), -1, due)
-        due[:, -1] = torch.where(leads, lead, due[:, -1])
-        return torch.where((frame < until).unsqueeze(1), due, -1)
+        scheduled = torch.where(scheduled == lead.unsqueeze(1), -1, scheduled)
+        scheduled[:, -1] = torch.where(leads, lead, scheduled[:, -1])
+        return torch.where((frame < until).unsqueeze(1), scheduled, -1)
 
     def places(self, person: Tensor, frame: Tensor) -> Tensor:
         """Return where people (..., ) are at frames (..., ), in their first or last place before or after."""
@@ -124,7 +124,7 @@ class Script:
     def opening(self, scene: Tensor) -> tuple[Opening, Tensor]:
         """Return how scenes (B,) begin, and everybody's positions in the frames until then (B, A, 8, 2)."""
         frame = self.scenes.origin[scene]
-        person = self.due(scene, frame)
+        person = self.people_in_slots(scene, frame)
         there = person >= 0
         at = frame.unsqueeze(1).expand_as(person)
         frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
@@ -138,7 +138,7 @@ class Script:
             scene=scene,
             person=person,
             controlled=self._taken(scene, person, at),
-            known=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
+            observed_points=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
             velocity=(following - last) / STEP_SECONDS,
             deadline=self._deadline(scene, person),
         ), torch.where(there[..., None, None], history, 0.0)
@@ -161,7 +161,7 @@ class Script:
         recorded = self.path(state.scene, state.person, _tick(state.clock), points, substeps)
         return torch.where(failed.view(-1, 1, 1, 1, 1), state.position[:, :, None, None], recorded)
 
-    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+    def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
         """Let people come, go and be taken over at the end of a decision of S ``points``.
 
         Returns:
@@ -170,38 +170,38 @@ class Script:
         tick = _tick(before.clock) + points
         at = self.scenes.origin[after.scene] * TRACE_PER_STEP + tick
         frame, sharp = at // TRACE_PER_STEP, (at % TRACE_PER_STEP == 0).unsqueeze(1)
-        known = (after.known + points).clamp_max(PAST_LEN)
-        after = after._replace(clock=tick * TRACE_SECONDS, known=known)
-        due = self.due(after.scene, frame)
-        now = frame.unsqueeze(1).expand_as(due)
-        there = due >= 0
-        comes = there & sharp & (self.people.first[due] == now)
-        stays = after.mask & (after.person == due)
+        observed_points = (after.observed_points + points).clamp_max(PAST_LEN)
+        after = after._replace(clock=tick * TRACE_SECONDS, observed_points=observed_points)
+        scheduled = self.people_in_slots(after.scene, frame)
+        now = frame.unsqueeze(1).expand_as(scheduled)
+        there = scheduled >= 0
+        comes = there & sharp & (self.people.first[scheduled] == now)
+        stays = after.mask & (after.person == scheduled)
         mask = comes | stays
-        late = after.late | (after.mask & after.controlled & ~stays)
-        taken = stays & sharp & self._taken(after.scene, due, now)
-        here = self.places(due, now)
-        velocity = (self.places(due, now + 1) - here) / STEP_SECONDS
+        overdue = after.overdue | (after.mask & after.controlled & ~stays)
+        taken = stays & sharp & self._taken(after.scene, scheduled, now)
+        here = self.places(scheduled, now)
+        velocity = (self.places(scheduled, now + 1) - here) / STEP_SECONDS
         come = comes.unsqueeze(2)
         return after._replace(
             mask=torch.where(sharp, mask, after.mask),
             controlled=torch.where(sharp, (after.controlled & stays) | taken, after.controlled),
-            person=torch.where(sharp, torch.where(mask, due, -1), after.person),
-            known=known.masked_fill(comes, 1),
+            person=torch.where(sharp, torch.where(mask, scheduled, -1), after.person),
+            observed_points=observed_points.masked_fill(comes, 1),
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),
-            pref_speed=torch.where(comes, self._pref_speed[due], after.pref_speed),
-            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[due], after.top_speed),
-            goal_id=torch.where(comes, self.people.goal_id[due], after.goal_id),
+            pref_speed=torch.where(comes, self._pref_speed[scheduled], after.pref_speed),
+            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[scheduled], after.top_speed),
+            goal_id=torch.where(comes, self.people.goal_id[scheduled], after.goal_id),
             drawn=after.drawn.masked_fill(comes, 0),
             reached=after.reached.masked_fill(comes, 0),
-            deadline=torch.where(comes, self._deadline(after.scene, due), after.deadline),
-            late=torch.where(sharp, late & ~comes, after.late),
-            way=after.way.masked_fill(comes, 0.0),
+            deadline=torch.where(comes, self._deadline(after.scene, scheduled), after.deadline),
+            overdue=torch.where(sharp, overdue & ~comes, after.overdue),
+            remaining_path=after.remaining_path.masked_fill(comes, 0.0),
             planned=after.planned.masked_fill(comes, 0.0),
         ), taken
 
-    def over(self, state: State) -> Tensor:
+    def ended(self, state: State) -> Tensor:
         """Return the scenes in which nobody is controlled, now or later (B,) bool."""
         frame = self.scenes.origin[state.scene] + _tick(state.clock) // TRACE_PER_STEP
         return ~state.controlled.any(1) & (frame >= self.scenes.last[state.scene])

@@ -14,7 +14,7 @@ def slots(begin: Tensor, end: Tensor) -> Tensor:
     As few as possible, none used by two at a time: whoever comes next gets the free slot with the smallest
     number. People who are never there (``end`` not after ``begin``) get -1.
     """
-    found = torch.full_like(begin, -1)
+    result = torch.full_like(begin, -1)
     free: list[int] = []
     leaving: list[tuple[int, int]] = []
     used = 0
@@ -29,8 +29,8 @@ def slots(begin: Tensor, end: Tensor) -> Tensor:
             used += 1
         slot = heappop(free)
         heappush(leaving, (goes, slot))
-        found[person] = slot
-    return found
+        result[person] = slot
+    return result
 
 
 def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> Tensor:

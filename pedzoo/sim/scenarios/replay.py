@@ -38,7 +38,7 @@ class Replay(Scenario):
     of at most 8 steps, and people who are at their exit already, are only played back: they are met, but do
     not react. Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
     most. Unknown cells are free, and everybody's preferred speed is what was observed in their first 8 steps.
-    That and the exit are all that a policy is told of the recording ahead, and the velocity with which others
+    That and the exit are all that a policy knows of the recording ahead, and the velocity with which others
     come in, which is that of their first step.
 
     A recording is cut where nobody can be left (in a recording of sparse crowds), so that its parts run side
@@ -168,7 +168,7 @@ class Replay(Scenario):
         """Return the script in which everybody is simulated who can be."""
         people = self.persons
         frames = int(people.until.max()) + 1
-        slot, found = torch.full_like(people.first, -1), []
+        slot, scene_rows = torch.full_like(people.first, -1), []
         for recording in range(len(self._map_id)):
             mine = (people.recording == recording).nonzero()[:, 0]
             slot[mine] = slots(people.first[mine], people.until[mine])
@@ -178,8 +178,8 @@ class Replay(Scenario):
                 if len(scored):
                     origin = people.first[who].min() + OBS_LEN - 1
                     last, left = people.taken[scored].max(), people.last[scored].max()
-                    found.append((recording, origin, people.until[who].max(), last, left, -1))
-        return self._scripted(slot, people.until, frames, int(slot.max()) + 1, found)
+                    scene_rows.append((recording, origin, people.until[who].max(), last, left, -1))
+        return self._scripted(slot, people.until, frames, int(slot.max()) + 1, scene_rows)
 
     def _one(self) -> Script:
         """Return the script with a scene for everybody; those who stay equally long follow each other."""
@@ -191,17 +191,17 @@ class Replay(Scenario):
             slot[mine] = slots(people.first[mine], people.last[mine])
         leads = people.controlled.nonzero()[:, 0]
         leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
-        found = [
+        scene_rows = [
             (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p)
             for p in leads
         ]
-        return self._scripted(slot, people.last, frames, int(slot.max()) + 2, found)
+        return self._scripted(slot, people.last, frames, int(slot.max()) + 2, scene_rows)
 
-    def _scripted(self, slot: Tensor, end: Tensor, frames: int, most: int, found: list[tuple]) -> Script:
+    def _scripted(self, slot: Tensor, end: Tensor, frames: int, most: int, scene_rows: list[tuple]) -> Script:
         people = self.persons
         mine = (people.recording == number for number in range(len(self._map_id)))
         tables = [table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine]
-        columns = (torch.tensor([int(value) for value in column]) for column in zip(*found, strict=True))
+        columns = (torch.tensor([int(value) for value in column]) for column in zip(*scene_rows, strict=True))
         return Script(people, self._xy, torch.stack(tables), Scenes(*columns))
 
     def layout(self, draws: Draws) -> Layout:

@@ -132,7 +132,7 @@ class LoopModule(ForecastModule):
         noise = self.walker.noise_of(seen)
         segment = unrolled(running.env, self.walker, seen, self.steps)
         running.end(segment.done)
-        for name in ("touched", "grazed"):
+        for name in ("agent_contact", "wall_contact"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
         terms = self.walking(segment, running.env.bank, noise, self.firmness())
         for name, (function, weight) in self.losses.items():
