@@ -115,7 +115,7 @@ class Episodes:
     def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
-        row = self._scenario.planner.rows(layout.map_id)
+        row = self._scenario.planner.map_rows(layout.map_id)
         frame, place = self._scenario.planner.bank.walls_of_scenes(row, pose)
         position = past[:, :, -1]
         velocity = (position - past[:, :, -2]) / TRACE_SECONDS

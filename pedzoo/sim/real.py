@@ -52,7 +52,7 @@ class AsRecorded(Script):
     @classmethod
     def of(cls, script: Script) -> AsRecorded:
         """Return the script of the same people."""
-        return cls(script.people, script.xy, script.who, script.scenes)
+        return cls(script.people, script.xy, script.occupants, script.scenes)
 
     def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
         """Return the people in the slots until they really leave; see `Script.people_in_slots`."""

@@ -148,14 +148,14 @@ class State(NamedTuple):
         number = (self.drawn % self.later_goals.shape[2]).unsqueeze(2)
         return self.later_goals.gather(2, number)[..., 0]
 
-    def rows(self, index: Tensor) -> State:
+    def select(self, index: Tensor) -> State:
         """Return some of the scenes."""
         return State(*(value[index] for value in self))
 
-    def with_rows(self, index: Tensor, other: State) -> State:
+    def with_scenes(self, index: Tensor, other: State) -> State:
         """Return a state in which the scenes at ``index`` are those of ``other``."""
         if len(index) == len(self.key):
-            return other.rows(index.argsort())
+            return other.select(index.argsort())
         pairs = zip(self, other, strict=True)
         return State(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
 

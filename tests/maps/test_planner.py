@@ -70,7 +70,7 @@ def told(
     planner: Planner, points: Tensor, goal: Tensor, map_id: Tensor, pose: Tensor, speed: Tensor, ahead: float
 ) -> Guidance:
     """Guide people (P,) of whom each is in a scene of their own."""
-    scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.rows(map_id), pose, speed.unsqueeze(1)
+    scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.map_rows(map_id), pose, speed.unsqueeze(1)
     found = planner.guidance(*scenes, ahead, float(speed.max()))
     return Guidance(*(value.squeeze(1) for value in found))
 

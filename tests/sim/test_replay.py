@@ -389,7 +389,7 @@ def test_slots_are_never_shared(plaza: Replay) -> None:
     assert [piece.tolist() for piece in pieces(begin, end)] == [[0, 1, 2, 3], [4, 5]]
     scenario, people = plaza, plaza.persons
     assert scenario.script is not None
-    (who,) = scenario.script.who
+    (who,) = scenario.script.occupants
     for number in range(len(people.agent)):
         slot, frames = (who == number).nonzero(as_tuple=True)
         assert len(slot.unique()) == 1

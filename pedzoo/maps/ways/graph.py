@@ -142,8 +142,8 @@ class OpenGraph:
             i = int(far.argmax())
             where = "is in a wall or too near to one" if inside[i] else "is outside the map"
             raise UserError(
-                f"{what} {show(points[i])} {where} on map {self.grid.name!r}: the nearest point with "
-                f"clearance {self.clearance} m is {show(moved[i])}, more than {snap} m away"
+                f"{what} {format_point(points[i])} {where} on map {self.grid.name!r}: the nearest point with "
+                f"clearance {self.clearance} m is {format_point(moved[i])}, more than {snap} m away"
             )
         return cell, moved
 
@@ -161,7 +161,7 @@ def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.
     return np.take(large, np.asarray(parts, dtype=np.int32))
 
 
-def show(point: NDArray[np.float64]) -> str:
+def format_point(point: NDArray[np.float64]) -> str:
     """Return a position as messages show it."""
     return f"({point[0]:.2f}, {point[1]:.2f})"
 

@@ -15,7 +15,7 @@ from pedzoo.maps.ways.carrot import seen_beyond
 from pedzoo.maps.ways.compiled_guidance import guidance_compiled
 from pedzoo.maps.ways.corners import CornerGraph
 from pedzoo.maps.ways.fields import Fields, build_fields
-from pedzoo.maps.ways.graph import OpenGraph, as_points, show
+from pedzoo.maps.ways.graph import OpenGraph, as_points, format_point
 from pedzoo.maps.ways.guidance import Guidance, NextWaypoints, heading, segments
 from pedzoo.maps.ways.planar import Frame
 from pedzoo.maps.ways.waypoint_table import Goal, WaypointLookup, WaypointTable
@@ -173,7 +173,7 @@ class Planner:
         Raises:
             UserError: A goal is of another map than the person.
         """
-        row = self.rows(map_id)
+        row = self.map_rows(map_id)
         self._on(points.device).check(goal_id, row)
         frame = Frame.of(pose)
         _, waypoints = self._find(points, goal_id, row, frame)
@@ -183,7 +183,7 @@ class Planner:
         distance = (waypoint - points).norm(dim=1) + waypoints.onward
         return NextWaypoints(waypoint, after, goal, distance)
 
-    def rows(self, map_id: Tensor) -> Tensor:
+    def map_rows(self, map_id: Tensor) -> Tensor:
         """Return the rows (N,) long of floor plans ``map_id`` (N,) in the bank; -1 stays -1.
 
         Raises:
@@ -290,8 +290,8 @@ class Planner:
         (first, last), moved = graph.settle(ends, self.snap, "start or goal")
         if graph.component[first] != graph.component[last]:
             raise UserError(
-                f"no way from {show(ends[0])} to {show(ends[1])} on map {graph.grid.name!r}: they are in "
-                f"rooms without a door between that leaves clearance {self.clearance} m"
+                f"no way from {format_point(ends[0])} to {format_point(ends[1])} on map "
+                f"{graph.grid.name!r}: they are in rooms without a door between that leaves clearance {self.clearance} m"
             )
         bends = self.corners(row).way(first, last, *graph.to_place(moved))
         return np.concatenate((graph.xy[bends], moved[1:]))

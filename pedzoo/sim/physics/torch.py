@@ -35,14 +35,14 @@ class Torch(Physics):
             agent, nearest = between.min(-1)
         else:
             agent, nearest = position[..., 0], torch.zeros_like(people.mask, dtype=torch.long)
-        apart = position - position.gather(1, nearest.unsqueeze(-1).expand_as(position))
-        apart = torch.where((agent < reach).unsqueeze(-1), apart, 0)
+        offset = position - position.gather(1, nearest.unsqueeze(-1).expand_as(position))
+        offset = torch.where((agent < reach).unsqueeze(-1), offset, 0)
         wall, away = self.bank.closest_wall(position, people.map_id[:, 0], people.pose)
         near = present & (wall < reach)
         return Distances(
             agent=agent,
             wall=torch.where(near, wall, reach),
-            agent_normal=torch.nn.functional.normalize(apart, dim=-1),
+            agent_normal=torch.nn.functional.normalize(offset, dim=-1),
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
@@ -98,9 +98,9 @@ class Torch(Physics):
         if not people.mask.shape[1]:
             return origin.new_full(origin.shape[:2], reach)
         # |origin + t direction - position| = radius, the smaller t; a root below zero lies behind the ray
-        apart = origin.unsqueeze(2) - people.position.unsqueeze(1)
-        along = (apart * direction.unsqueeze(2)).sum(-1)
-        outside = apart.square().sum(-1) - self._radius(people).unsqueeze(1) ** 2
+        offset = origin.unsqueeze(2) - people.position.unsqueeze(1)
+        along = (offset * direction.unsqueeze(2)).sum(-1)
+        outside = offset.square().sum(-1) - self._radius(people).unsqueeze(1) ** 2
         root = along.square() - outside
         entry = -along - root.clamp_min(0).sqrt()
         seen = (root > 0) & (entry >= 0) & (outside > 0) & present.unsqueeze(1)

@@ -65,16 +65,16 @@ class Script:
     people leave with the decision in which they arrive.
     """
 
-    def __init__(self, people: RecordedPeople, xy: Tensor, who: Tensor, scenes: Scenes) -> None:
+    def __init__(self, people: RecordedPeople, xy: Tensor, occupants: Tensor, scenes: Scenes) -> None:
         """Take the parts.
 
         Args:
             people: All people.
             xy: Rows of their tracks (N, 2), person after person, one for each frame.
-            who: Who is in which slot in which frame (tables, A, frames) long, -1 for nobody.
+            occupants: Person in each slot in each frame (tables, A, frames) long, -1 for none.
             scenes: The scenes.
         """
-        self.people, self.xy, self.who, self.scenes = people, xy, who, scenes
+        self.people, self.xy, self.occupants, self.scenes = people, xy, occupants, scenes
         self._begin = torch.cumsum(people.last - people.first + 1, 0) - (people.last - people.first + 1)
         self._pref_speed = people.pref_speed.float()
 
@@ -84,14 +84,14 @@ class Script:
             return self
         people = RecordedPeople(*(value.to(device) for value in self.people))
         scenes = Scenes(*(value.to(device) for value in self.scenes))
-        return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
+        return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
 
     def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
         """Return who has each slot (B, A) long at a recording's frame (B,); -1 for nobody."""
         table, until, lead = (
             values[scene] for values in (self.scenes.table, self.scenes.until, self.scenes.lead)
         )
-        scheduled = self.who[table, :, frame.clamp_max(self.who.shape[2] - 1)]
+        scheduled = self.occupants[table, :, frame.clamp_max(self.occupants.shape[2] - 1)]
         # the last slot is kept for the lead, who is not met a second time
         leads = (lead >= 0) & (frame < self.people.until[lead])
         scheduled = torch.where(scheduled == lead.unsqueeze(1), -1, scheduled)

@@ -156,7 +156,7 @@ class Replay(Scenario):
         """Say who has which slot when, and print how many people are simulated and played back."""
         self.script = self._all() if self.simulated == "all" else self._one()
         self.scenes = len(self.script.scenes.table)
-        self.people = self.script.who.shape[1]
+        self.people = self.script.occupants.shape[1]
         print(f"replay {self.name}: {self.summary()}")
 
     def summary(self) -> str:
