@@ -75,7 +75,7 @@ def fetch(
     """Return the local copy of a file, downloading it first where there is none or another one.
 
     Two processes that want one file download it once. A broken download is kept beside the file and
-    continued by the next call; without a ``sha256`` it starts again, for nobody could tell two files apart.
+    continued by the next call; without a ``sha256`` it starts again, because two files look alike.
 
     Args:
         urls: The file's address, or those of its mirrors in the order in which they are tried.

@@ -32,4 +32,4 @@ GOAL_RADIUS = 0.3
 """Metres: a goal is reached within it (iGibson's)."""
 
 TOP_SPEED_RATIO = 1.3
-"""Nobody walks faster than this many times the speed they like."""
+"""No person walks faster than this many times the preferred speed."""

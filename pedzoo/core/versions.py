@@ -29,7 +29,7 @@ def versions() -> dict[str, str]:
 def _commit() -> str:
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
-        return ""  # installed from a wheel: a surrounding repository would be somebody else's
+        return ""  # installed from a wheel: a surrounding repository is another project's
     try:
         command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"]
         return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()

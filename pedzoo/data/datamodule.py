@@ -80,7 +80,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             seed: Of the order of batches and all augmentation.
             unroll: Steps of further training windows, for a controller that is to walk as these people did;
                 0 for none. Else training batches are ``{"forecast": as without, "unrolled": windows with so
-                many predicted steps}``. Those keep everybody who is there, lone people too, have the goal
+                many predicted steps}``. Those keep all people who are there, lone people too, have the goal
                 ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
                 accelerate is imitated.
             unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.

@@ -29,7 +29,7 @@ def recorded_goals(
     Args:
         protocol: Any but ``none``.
         xy: Positions of the recordings (N, 2).
-        last: Row of everybody's last observed position (B, A).
+        last: Row of each person's last observed position (B, A).
         end: Row of their last recorded position (B, A).
         window_end: Their last known position in the window (B, A, 2).
         generator: Draws ``random_future``.

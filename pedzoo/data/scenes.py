@@ -156,7 +156,7 @@ def _filled(xy: Tensor, rows: Tensor, obs_len: int) -> Tensor:
     steps = torch.arange(rows.shape[-1])
     known = rows >= 0
     latest = torch.where(known, steps, -1).cummax(-1).values
-    # everybody is seen at the last observed step, so the first sighting is there at the latest
+    # all people are seen at the last observed step, so the first sighting is there at the latest
     first = torch.where(known, steps, obs_len - 1).amin(-1, keepdim=True)
     step = torch.where(latest >= 0, latest, first)
     return xy[rows.gather(-1, step)]

@@ -1,4 +1,4 @@
-"""Sliding windows over recorded people, cut exactly as Social GAN cuts them, or keeping everybody.
+"""Sliding windows over recorded people, cut exactly as Social GAN cuts them, or keeping all people.
 
 A window is a run of consecutive *distinct* frames of a file (holes in the frame numbers are not
 looked at), one for every frame. Nothing is copied: a window is rows of the tracks table.
@@ -22,7 +22,7 @@ KeptPeople = Literal["complete", "present"]
 class Counts:
     """Windows and people kept and dropped, for the line that every run prints.
 
-    Everybody who is seen at the last observed step of a window is counted once for that window, as exactly
+    Each person who is seen at the last observed step of a window is counted once for that window, as exactly
     one of ``people``, ``dropped_partial`` and ``dropped_lone``.
 
     Attributes:
@@ -76,7 +76,7 @@ def cut_windows(
         obs_len: Observed steps.
         pred_len: Predicted steps.
         people: ``complete`` keeps the people who are seen in all frames of a window (Social GAN);
-            ``present`` keeps everybody who is seen in the last observed frame and in one before it.
+            ``present`` keeps all people who are seen in the last observed frame and in one before it.
         min_people: A window with fewer of them is dropped (2 in Social GAN, whose own option says 1).
     """
     length = obs_len + pred_len

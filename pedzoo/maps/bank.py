@@ -1,4 +1,4 @@
-"""The floor plans of a datamodule or an environment, and distances to their walls for everybody at once."""
+"""The floor plans of a datamodule or an environment, and distances to their walls for all agents at once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.maps.walls.walls import Walls
 
 MAX_DISTANCE = 5.0
-"""Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
+"""Metres at which signed distances are cut off: agents do not react to walls farther away."""
 
 
 class MapBank:
@@ -84,7 +84,7 @@ class MapBank:
 
     @cached_property
     def _atlas(self) -> Atlas:
-        # computed at first use: whoever never asks for a distance does not wait for the transforms
+        # computed at first use: the transforms take long
         fields = [torch.from_numpy(grid.signed_distance(self.unknown)) for grid in self.grids]
         return Atlas.stack(
             [field.clamp(-self.max_distance, self.max_distance)[None] for field in fields],
@@ -193,7 +193,7 @@ class MapBank:
         return self.walls_around(map_id, pose).closest(points)
 
     def walls_around(self, map_id: Tensor, pose: Tensor) -> LocalWalls:
-        """Return what `closest_wall` asks of N entries, for those who ask about the same entries again.
+        """Return what `closest_wall` asks of N entries, for callers that ask about the same entries again.
 
         Args:
             map_id: Floor plan of each entry (N,) long, -1 for none.

@@ -11,14 +11,14 @@ from pedzoo.sim.motion import MotionInput
 from pedzoo.sim.scenes.scenario import Scenario
 
 LEAST_SECONDS = 20.0
-"""Everybody has at least so long for a goal."""
+"""Seconds that every agent has for a goal, at least."""
 
 WAYS = 4.0
 """And so many times as long as the way to it takes at the speed that they like."""
 
 
 def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
-    """Return who has come within 0.3 m of their goal until each trace point (B, A, S) bool.
+    """Return which agents have come within 0.3 m of their goal until each trace point (B, A, S) bool.
 
     Args:
         path: Sub-steps (2, S * M, B, A), metres.
@@ -51,7 +51,7 @@ def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:
 
 
 def planned(way: Tensor) -> Tensor:
-    """Return how far people have to walk whose ways (B, A) to their goals are so long, metres."""
+    """Return how far people with paths (B, A) of such lengths to their goals have to walk, metres."""
     return (way.detach() - GOAL_RADIUS).clamp_min(0)
 
 

@@ -51,13 +51,13 @@ def observation(scenes: int, agents: int, trace_points: int, maps: MapBank) -> C
 
 
 def action(scenes: int, agents: int) -> Composite:
-    """Return the spec of actions: velocities in m/s. The dynamics shorten them to everybody's top speed."""
+    """Return the spec of actions: velocities in m/s. The dynamics shorten them to the agents' top speeds."""
     people = Composite(action=real(scenes, agents, 2), shape=(scenes, agents))
     return Composite(agents=people, shape=(scenes,))
 
 
 def reward(scenes: int, agents: int) -> Composite:
-    """Return the spec of everybody's reward."""
+    """Return the spec of the agents' rewards."""
     people = Composite(reward=real(scenes, agents, 1), shape=(scenes, agents))
     return Composite(agents=people, shape=(scenes,))
 

@@ -48,7 +48,7 @@ class State(NamedTuple):
         turn_acceleration: Greatest change of the turning rate (B, A), rad/s^2.
         track: Distance between the wheels (B, A), metres.
         pref_speed: The speed that agents like (B, A), m/s.
-        goal_id: The planner's number of everybody's goal (B, A) long, -1 for none.
+        goal_id: The planner's number of each agent's goal (B, A) long, -1 for none.
         later_goals: The goals after the first (B, A, G) long, used in turn; -1 for none.
         goal_point: Where the goal is (B, A, 2), metres.
         drawn: Goals that were taken after the first (B, A) long.

@@ -1,4 +1,4 @@
-"""From what happened step by step to the rollout that metrics read, whoever moved the people."""
+"""From what happened step by step to the rollout that metrics read, for policies and recordings."""
 
 from __future__ import annotations
 

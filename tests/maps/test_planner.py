@@ -432,7 +432,7 @@ def test_bad_goals_are_moved_a_little_or_refused() -> None:
         planner.path((-3.0, 1.0), (1.0, 1.0), 0)
     with pytest.raises(UserError, match="finite"):
         planner.add_goals(0, [(math.nan, 1.0)])
-    with pytest.raises(UserError, match="nobody can walk"):
+    with pytest.raises(UserError, match="no way through it"):
         Planner(MapBank([drawn("###", name="solid")])).add_goals(0, [(0.5, 0.5)])
     with pytest.raises(UserError, match="at least 0"):
         Planner(bank, clearance=-1)

@@ -629,7 +629,7 @@ def test_settings_that_cannot_be(folder: Path) -> None:
     with pytest.raises(UserError, match="did you mean 'zara1'"):
         make_env("replay:fold=zara11")
     save(folder / "short.txt", straight(1, 0, 8, (1.0, 1.0), (0.3, 0.0)))
-    with pytest.raises(UserError, match=r"nobody in 'files' can be simulated: \{'too short': 1\}"):
+    with pytest.raises(UserError, match=r"no person in 'files' can be simulated: \{'too short': 1\}"):
         replay(folder, "short")
 
 

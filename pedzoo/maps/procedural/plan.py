@@ -83,7 +83,7 @@ def generate(
     """Return the floor plan of a seed: the same cells on every machine.
 
     Walls and furniture lie on a lattice of 5 cm, so that grids of all resolutions show the same plan. Inner
-    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The free space is one connected piece for everybody who
+    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The free space is one connected piece for all people who
     keeps 0.25 m from walls, the planner's clearance, and it reaches through every door.
 
     Args:

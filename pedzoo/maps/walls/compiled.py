@@ -155,7 +155,7 @@ def guidance_loop(
     frame, quarters = np.empty(7), np.empty(3, np.int64)
     corner, end = np.empty(2), np.empty(2)
     homes, entries = np.empty((scenes, agents, 2)), np.empty((2, scenes, agents), np.int64)
-    # one look-up after the other waits for memory: each is made for everybody before the next
+    # one look-up after the other waits for memory: each is made for all agents before the next
     for b in range(scenes):
         number = rows[b] + 1
         cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]

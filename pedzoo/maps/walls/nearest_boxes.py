@@ -109,8 +109,8 @@ def _gaps(label: NDArray[np.int64], box: NDArray[np.float64]) -> NDArray[np.floa
 def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
     """Return the least signed distance in each quarter of those at its corners.
 
-    Distances to boxes are least at a corner. How deep somebody is inside a wall is not: nobody is deeper
-    than at the deepest corner and half a quarter's diagonal.
+    Distances to boxes are least at a corner. Depths inside walls are not: a place is at
+    most half a quarter's diagonal deeper than its deepest corner.
     """
     corners = np.stack((gap[:-1, :-1], gap[:-1, 1:], gap[1:, :-1], gap[1:, 1:]))
     return corners.min(0) if sign > 0 else -corners.max(0) - np.float32(math.sqrt(0.125))

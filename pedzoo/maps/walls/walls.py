@@ -1,4 +1,4 @@
-"""Exact distances to walls made of square cells, for everybody on every floor plan in one call.
+"""Exact distances to walls made of square cells, for all agents on all floor plans in one call.
 
 The field behind `MapBank.signed_distance` is read between cell centres: smooth, and off by up to a fifth of a
 cell. Contacts and sliding along walls need the walls as they are, the union of the occupied squares.

@@ -108,7 +108,7 @@ class OpenGraph:
         return points @ self._to_cell[:, :2].T + self._to_cell[:, 2]
 
     def locate(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the flat cells of map-frame points (M,), nearest inside the map, and who is inside (M,)."""
+        """Return the flat cells of map-frame points (M,), nearest in the map, and which are inside (M,)."""
         # half cells belong to the smaller one, so that rounding is the same for all of them
         place = np.ceil(self.to_place(points) - 0.5 - 1e-9).astype(np.int64)
         limit = np.array([self.shape[1] - 1, self.shape[0] - 1])
@@ -128,7 +128,7 @@ class OpenGraph:
         """
         if not len(self):
             raise UserError(
-                f"map {self.grid.name!r} has no cell with clearance {self.clearance} m: nobody can walk there"
+                f"map {self.grid.name!r} has no cell with clearance {self.clearance} m: no way through it"
             )
         flat, inside = self.locate(points)
         cell = self.index[flat]

@@ -11,7 +11,7 @@ from pedzoo.maps.ways.planar import Frame
 from pedzoo.maps.ways.waypoint_table import WaypointLookup
 
 EPSILON = 1e-6
-"""Metres: whoever is so near to a point is on it."""
+"""Metres: an agent so near to a point is on it."""
 
 
 class NextWaypoints(NamedTuple):

@@ -291,7 +291,8 @@ class Planner:
         if graph.component[first] != graph.component[last]:
             raise UserError(
                 f"no way from {format_point(ends[0])} to {format_point(ends[1])} on map "
-                f"{graph.grid.name!r}: they are in rooms without a door between that leaves clearance {self.clearance} m"
+                f"{graph.grid.name!r}: they are in rooms without a door between "
+                f"that leaves clearance {self.clearance} m"
             )
         bends = self.corners(row).way(first, last, *graph.to_place(moved))
         return np.concatenate((graph.xy[bends], moved[1:]))

@@ -52,9 +52,9 @@ class Distances(NamedTuple):
     """How near others and walls are to each person; absent people have the reach and no normals.
 
     Attributes:
-        agent: Least distance between centres (B, A), metres; the reach where nobody is nearer.
+        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
         wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
-        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where nobody is within reach.
+        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
         wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
     """
 

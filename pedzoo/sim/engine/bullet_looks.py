@@ -21,7 +21,7 @@ SHAPES = 16
 """pybullet takes so many shapes per body and drops the others without a word."""
 
 AWAY = (0.0, 0.0, -100.0)
-"""Where bodies wait that nobody asks for: below the floor."""
+"""Where unused bodies wait: below the floor."""
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 """No rotation, as a quaternion."""
@@ -31,7 +31,7 @@ class BulletLooks:
     """Walls and figures of people in a pybullet client of their own.
 
     pybullet draws every body that can be collided with, in colours of its choice. And a GPU's renderer shows
-    only what is made after it is loaded, which takes long: whoever takes no pictures should not wait for it.
+    only what is made after it is loaded, which takes long: programs without pictures should not wait for it.
     """
 
     def __init__(self, boxes: NDArray[np.float64]) -> None:

@@ -167,7 +167,7 @@ class Bullet(Physics):
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         extra = self._radius(people) - self.body_radius
-        # a bound on how far anybody gets
+        # a bound on how far any agent gets
         far = torch.hypot(*(path - people.position[:, :, None, None]).abs().amax((2, 3)).movedim(-1, 0))
         present = people.mask & far.isfinite()
         agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)

@@ -1,4 +1,4 @@
-"""The people of recordings: when each comes and goes, where to, and whom a policy can take over."""
+"""The people of recordings: when each comes and goes, where to, and which of them a policy can take over."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pedzoo.maps.ways.planner import Planner
 from pedzoo.sim.scenes.scenario import SLOWEST
 
 LONGEST = 2
-"""Whoever has not arrived after so many times as long as they really took is taken out."""
+"""People are taken out after so many times as long as they really took."""
 
 CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
 """What becomes of a recorded person: taken over by the policy, or played back and why."""
@@ -60,7 +60,7 @@ class RecordedPeople(NamedTuple):
 
     @property
     def controlled(self) -> Tensor:
-        """Whom the policy takes over (P,) bool."""
+        """Which people the policy takes over (P,) bool."""
         return self.what == CONTROLLED
 
     @property
@@ -94,7 +94,7 @@ def people_of(
         recordings: Tracks with a row in every frame of 0.4 s, the first of which is frame 0.
         rows: Row of each recording's floor plan in the planner's bank, -1 for none.
         planner: Finds the ways; exits become its goals.
-        share: Whoever can be taken over later than this share of a recording's time is played back.
+        share: People who could be taken over later than this share of a recording's time are played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
     """
     per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]

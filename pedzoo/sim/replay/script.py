@@ -1,4 +1,4 @@
-"""Who comes and goes when: people who are played back from a recording, and taken over by the policy."""
+"""When people come and go: they are played back from a recording, and taken over by the policy."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Scenes(NamedTuple):
     Attributes:
         table: Which row of the script's table each has (R,) long.
         origin: Frame at which its clock is 0 (R,) long.
-        until: Frame from which on nobody of it is there (R,) long.
-        last: Frame in which the policy takes somebody over for the last time (R,) long.
+        until: Frame from which on none of its people are there (R,) long.
+        last: Frame in which the policy takes a person over for the last time (R,) long.
         left: Frame in which the last of them really leaves (R,) long.
-        lead: The only person whom it takes over (R,) long, -1 where it takes over all whom it can.
+        lead: The only person that it takes over (R,) long, -1 where it takes over all that it can.
     """
 
     table: Tensor
@@ -33,12 +33,12 @@ class Scenes(NamedTuple):
 
 
 class Opening(NamedTuple):
-    """Who is there, and how, when scenes begin.
+    """The people of scenes when these begin.
 
     Attributes:
         scene: Which scenes of the script (B,) long.
-        person: Who is in each slot (B, A) long, -1 for nobody.
-        controlled: Whom the policy moves (B, A) bool.
+        person: Person in each slot (B, A) long, -1 for none.
+        controlled: Which people the policy moves (B, A) bool.
         observed_points: Trace points for which they have been seen (B, A) long.
         velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
         deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
@@ -57,7 +57,7 @@ class Opening(NamedTuple):
 
 
 class Script:
-    """Moves people as they were recorded, and says who is there.
+    """Moves people as they were recorded, and says which are there.
 
     People are played back first. The policy takes over in the frame that `RecordedPeople` says, and moves
     them until they arrive or their time is up. Their slot is theirs until then, so which person is in which
@@ -87,12 +87,12 @@ class Script:
         return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
 
     def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
-        """Return who has each slot (B, A) long at a recording's frame (B,); -1 for nobody."""
+        """Return the person in each slot (B, A) long at a recording's frame (B,); -1 for none."""
         table, until, lead = (
             values[scene] for values in (self.scenes.table, self.scenes.until, self.scenes.lead)
         )
         scheduled = self.occupants[table, :, frame.clamp_max(self.occupants.shape[2] - 1)]
-        # the last slot is kept for the lead, who is not met a second time
+        # the last slot is kept for the lead, which is not met a second time
         leads = (lead >= 0) & (frame < self.people.until[lead])
         scheduled = torch.where(scheduled == lead.unsqueeze(1), -1, scheduled)
         scheduled[:, -1] = torch.where(leads, lead, scheduled[:, -1])
@@ -108,7 +108,7 @@ class Script:
 
         Args:
             scene: Which scenes (B,) long.
-            person: Whose (B, A) long; anything where it is -1.
+            person: Persons (B, A) long; paths of -1 mean nothing.
             tick: Trace points since the clock was 0, before the first one wanted (B,) long; the S points do
                 not go beyond the end of a frame.
             points: S.
@@ -122,7 +122,7 @@ class Script:
         return torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
 
     def opening(self, scene: Tensor) -> tuple[Opening, Tensor]:
-        """Return how scenes (B,) begin, and everybody's positions in the frames until then (B, A, 8, 2)."""
+        """Return how scenes (B,) begin, and people's positions in the frames until then (B, A, 8, 2)."""
         frame = self.scenes.origin[scene]
         person = self.people_in_slots(scene, frame)
         there = person >= 0
@@ -130,7 +130,7 @@ class Script:
         frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
         history = self.places(person.unsqueeze(2).expand_as(frames), frames)
         seen = (at - self.people.first[person]).clamp_max(OBS_LEN - 1)
-        # who has come in this moment is on the way already
+        # people who come in this moment are on their way already
         came = (seen < 1).unsqueeze(2)
         last = torch.where(came, history[:, :, -1], history[:, :, -2])
         following = torch.where(came, self.places(person, at + 1), history[:, :, -1])
@@ -144,12 +144,12 @@ class Script:
         ), torch.where(there[..., None, None], history, 0.0)
 
     def scored(self, scene: Tensor, person: Tensor) -> Tensor:
-        """Return whom the policy has at some time (B, A) bool."""
+        """Return which people the policy has at some time (B, A) bool."""
         lead = self.scenes.lead[scene].unsqueeze(1)
         return self.people.controlled[person] & (person >= 0) & ((lead < 0) | (person == lead))
 
     def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
-        """Return whom the policy takes over in this frame (B, A) bool."""
+        """Return which people the policy takes over in this frame (B, A) bool."""
         return self.scored(scene, person) & (self.people.taken[person] == frame)
 
     def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
@@ -165,7 +165,7 @@ class Script:
         """Let people come, go and be taken over at the end of a decision of S ``points``.
 
         Returns:
-            The state ``after`` with them, and who was taken over just now (B, A) bool.
+            The state ``after`` with them, and which people were taken over just now (B, A) bool.
         """
         tick = _tick(before.clock) + points
         at = self.scenes.origin[after.scene] * TRACE_PER_STEP + tick
@@ -202,7 +202,7 @@ class Script:
         ), taken
 
     def ended(self, state: State) -> Tensor:
-        """Return the scenes in which nobody is controlled, now or later (B,) bool."""
+        """Return the scenes without controlled people, now or later (B,) bool."""
         frame = self.scenes.origin[state.scene] + _tick(state.clock) // TRACE_PER_STEP
         return ~state.controlled.any(1) & (frame >= self.scenes.last[state.scene])
 

@@ -11,7 +11,7 @@ from torch import Tensor
 def slots(begin: Tensor, end: Tensor) -> Tensor:
     """Return slots (P,) long for people who are there from ``begin`` to before ``end`` (P,) long.
 
-    As few as possible, none used by two at a time: whoever comes next gets the free slot with the smallest
+    As few as possible, none used by two at a time: the next person gets the free slot with the smallest
     number. People who are never there (``end`` not after ``begin``) get -1.
     """
     result = torch.full_like(begin, -1)
@@ -34,7 +34,7 @@ def slots(begin: Tensor, end: Tensor) -> Tensor:
 
 
 def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> Tensor:
-    """Return who is in each of ``most`` slots in each of ``frames`` frames (most, frames) long, -1 nobody."""
+    """Return the person in ``most`` slots in ``frames`` frames (most, frames) long, -1 for none."""
     who = torch.full((most, frames), -1)
     everybody = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
     for person, (place, comes, goes) in enumerate(everybody):
@@ -44,9 +44,9 @@ def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> T
 
 
 def pieces(begin: Tensor, end: Tensor) -> list[Tensor]:
-    """Return groups of people (each (n,) long) such that nobody of one is there together with one of another.
+    """Return groups of people (each (n,) long) such that people of two groups are never there together.
 
-    In order of time; within a group somebody is there from its first ``begin`` to its last ``end`` (P,).
+    In order of time; within a group there are people from its first ``begin`` to its last ``end`` (P,).
     """
     groups: list[list[int]] = []
     until = None

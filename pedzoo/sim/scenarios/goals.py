@@ -27,7 +27,7 @@ MORE = 4
 
 
 class Goals(Scenario):
-    """Everybody has some goals to reach, one after the other; who is finished walks on until all are.
+    """People reach some goals, one after the other; finished people walk on until all are.
 
     Starts and goals are drawn from points that are spread over the largest connected part of the floor
     plan; which points these are depends on the plan alone.
@@ -51,7 +51,7 @@ class Goals(Scenario):
                 ``floor_trav_0.png``), or what needs none: ``flat``, four rooms and a corridor, or
                 ``apartment.7``, ``office.7`` and the like, drawn from a seed.
             people: How many, or the least and the largest number, ``[2,5]``.
-            goals: That everybody has to reach.
+            goals: That each person has to reach.
             pool: Places among which goals are drawn, per floor plan.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
@@ -120,7 +120,7 @@ class Goals(Scenario):
         """Return people at places of their own, each with a goal that is some way off."""
         device = draws.key.device
         row = draws.integers("map", len(self._map_ids)).to(device)
-        # everybody gets another place: those with the smallest numbers of a whole row of them
+        # each person gets another place: those with the smallest numbers of a whole row of them
         lottery = draws.uniform("place", self._places.shape[1])
         absent = torch.arange(self._places.shape[1], device=device) >= self._counts.to(device)[row].unsqueeze(
             1
