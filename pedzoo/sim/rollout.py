@@ -137,10 +137,10 @@ class Rollout:
         In a replay a slot has several people, one after the other.
         """
         there = torch.cat((self.mask[episode].unsqueeze(1), self.present[episode]), dim=1)
-        who = torch.cat((self.person[episode, :, :1], self.person[episode]), dim=1)
-        who = torch.nn.functional.pad(torch.where(there, who, -1), (1, 1), value=-1)
-        change = who[:, 1:] != who[:, :-1]
-        begins, ends = change & (who[:, 1:] >= 0), change & (who[:, :-1] >= 0)
+        occupant = torch.cat((self.person[episode, :, :1], self.person[episode]), dim=1)
+        occupant = torch.nn.functional.pad(torch.where(there, occupant, -1), (1, 1), value=-1)
+        change = occupant[:, 1:] != occupant[:, :-1]
+        begins, ends = change & (occupant[:, 1:] >= 0), change & (occupant[:, :-1] >= 0)
         result = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
         return [(slot, first, last - 1) for (slot, first), (_, last) in result]
 

@@ -170,7 +170,7 @@ class WaypointTable:
         """
         # index_select is several times faster than indexing with a tensor
         start, count, of_map = self.goal.index_select(1, goal + 1)
-        someone = goal >= 0
+        has_goal = goal >= 0
         number = row + 1
         width, cells, opens = self.begin.index_select(1, number)
         a, b, c, d, e, f, last_column, last_row, reach = self.to_cell.index_select(1, number)
@@ -181,7 +181,7 @@ class WaypointTable:
         cell = self.nearest.index_select(0, line * width + column + cells)
 
         # without a goal there is a single entry, whatever the cell
-        first = self.waypoint.index_select(0, start + cell * someone)
+        first = self.waypoint.index_select(0, start + cell * has_goal)
         entry = start + first
         second, onward = self.waypoint.index_select(0, entry), self.length.index_select(0, entry)
         is_first, is_last = first == count, second == count

@@ -97,8 +97,8 @@ class Bullet(Physics):
         places, poses = _array(people.position), people.pose.tolist()
         for index, (row, pose, here) in enumerate(zip(rows, poses, present.tolist(), strict=True)):
             affine = self._affine(row, pose)
-            who = [person for person, there in enumerate(here) if there]
-            yield _Asked(index, self._bullet(row), affine, _move(affine, places[index]), who)
+            present_people = [person for person, there in enumerate(here) if there]
+            yield _Asked(index, self._bullet(row), affine, _move(affine, places[index]), present_people)
 
     def _affine(self, row: int, pose: list[float]) -> Affine:
         """Return the map from a scene to pybullet's frame, made once: poses stay as they are."""

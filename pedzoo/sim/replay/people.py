@@ -159,8 +159,8 @@ def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner
     lost = path_length.isinf()
     stayed = ((goal - people.start).norm(dim=1) <= GOAL_RADIUS) & ~blocked
     what = people.what
-    for reason, who in ((NO_WAY, lost), (STAYED, stayed), (BLOCKED, blocked)):
-        what = torch.where(mine & who & (what == CONTROLLED), reason, what)
+    for reason, which in ((NO_WAY, lost), (STAYED, stayed), (BLOCKED, blocked)):
+        what = torch.where(mine & which & (what == CONTROLLED), reason, what)
     return people._replace(
         what=what,
         goal=goal,

@@ -35,12 +35,12 @@ def slots(begin: Tensor, end: Tensor) -> Tensor:
 
 def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> Tensor:
     """Return the person in ``most`` slots in ``frames`` frames (most, frames) long, -1 for none."""
-    who = torch.full((most, frames), -1)
-    everybody = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
-    for person, (place, comes, goes) in enumerate(everybody):
+    occupant = torch.full((most, frames), -1)
+    stays = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
+    for person, (place, comes, goes) in enumerate(stays):
         if place >= 0:
-            who[place, comes:goes] = person
-    return who
+            occupant[place, comes:goes] = person
+    return occupant
 
 
 def pieces(begin: Tensor, end: Tensor) -> list[Tensor]:

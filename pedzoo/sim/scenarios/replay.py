@@ -173,12 +173,12 @@ class Replay(Scenario):
             mine = (people.recording == recording).nonzero()[:, 0]
             slot[mine] = slots(people.first[mine], people.until[mine])
             for piece in pieces(people.first[mine], people.until[mine]):
-                who = mine[piece]
-                scored = who[people.controlled[who]]
+                group = mine[piece]
+                scored = group[people.controlled[group]]
                 if len(scored):
-                    origin = people.first[who].min() + OBS_LEN - 1
+                    origin = people.first[group].min() + OBS_LEN - 1
                     last, left = people.taken[scored].max(), people.last[scored].max()
-                    scene_rows.append((recording, origin, people.until[who].max(), last, left, -1))
+                    scene_rows.append((recording, origin, people.until[group].max(), last, left, -1))
         return self._scripted(slot, people.until, frames, int(slot.max()) + 1, scene_rows)
 
     def _one(self) -> Script:
