@@ -178,22 +178,22 @@ def maps_of(batch: TensorDictBase) -> MapBank:
     Raises:
         UserError: The batch has no floor plans, or its scenes are of different banks.
     """
-    found: list[MapBank] = []
+    banks: list[MapBank] = []
     for bank in _banks(batch.get("maps", None)):
-        if not any(bank is other or bank == other for other in found):
-            found.append(bank)
-    if not found:
+        if not any(bank is other or bank == other for other in banks):
+            banks.append(bank)
+    if not banks:
         raise UserError(
             "this batch does not say which floor plans its map_id speaks of: make it with "
             "pedzoo.core.batch.scene_batch(maps=...), with MapBank() for scenes without floor plans"
         )
-    if len(found) > 1:
-        held = " and ".join(f"[{', '.join(bank.names[:3]) or 'no map'}]" for bank in found[:3])
+    if len(banks) > 1:
+        held = " and ".join(f"[{', '.join(bank.names[:3]) or 'no map'}]" for bank in banks[:3])
         raise UserError(
-            f"scenes of {len(found)} different banks of floor plans were combined: {held}. Combine scenes of "
+            f"scenes of {len(banks)} different banks of floor plans were combined: {held}. Combine scenes of "
             "one environment or datamodule, or make all of them with one MapBank that holds all floor plans"
         )
-    return found[0].to(cast("Tensor", batch["map_id"]).device)
+    return banks[0].to(cast("Tensor", batch["map_id"]).device)
 
 
 def _banks(entry: Any) -> Iterator[MapBank]:

@@ -63,11 +63,11 @@ class Draws:
     """
 
     def __init__(self, key: Tensor, episode: Tensor | None = None) -> None:
-        """Take the scenes' keys; see `of`."""
+        """Take the scenes' keys; see `for_episodes`."""
         self.key, self.episode = key, episode
 
     @classmethod
-    def of(cls, seed: int, episode: Tensor) -> Draws:
+    def for_episodes(cls, seed: int, episode: Tensor) -> Draws:
         """Return the numbers of the scenes ``episode`` (B,) long of a seed."""
         return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode), episode)
 
@@ -87,10 +87,10 @@ class Draws:
         """Return numbers (B, *shape) from the standard normal distribution."""
         return normal(self.keys(what, *shape))
 
-    def whole(self, what: str, count: int, *shape: int) -> Tensor:
+    def integers(self, what: str, count: int, *shape: int) -> Tensor:
         """Return whole numbers (B, *shape) long from 0 to ``count - 1``."""
         return (self.uniform(what, *shape) * count).long().clamp_max(count - 1)
 
-    def at(self, what: str, *index: Tensor) -> Tensor:
+    def uniform_at(self, what: str, *index: Tensor) -> Tensor:
         """Return one number (B,) in (0, 1) per scene, the one at ``index``, each (B,) long."""
         return uniform(join(self.key, what, *index))

@@ -75,7 +75,7 @@ def fetch(
     """Return the local copy of a file, downloading it first where there is none or another one.
 
     Two processes that want one file download it once. A broken download is kept beside the file and
-    continued by the next call; without a ``sha256`` it starts again, for nobody could tell two files apart.
+    continued by the next call; without a ``sha256`` it starts again, because two files look alike.
 
     Args:
         urls: The file's address, or those of its mirrors in the order in which they are tried.
@@ -165,12 +165,12 @@ def _whole(url: str, target: Path, sha256: str | None, size: int | None, token: 
                 raise _RefusedError(f"{error}, tried {len(WAITS) + 1} times") from error
             time.sleep(max(wait, error.wait))
             continue
-        found = sha256_of(part)
-        if sha256 in (None, found):
+        digest = sha256_of(part)
+        if sha256 in (None, digest):
             return part
         part.unlink()
         if not mixed:
-            raise _RefusedError(f"does not have the expected content: sha256 {found}, expected {sha256}")
+            raise _RefusedError(f"does not have the expected content: sha256 {digest}, expected {sha256}")
         mixed = False  # some of it was left by an earlier download: once more, all from here
 
 

@@ -54,7 +54,7 @@ def nearest_part(away: Tensor, move: Tensor) -> Tensor:
 
 
 def opposed(ahead: Tensor) -> Tensor:
-    """Return who is going the opposite way of whom (..., A, A) bool, within 60 degrees.
+    """Return which pairs of agents go opposite ways (..., A, A) bool, within 60 degrees.
 
     Args:
         ahead: Unit vectors in which people are going (..., A, 2); zero for nowhere.

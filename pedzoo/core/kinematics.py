@@ -43,7 +43,7 @@ def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
 
 
 def passes(begin: Tensor, end: Tensor, goal: Tensor) -> Tensor:
-    """Return whose straight move (..., 2) comes within 0.3 m of their goal (..., 2), (...,) bool; metres."""
+    """Return which straight moves (..., 2) come within 0.3 m of the goal (..., 2), (...,) bool; metres."""
     away, move = begin - goal, end - begin
     nearest = away + nearest_part(away, move).unsqueeze(-1) * move
     return nearest.square().sum(-1) < GOAL_RADIUS**2

@@ -80,29 +80,29 @@ def takes_world(function: Function) -> Function:
 
 def new_words(argv: list[str]) -> list[str]:
     """Return a command line with ``--world`` written as ``--physics``."""
-    found = list(argv)
+    result = list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
         if flag != "--world":
             continue
-        found[i] = "--physics" + joined + OLD_BACKENDS.get(value, value)
+        result[i] = "--physics" + joined + OLD_BACKENDS.get(value, value)
         old = value
         if not joined and i + 1 < len(argv):
             old = argv[i + 1]
-            found[i + 1] = OLD_BACKENDS.get(old, old)
+            result[i + 1] = OLD_BACKENDS.get(old, old)
         say(f"--world {old}", f"--physics {OLD_BACKENDS.get(old, old)}")
-    return found
+    return result
 
 
 def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return a protocol, as a card has it, with today's names of keys, backends and suites."""
-    found = dict(protocol)
-    if "world" in found:
-        world = found.pop("world")
-        found["physics"] = OLD_BACKENDS.get(world, world)
-    if isinstance(suites := found.get("suites"), list):
-        found["suites"] = [OLD_SUITES.get(name, name) if isinstance(name, str) else name for name in suites]
-    return found
+    result = dict(protocol)
+    if "world" in result:
+        world = result.pop("world")
+        result["physics"] = OLD_BACKENDS.get(world, world)
+    if isinstance(suites := result.get("suites"), list):
+        result["suites"] = [OLD_SUITES.get(name, name) if isinstance(name, str) else name for name in suites]
+    return result
 
 
 def new_init(config: Any) -> Any:

@@ -13,7 +13,7 @@ OBS_LEN = 8
 GoalProtocol = Literal["none", "window_end", "destination", "random_future"]
 """Where a recorded person's ``goal`` comes from; it changes what a number means, so every row names it."""
 
-Clock = Literal["benchmark", "true"]
+TimeBase = Literal["benchmark", "true"]
 """``benchmark``: every annotated step counts as 0.4 s; ``true``: resampled to a real 0.4 s."""
 
 PRED_LEN = 8
@@ -32,4 +32,4 @@ GOAL_RADIUS = 0.3
 """Metres: a goal is reached within it (iGibson's)."""
 
 TOP_SPEED_RATIO = 1.3
-"""Nobody walks faster than this many times the speed they like."""
+"""No person walks faster than this many times the preferred speed."""

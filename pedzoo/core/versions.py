@@ -15,21 +15,21 @@ PACKAGES = ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "nump
 
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on, and the commit where pedzoo runs from a checkout."""
-    found = {"pedzoo": __version__, "python": sys.version.split()[0]}
+    result = {"pedzoo": __version__, "python": sys.version.split()[0]}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            result[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "absent"
+            result[package] = "absent"
     if commit := _commit():
-        found["commit"] = commit
-    return found
+        result["commit"] = commit
+    return result
 
 
 def _commit() -> str:
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
-        return ""  # installed from a wheel: a surrounding repository would be somebody else's
+        return ""  # installed from a wheel: a surrounding repository is another project's
     try:
         command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"]
         return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()

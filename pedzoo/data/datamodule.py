@@ -13,12 +13,12 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.types import OBS_LEN, Clock, GoalProtocol
+from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import Recording, Split, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
-from pedzoo.data.windows import Counts, People
+from pedzoo.data.windows import Counts, KeptPeople
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
@@ -45,8 +45,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         obs_len: int = OBS_LEN,
         pred_len: int = 8,
         goal: GoalProtocol = "none",
-        clock: Clock = "benchmark",
-        people: People = "complete",
+        clock: TimeBase = "benchmark",
+        people: KeptPeople = "complete",
         min_people: int = 2,
         batch_size: int = 64,
         max_pairs: int = 16384,
@@ -80,7 +80,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             seed: Of the order of batches and all augmentation.
             unroll: Steps of further training windows, for a controller that is to walk as these people did;
                 0 for none. Else training batches are ``{"forecast": as without, "unrolled": windows with so
-                many predicted steps}``. Those keep everybody who is there, lone people too, have the goal
+                many predicted steps}``. Those keep all people who are there, lone people too, have the goal
                 ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
                 accelerate is imitated.
             unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
@@ -138,7 +138,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank(list(self._grids.values()), unknown="free")
         for split in missing:
-            people = cast("People", self.hparams["people"])
+            people = cast("KeptPeople", self.hparams["people"])
             self.sets[split] = self._scenes(
                 recordings[split], self.pred_len, people, self.hparams["min_people"]
             )
@@ -147,7 +147,9 @@ class TrajectoryDataModule(L.LightningDataModule):
             self.unrolled = self._scenes(real, steps, "present", 1)
             _print_counts(f"{self.fold} train, unrolled for {steps} steps", self.unrolled)
 
-    def _scenes(self, recordings: list[Recording], steps: int, people: People, min_people: int) -> SceneSet:
+    def _scenes(
+        self, recordings: list[Recording], steps: int, people: KeptPeople, min_people: int
+    ) -> SceneSet:
         ids = [self._grids[r.plan].map_id if r.plan else -1 for r in recordings]
         return SceneSet(recordings, ids, self.bank, self.obs_len, steps, people, min_people)
 

@@ -1,4 +1,4 @@
-"""Goal protocols for recorded people: what a forecaster is told about where they go.
+"""Goal protocols for recorded people: what a forecaster knows about where they go.
 
 ``window_end`` is the answer's own last position and leaks it: untrained interpolation to it scores
 FDE 0. It is the paper's Table I. ``destination`` is where the person was last recorded, which is what a
@@ -29,7 +29,7 @@ def recorded_goals(
     Args:
         protocol: Any but ``none``.
         xy: Positions of the recordings (N, 2).
-        last: Row of everybody's last observed position (B, A).
+        last: Row of each person's last observed position (B, A).
         end: Row of their last recorded position (B, A).
         window_end: Their last known position in the window (B, A, 2).
         generator: Draws ``random_future``.

@@ -54,7 +54,7 @@ class OwnFiles:
         parts = [self._part(tracks, split) for tracks in self._resampled]
         if not any(len(part) for part in parts):
             raise UserError(
-                f"nobody is recorded in the {split} part of {', '.join(self.files)}: it is the share "
+                f"no person is recorded in the {split} part of {', '.join(self.files)}: it is the share "
                 f"{self.shares[split]:g} of the time; set --data.split (train,val,test)"
             )
         return [Recording(part, self.plan) for part in parts]

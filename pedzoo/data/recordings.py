@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 from pedzoo.core.errors import unknown
 from pedzoo.core.registry import DATASETS
-from pedzoo.core.types import Clock
+from pedzoo.core.types import TimeBase
 from pedzoo.data.tracks import Tracks
 
 Split = Literal["train", "val", "test"]
@@ -25,7 +25,7 @@ class Recording:
 class Dataset(Protocol):
     """What a file in ``pedzoo/data/datasets`` provides; its module lists its ``FOLDS``."""
 
-    def __init__(self, fold: str, root: str | None, clock: Clock) -> None:
+    def __init__(self, fold: str, root: str | None, clock: TimeBase) -> None:
         """Find the fold's files below ``root``."""
         ...
 
@@ -39,7 +39,7 @@ def folds() -> dict[str, str]:
     return {fold: name for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()}
 
 
-def open_fold(fold: str, root: str | None, clock: Clock) -> Dataset:
+def open_fold(fold: str, root: str | None, clock: TimeBase) -> Dataset:
     """Return the dataset that has ``fold``, or the plugin ``path/to/file.py:Class``.
 
     Raises:

@@ -60,8 +60,8 @@ class BucketSampler(DistributedSampler[Draw]):
         self.cuts: list[tuple[int, int]] = []
         for group in np.unique(self.groups):
             before = int((self.groups < group).sum())
-            found = _cuts(np.sort(self.sizes[self.groups == group]), batch_size, max_pairs)
-            self.cuts += [(before + start, before + stop) for start, stop in found]
+            group_cuts = _cuts(np.sort(self.sizes[self.groups == group]), batch_size, max_pairs)
+            self.cuts += [(before + start, before + stop) for start, stop in group_cuts]
 
     def set_epoch(self, epoch: int) -> None:
         """Choose the epoch; Lightning calls this."""

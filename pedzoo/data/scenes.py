@@ -14,7 +14,7 @@ from pedzoo.core.batch import scene_batch
 from pedzoo.core.types import STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import recorded_goals
 from pedzoo.data.recordings import Recording
-from pedzoo.data.windows import People, cut_windows, why_empty
+from pedzoo.data.windows import KeptPeople, cut_windows, why_empty
 from pedzoo.maps.bank import MapBank
 
 POSITIONS, DIRECTIONS = {"history", "future", "goal"}, {"velocity", "desired_velocity"}
@@ -42,7 +42,7 @@ class SceneSet:
         maps: MapBank,
         obs_len: int,
         pred_len: int,
-        people: People = "complete",
+        people: KeptPeople = "complete",
         min_people: int = 2,
     ) -> None:
         """Cut the windows of all recordings.
@@ -156,7 +156,7 @@ def _filled(xy: Tensor, rows: Tensor, obs_len: int) -> Tensor:
     steps = torch.arange(rows.shape[-1])
     known = rows >= 0
     latest = torch.where(known, steps, -1).cummax(-1).values
-    # everybody is seen at the last observed step, so the first sighting is there at the latest
+    # all people are seen at the last observed step, so the first sighting is there at the latest
     first = torch.where(known, steps, obs_len - 1).amin(-1, keepdim=True)
     step = torch.where(latest >= 0, latest, first)
     return xy[rows.gather(-1, step)]

@@ -57,13 +57,13 @@ class TextForm:
             return cls(delimiter, False, (0, 1, 2, 3))
         columns = []
         for column in COLUMNS:
-            found = [names.index(alias) for alias in ALIASES.get(column, (column,)) if alias in names]
-            if not found:
+            matches = [names.index(alias) for alias in ALIASES.get(column, (column,)) if alias in names]
+            if not matches:
                 raise UserError(
                     f"recording {str(path)!r} has no column {column!r}: its first line is {head.strip()!r}, "
                     f"expected {','.join(COLUMNS)} (any order, more columns are ignored)"
                 )
-            columns.append(found[0])
+            columns.append(matches[0])
         return cls(delimiter, True, tuple(columns))
 
     def numbers(self, path: Path) -> np.ndarray:

@@ -116,7 +116,7 @@ class Tracks:
 
         Positions are interpolated linearly between two rows of an agent. Where an agent was not seen for
         more than two of their usual intervals (and more than one step), the track ends there and goes on
-        under a new agent number, so that nobody is invented in a hole. Rows that are already one step apart
+        under a new agent number, so that no rows are invented in a hole. Rows that are already one step apart
         are kept to the last bit.
         """
         time = (self.frame - self.frame.min()) * seconds_per_frame

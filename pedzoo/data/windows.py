@@ -1,4 +1,4 @@
-"""Sliding windows over recorded people, cut exactly as Social GAN cuts them, or keeping everybody.
+"""Sliding windows over recorded people, cut exactly as Social GAN cuts them, or keeping all people.
 
 A window is a run of consecutive *distinct* frames of a file (holes in the frame numbers are not
 looked at), one for every frame. Nothing is copied: a window is rows of the tracks table.
@@ -15,14 +15,14 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.data.tracks import Tracks
 
-People = Literal["complete", "present"]
+KeptPeople = Literal["complete", "present"]
 
 
 @dataclass(frozen=True)
 class Counts:
     """Windows and people kept and dropped, for the line that every run prints.
 
-    Everybody who is seen at the last observed step of a window is counted once for that window, as exactly
+    Each person who is seen at the last observed step of a window is counted once for that window, as exactly
     one of ``people``, ``dropped_partial`` and ``dropped_lone``.
 
     Attributes:
@@ -67,7 +67,7 @@ class Windows:
 
 
 def cut_windows(
-    tracks: Tracks, obs_len: int, pred_len: int, people: People = "complete", min_people: int = 2
+    tracks: Tracks, obs_len: int, pred_len: int, people: KeptPeople = "complete", min_people: int = 2
 ) -> Windows:
     """Return all windows of ``obs_len + pred_len`` frames, stride 1, people sorted by number.
 
@@ -76,7 +76,7 @@ def cut_windows(
         obs_len: Observed steps.
         pred_len: Predicted steps.
         people: ``complete`` keeps the people who are seen in all frames of a window (Social GAN);
-            ``present`` keeps everybody who is seen in the last observed frame and in one before it.
+            ``present`` keeps all people who are seen in the last observed frame and in one before it.
         min_people: A window with fewer of them is dropped (2 in Social GAN, whose own option says 1).
     """
     length = obs_len + pred_len
@@ -120,29 +120,29 @@ def _find_rows(
     rows = np.empty((len(here), obs_len + pred_len), dtype=np.int32)
     for column in range(rows.shape[1]):  # one at a time: all at once would take eight times the memory
         wanted = key[here] + column - (obs_len - 1)
-        found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-        rows[:, column] = np.where(key[found] == wanted, found, -1)
+        index = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        rows[:, column] = np.where(key[index] == wanted, index, -1)
     return rows
 
 
 def why_empty(
-    recordings: Sequence[Tracks], obs_len: int, pred_len: int, people: People, min_people: int
+    recordings: Sequence[Tracks], obs_len: int, pred_len: int, people: KeptPeople, min_people: int
 ) -> UserError:
     """Return the error for recordings that give no window, with the reason and the way out."""
     length, steps = obs_len + pred_len, [len(np.unique(tracks.frame)) for tracks in recordings]
-    found = ", ".join(
+    recorded = ", ".join(
         f"{tracks.name!r} ({tracks.people} people, {n} steps)"
         for tracks, n in zip(recordings, steps, strict=True)
     )
     if max(steps) < length:
         return UserError(
             f"a window needs obs_len + pred_len = {obs_len} + {pred_len} = {length} steps, but "
-            f"there is only {found}: record longer, or lower --data.obs_len or --data.pred_len"
+            f"there is only {recorded}: record longer, or lower --data.obs_len or --data.pred_len"
         )
     ways = ["--data.people present keeps partly seen people"] * (people == "complete")
     ways += ["--data.min_people 1 keeps lone people"] * (min_people > 1)
     part = "all" if people == "complete" else "enough"
     return UserError(
-        f"no window of {length} steps has {min_people} people who are seen in {part} of it: {found}; "
+        f"no window of {length} steps has {min_people} people who are seen in {part} of it: {recorded}; "
         f"{', '.join(ways) or 'record more'}"
     )

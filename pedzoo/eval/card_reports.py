@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import SUITES
-from pedzoo.core.types import Clock, GoalProtocol
+from pedzoo.core.types import GoalProtocol, TimeBase
 from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.eval.evaluate import Evaluation
@@ -76,7 +76,7 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
     protocol = job.protocol
     if len(job.seeds) != 1:
         raise UserError(f"forecasts have one seed, not {list(job.seeds)}")
-    for key, known in (("split", STAGES), ("goal", get_args(GoalProtocol)), ("clock", get_args(Clock))):
+    for key, known in (("split", STAGES), ("goal", get_args(GoalProtocol)), ("clock", get_args(TimeBase))):
         if protocol[key] not in known:
             raise unknown(key, protocol[key], known)
     data = TrajectoryDataModule(root=job.root, **only(protocol, PROTOCOL))

@@ -148,7 +148,7 @@ def row(
 
 def _per_agent(walked: Rollout) -> list[dict[str, Any]]:
     """Return what each person did, people of one episode after the other."""
-    arrived = success(walked.reached, walked.goals, walked.late, walked.failed, walked.mask)
+    arrived = success(walked.reached, walked.goals, walked.overdue, walked.failed, walked.mask)
     seconds = finish_seconds(walked.reached, walked.goals)
     agents = contact_events(walked.agent_contact & walked.scored)
     walls = contact_events(walked.wall_contact & walked.scored)

@@ -32,7 +32,7 @@ from pedzoo.metrics.realism.crowds import (
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.metrics.realism.walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
-from pedzoo.sim.replay.people import People
+from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.replay.script import Script
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import Replay
@@ -181,7 +181,7 @@ def _curve(mine: Crowd, real: Crowd, once: Tensor) -> list[dict[str, float | Non
     ]
 
 
-def _listed(tables: Tables, people: People, seen: Tensor) -> list[dict[str, Any]]:
+def _listed(tables: Tables, people: RecordedPeople, seen: Tensor) -> list[dict[str, Any]]:
     """Return what each person did, means over rounds."""
     share, seconds, ade, warped = (
         value.nanmean(0) for value in (tables.success, tables.seconds, tables.ade, tables.dtw)

@@ -118,21 +118,21 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
     now = env.reset()
     start = before = env.state
     alive = torch.ones(env.batch_size, dtype=torch.bool, device=env.device)
-    late, failed = start.late, start.failed
+    overdue, failed = start.overdue, start.failed
     steps: list[dict[str, Tensor]] = []
     while alive.any():
         result = env.step(policy(now))
         after: Any = result["next"]
         state = env.state
         steps.append(_kept(after, before, state, alive, steps[-1] if steps else None))
-        late = torch.where(alive.unsqueeze(1), state.late, late)
+        overdue = torch.where(alive.unsqueeze(1), state.overdue, overdue)
         failed = torch.where(alive, state.failed, failed)
         alive = alive & ~after["done"][:, 0]
         if ended:
             ended(int((~alive).sum()))
         before, now = state, step_mdp(result)
     kept = [{key: value.cpu() for key, value in step.items()} for step in steps]
-    return rollout_of(env.scenario, start.to("cpu"), kept, late.cpu(), failed.cpu())
+    return rollout_of(env.scenario, start.to("cpu"), kept, overdue.cpu(), failed.cpu())
 
 
 def _kept(

@@ -102,5 +102,5 @@ class Atlas:
             planes = points.reshape(len(points), math.prod(points.shape[1:-1]), 2).transpose(1, 2)
             where = torch.baddbmm(shift, linear, planes)
             where = where.clamp(self.low[row].unsqueeze(2), self.high[row].unsqueeze(2))
-            found = F.grid_sample(self.image, where.transpose(1, 2).contiguous()[None], align_corners=True)
-        return found[0].permute(1, 2, 0).reshape(*points.shape[:-1], self.image.shape[1])
+            sampled = F.grid_sample(self.image, where.transpose(1, 2).contiguous()[None], align_corners=True)
+        return sampled[0].permute(1, 2, 0).reshape(*points.shape[:-1], self.image.shape[1])

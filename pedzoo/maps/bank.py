@@ -1,4 +1,4 @@
-"""The floor plans of a datamodule or an environment, and distances to their walls for everybody at once."""
+"""The floor plans of a datamodule or an environment, and distances to their walls for all agents at once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.maps.walls.walls import Walls
 
 MAX_DISTANCE = 5.0
-"""Metres at which signed distances are cut off: nobody reacts to a wall farther away."""
+"""Metres at which signed distances are cut off: agents do not react to walls farther away."""
 
 
 class MapBank:
@@ -84,7 +84,7 @@ class MapBank:
 
     @cached_property
     def _atlas(self) -> Atlas:
-        # computed at first use: whoever never asks for a distance does not wait for the transforms
+        # computed at first use: the transforms take long
         fields = [torch.from_numpy(grid.signed_distance(self.unknown)) for grid in self.grids]
         return Atlas.stack(
             [field.clamp(-self.max_distance, self.max_distance)[None] for field in fields],
@@ -175,7 +175,7 @@ class MapBank:
 
         Distances are those to the cells as they are, not to a field read between them: what contacts and
         sliding along walls rest on. On real maps one place in 20,000 or fewer, none of them beside a wall,
-        gets a few hundredths of a cell too much (see `pedzoo.maps.walls.contenders`).
+        gets a few hundredths of a cell too much (see `pedzoo.maps.walls.nearest_boxes`).
 
         The world outside a map is free, its walls are felt from there, and a position inside a wall at the
         map's edge may be nearest to the outside. Where no wall is within ``max_distance`` or a scene has no
@@ -193,7 +193,7 @@ class MapBank:
         return self.walls_around(map_id, pose).closest(points)
 
     def walls_around(self, map_id: Tensor, pose: Tensor) -> LocalWalls:
-        """Return what `closest_wall` asks of N entries, for those who ask about the same entries again.
+        """Return what `closest_wall` asks of N entries, for callers that ask about the same entries again.
 
         Args:
             map_id: Floor plan of each entry (N,) long, -1 for none.
@@ -234,8 +234,8 @@ def _restored(
     max_distance: float,
 ) -> MapBank:
     """Return the bank of this process with such content, made where there is none."""
-    found = _ALIVE.get(content)
-    if found is None:
-        found = MapBank(grids, unknown, max_distance)
-        found._ids = ids  # a floor plan may have two names
-    return found
+    bank = _ALIVE.get(content)
+    if bank is None:
+        bank = MapBank(grids, unknown, max_distance)
+        bank._ids = ids  # a floor plan may have two names
+    return bank

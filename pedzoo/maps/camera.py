@@ -33,7 +33,7 @@ def seen_from_above(
     lies in the image, else unknown.
 
     Args:
-        solid: Pixels of areas that nobody walks on (height, width).
+        solid: Pixels of areas without walking people (height, width).
         thin: Pixels of walls, posts and trunks, which may be smaller than a cell (height, width).
         homography: From the image to the ground (3, 3).
         low: Smallest x and y of the plan, metres.

@@ -90,7 +90,7 @@ def closed_loop(rollout: Rollout, decision_dt: float) -> dict[str, Ratio]:
 def _arriving(rollout: Rollout, scored: Tensor, decision_dt: float) -> dict[str, Ratio]:
     """Return what is about goals."""
     mask, reached, goals = rollout.mask, rollout.reached, rollout.goals
-    arrived = navigation.success(reached, goals, rollout.late, rollout.failed, mask)
+    arrived = navigation.success(reached, goals, rollout.overdue, rollout.failed, mask)
     seconds = navigation.finish_seconds(reached, goals)
     time = navigation.episode_seconds(seconds, arrived, mask)
     walked = navigation.walked_metres(rollout.path, scored, reached, goals)
@@ -124,7 +124,7 @@ def time_ratios(rollout: Rollout) -> tuple[Tensor, Tensor]:
     Free walking is the planned way at one's preferred speed. Who stands before they set out has no time then.
     """
     reached, goals = rollout.reached, rollout.goals
-    arrived = navigation.success(reached, goals, rollout.late, rollout.failed, rollout.mask)
+    arrived = navigation.success(reached, goals, rollout.overdue, rollout.failed, rollout.mask)
     planned = navigation.planned_metres(rollout.planned, reached, goals)
     seconds = navigation.finish_seconds(reached, goals) - rollout.stood
     return seconds * rollout.pref_speed / planned, arrived & (planned > 0)

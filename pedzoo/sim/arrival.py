@@ -7,27 +7,27 @@ from torch import Tensor
 
 from pedzoo.core.draws import Draws
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.motion import Walk
+from pedzoo.sim.motion import MotionInput
 from pedzoo.sim.scenes.scenario import Scenario
 
 LEAST_SECONDS = 20.0
-"""Everybody has at least so long for a goal."""
+"""Seconds that every agent has for a goal, at least."""
 
 WAYS = 4.0
 """And so many times as long as the way to it takes at the speed that they like."""
 
 
-def arrived(path: Tensor, goal: Tensor, walk: Walk) -> Tensor:
-    """Return who has come within 0.3 m of their goal until each trace point (B, A, S) bool.
+def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
+    """Return which agents have come within 0.3 m of their goal until each trace point (B, A, S) bool.
 
     Args:
         path: Sub-steps (2, S * M, B, A), metres.
         goal: Goals (B, A, 2).
-        walk: Says which agents may.
+        inputs: Says which agents may.
     """
     x, y = path.detach() - goal.detach().movedim(-1, 0).unsqueeze(1)
-    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & walk.wanted
-    return (near.unflatten(0, (-1, walk.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
+    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & inputs.wanted
+    return (near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
 
 
 def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:
@@ -51,7 +51,7 @@ def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:
 
 
 def planned(way: Tensor) -> Tensor:
-    """Return how far people have to walk whose ways (B, A) to their goals are so long, metres."""
+    """Return how far people with paths (B, A) of such lengths to their goals have to walk, metres."""
     return (way.detach() - GOAL_RADIUS).clamp_min(0)
 
 

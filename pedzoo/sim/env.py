@@ -36,9 +36,9 @@ class _Scenes(NamedTuple):
     state: State
     guidance: Guidance
 
-    def rows(self, index: Tensor) -> _Scenes:
+    def select(self, index: Tensor) -> _Scenes:
         """Return some of the scenes."""
-        return _Scenes(self.state.rows(index), Guidance(*(value[index] for value in self.guidance)))
+        return _Scenes(self.state.select(index), Guidance(*(value[index] for value in self.guidance)))
 
     def replaced(self, index: Tensor, other: _Scenes) -> _Scenes:
         """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
@@ -46,11 +46,11 @@ class _Scenes(NamedTuple):
             mine.index_copy_(0, index, theirs)
         return self
 
-    def with_rows(self, index: Tensor, other: _Scenes) -> _Scenes:
+    def with_scenes(self, index: Tensor, other: _Scenes) -> _Scenes:
         """Return the scenes with those at ``index`` replaced."""
-        told = zip(self.guidance, other.guidance, strict=True)
-        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in told))
-        return _Scenes(self.state.with_rows(index, other.state), guidance)
+        pairs = zip(self.guidance, other.guidance, strict=True)
+        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
+        return _Scenes(self.state.with_scenes(index, other.state), guidance)
 
 
 def usable(device: torch.device | str) -> torch.device:
@@ -75,9 +75,10 @@ class PedestrianEnv(EnvBase):
 
     Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info``
     has what closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached``
-    are those of every 0.1 s since the last decision (see `Events`); for ``late`` and ``way`` see `State`.
+    are those of every 0.1 s since the last decision (see `Events`); ``overdue`` and
+    ``remaining_path`` are those of `State`.
 
-    The reward is the way that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
+    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
 
     Attributes:
@@ -167,9 +168,9 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: `reset` was never called.
         """
-        told = self._scenes.guidance if self._scenes else ()
+        guidance = self._scenes.guidance if self._scenes else ()
         state = State(*(value.detach() for value in self.state))
-        self._scenes = _Scenes(state, Guidance(*(value.detach() for value in told)))
+        self._scenes = _Scenes(state, Guidance(*(value.detach() for value in guidance)))
         return self._observation(*self._scenes)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
@@ -214,12 +215,12 @@ class PedestrianEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
-        everybody = torch.arange(self.batch_size[0])
+        all_scenes = torch.arange(self.batch_size[0])
         if flags is None or self._scenes is None or bool(flags.all()):
-            self._scenes = self._next(everybody)
+            self._scenes = self._next(all_scenes)
         elif bool(flags.any()):
-            rows = flags.view(-1).nonzero().view(-1)
-            self._scenes = self._scenes.with_rows(rows, self._next(rows.cpu()))
+            index = flags.view(-1).nonzero().view(-1)
+            self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
         return self._observation(*self._scenes)
 
     def _reset_proc_data(
@@ -232,31 +233,31 @@ class PedestrianEnv(EnvBase):
         self._reset_check_done(tensordict, tensordict_reset)
         return tensordict.exclude("_reset", inplace=True).update(tensordict_reset)
 
-    def _next(self, rows: Tensor) -> _Scenes:
+    def _next(self, index: Tensor) -> _Scenes:
         """Return the next episodes of some rows.
 
         A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
         made together as soon as one row needs its own. For few rows several of each are made.
         """
-        if self._ahead is None and len(rows) == self.batch_size[0]:
-            return self._begin(rows, 1)
+        if self._ahead is None and len(index) == self.batch_size[0]:
+            return self._begin(index, 1)
         depth = self._depth
-        if self._ahead is None or bool((self._taken[rows] >= depth).any()):
+        if self._ahead is None or bool((self._taken[index] >= depth).any()):
             empty = (self._taken >= depth).nonzero().view(-1)
             made = self._begin(empty, depth)
             place = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(self.device)
             self._ahead = made if self._ahead is None else self._ahead.replaced(place, made)
             self._taken = self._taken.index_fill(0, empty, 0)
-        place = rows * depth + self._taken[rows]
-        self._taken = self._taken.index_add(0, rows, torch.ones_like(rows))
-        return self._ahead.rows(place.to(self.device))
+        place = index * depth + self._taken[index]
+        self._taken = self._taken.index_add(0, index, torch.ones_like(index))
+        return self._ahead.select(place.to(self.device))
 
-    def _begin(self, rows: Tensor, episodes: int) -> _Scenes:
+    def _begin(self, index: Tensor, episodes: int) -> _Scenes:
         """Return the next ``episodes`` of some rows, those of a row one after the other."""
-        number = self._number[rows].unsqueeze(1) + self._stride * torch.arange(episodes)
-        self._number = self._number.index_add(0, rows, torch.full_like(rows, episodes * self._stride))
-        state = self._episodes.begin(Draws.of(self._seed, number.view(-1)))
-        return _Scenes(state, self.rules.guide(state))
+        number = self._number[index].unsqueeze(1) + self._stride * torch.arange(episodes)
+        self._number = self._number.index_add(0, index, torch.full_like(index, episodes * self._stride))
+        state = self._episodes.begin(Draws.for_episodes(self._seed, number.view(-1)))
+        return _Scenes(state, self.rules.guidance(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state
@@ -291,7 +292,10 @@ class PedestrianEnv(EnvBase):
         else:
             happened = outcome[:4]
         names = ("trace", "agent_contact", "wall_contact", "reached")
-        info = dict(zip(names, happened, strict=True)) | {"late": state.late, "way": state.way}
+        info = dict(zip(names, happened, strict=True)) | {
+            "overdue": state.overdue,
+            "remaining_path": state.remaining_path,
+        }
         batch = observed(state, guidance, self.bank)
         batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
         batch["failed"] = state.failed.unsqueeze(1)

@@ -71,15 +71,15 @@ class Episodes:
         opening = opening.to(self._device)
         if not recorded and self._warm_start == "orca":
             state = warm.rolled(state, self._physics, self._rules, self._walls)
-        guidance = self._rules.guide(state)
+        guidance = self._rules.guidance(state)
         if layout.opening is None:
             state, guidance = self._apart(state, guidance)
-        way = guidance.distance
-        cut_off = ((opening.controlled | (state.stands > 0)) & way.isinf()).nonzero()
+        remaining_path = guidance.distance
+        cut_off = ((opening.controlled | (state.stands > 0)) & remaining_path.isinf()).nonzero()
         if len(cut_off):
             raise self._no_way(state, guidance, *cut_off[0].tolist())
         if layout.opening is not None:  # people who are played back may be where no way leads from
-            way = torch.where(way.isfinite(), way, 0.0)
+            remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
         clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
         position, past = state.position, state.past
         if velocity is None:
@@ -94,10 +94,10 @@ class Episodes:
             heading=faces,
             goal_point=guidance.goal_point,
             reached=torch.zeros_like(state.reached),
-            deadline=deadline(clock, way, state.pref_speed) if until is None else until,
-            late=torch.zeros_like(state.late),
-            way=way,
-            planned=torch.where(opening.controlled, planned(way), 0.0),
+            deadline=deadline(clock, remaining_path, state.pref_speed) if until is None else until,
+            overdue=torch.zeros_like(state.overdue),
+            remaining_path=remaining_path,
+            planned=torch.where(opening.controlled, planned(remaining_path), 0.0),
         )
 
     def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
@@ -109,13 +109,13 @@ class Episodes:
                 break
             goal = torch.where(near, state.next_goal, state.goal_id)
             state = state._replace(goal_id=goal, drawn=state.drawn + near)
-            guidance = self._rules.guide(state)
+            guidance = self._rules.guidance(state)
         return state, guidance
 
     def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
-        row = self._scenario.planner.rows(layout.map_id)
+        row = self._scenario.planner.map_rows(layout.map_id)
         frame, place = self._scenario.planner.bank.walls_of_scenes(row, pose)
         position = past[:, :, -1]
         velocity = (position - past[:, :, -2]) / TRACE_SECONDS
@@ -133,7 +133,7 @@ class Episodes:
             scene=opening.scene,
             controlled=opening.controlled,
             person=opening.person,
-            known=opening.known,
+            observed_points=opening.observed_points,
             velocity=velocity,
             heading=_or(layout.heading, heading_of(velocity)),
             radius=_or(layout.radius, usual),
@@ -199,5 +199,5 @@ def _everybody(layout: Layout) -> Opening:
         scene=torch.zeros_like(layout.map_id),
         person=torch.where(layout.mask, slot, -1),
         controlled=walks,
-        known=torch.full_like(layout.goal, PAST_LEN),
+        observed_points=torch.full_like(layout.goal, PAST_LEN),
     )

@@ -35,11 +35,11 @@ class Playback(Protocol):
         """Return the paths (B, A, S, M, 2) of agents that no policy moves."""
         ...
 
-    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+    def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
         """Let agents come, go and be taken over; return which were taken over, too (B, A) bool."""
         ...
 
-    def over(self, state: State) -> Tensor:
+    def ended(self, state: State) -> Tensor:
         """Return which scenes have ended (B,) bool."""
         ...
 
@@ -49,7 +49,7 @@ class Rules:
     """What holds for all scenes of a simulation.
 
     Attributes:
-        guide: Says where agents are told to walk.
+        guidance: The planner's carrots and desired velocities of all agents.
         ticks: S, trace points of 0.1 s in one decision.
         substeps: M, sub-steps of every 0.1 s.
         goals: Goals that an agent has to reach.
@@ -61,7 +61,7 @@ class Rules:
         script: Plays recorded people back; None for none.
     """
 
-    guide: Callable[[State], Guidance]
+    guidance: Callable[[State], Guidance]
     ticks: int
     substeps: int
     goals: int = 1
@@ -74,15 +74,15 @@ class Rules:
 def rules_of(scenario: Scenario, ticks: int, substeps: int, device: torch.device | str = "cpu") -> Rules:
     """Return the rules of a prepared scenario for decisions of S ``ticks``, for scenes on a device."""
     leave = scenario.finished == "leave"
-    guide, script = partial(_guided, scenario), scenario.script
+    guidance, script = partial(_guidance, scenario), scenario.script
     if script is not None:
         script = script.to(device)
-    return Rules(guide, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
+    return Rules(guidance, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
 
 
-def _guided(scenario: Scenario, state: State) -> Guidance:
+def _guidance(scenario: Scenario, state: State) -> Guidance:
     """Return what the scenario's planner says to all agents."""
-    return scenario.planner.guide_scenes(
+    return scenario.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
         state.row,
@@ -136,32 +136,32 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
         turn_rate = torch.where(theirs, motion.turn_rate, turn_rate)
     after = after._replace(heading=turned, turn_rate=turn_rate)
 
-    guidance = rules.guide(after)
+    guidance = rules.guidance(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before
-    way = torch.where(guidance.distance.isfinite(), guidance.distance, after.way)
-    progress = state.way - torch.where(hit, 0.0, way)
+    remaining_path = torch.where(guidance.distance.isfinite(), guidance.distance, after.remaining_path)
+    progress = state.remaining_path - torch.where(hit, 0.0, remaining_path)
     reached = state.reached.unsqueeze(-1) + hits
     done = reached[..., -1] >= rules.goals
     if script is None:
         until = torch.where(
-            hit | taken_over, deadline(after.clock, way.detach(), after.pref_speed), after.deadline
+            hit | taken_over, deadline(after.clock, remaining_path.detach(), after.pref_speed), after.deadline
         )
         ended = (done | ~state.mask).all(1)
-        settled = (done | after.late | ~state.mask).all(1) | failed
+        settled = (done | after.overdue | ~state.mask).all(1) | failed
     else:
-        until, ended, settled = after.deadline, script.over(after), failed
+        until, ended, settled = after.deadline, script.ended(after), failed
         # an agent that has taken the slot of another one has another way
         progress = torch.where(hit | (after.person == state.person), progress, 0.0)
     terminated = ended & ~failed
     set_out = taken_over if script is not None else (hit & (after.goal_id >= 0)) | taken_over
     after = after._replace(
-        way=way,
-        planned=after.planned + torch.where(set_out, planned(way), 0.0),
+        remaining_path=remaining_path,
+        planned=after.planned + torch.where(set_out, planned(remaining_path), 0.0),
         goal_point=guidance.goal_point,
         deadline=until,
     )
-    touched = (motion.agent_contact | motion.wall_contact).any(-1)
-    reward = torch.where(moving, progress - CONTACT_COST * touched, 0.0)
+    in_contact = (motion.agent_contact | motion.wall_contact).any(-1)
+    reward = torch.where(moving, progress - CONTACT_COST * in_contact, 0.0)
     events = Events(
         motion.trace,
         motion.agent_contact,
@@ -189,7 +189,7 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
     later = state.next_goal
     renew = hit & (later >= 0) if rules.keep_goal else hit
     reached = state.reached + hit
-    late = state.late | (_overdue(state, clock, hits, rules.goals) & state.controlled)
+    overdue = state.overdue | (_misses_deadline(state, clock, hits, rules.goals) & state.controlled)
     waits = state.mask & ~state.controlled & (state.stands > 0)
     sets_out = waits & (clock.unsqueeze(1) + CLOCK_ROUNDING >= state.stands)
     mask, controlled = state.mask, state.controlled | sets_out
@@ -208,12 +208,14 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
         goal_id=torch.where(renew, later, state.goal_id),
         drawn=state.drawn + hit,
         reached=reached,
-        late=late,
+        overdue=overdue,
     )
-    return (after, sets_out) if rules.script is None else rules.script.cue(state, after, rules.ticks)
+    return (
+        (after, sets_out) if rules.script is None else rules.script.update_presence(state, after, rules.ticks)
+    )
 
 
-def _overdue(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
+def _misses_deadline(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
     """Return which agents are late for their goal (B, A) bool; a goal reached in time on the trace counts."""
     when = TRACE_SECONDS * torch.arange(1, hits.shape[2] + 1, device=clock.device)
     when = state.clock[:, None, None] + when

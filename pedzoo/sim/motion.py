@@ -25,7 +25,7 @@ class Contacts(NamedTuple):
     wall: Tensor
 
 
-class Walk(NamedTuple):
+class MotionInput(NamedTuple):
     """What agents on the common path do in a decision of S trace points.
 
     Attributes:
@@ -86,7 +86,7 @@ class Events(NamedTuple):
         agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
         wall_contact: A wall was (B, A, S) bool.
         reached: Goals reached until then (B, A, S) long.
-        reward: Metres of way that got shorter, less `CONTACT_COST` for a contact (B, A).
+        reward: Metres of path that got shorter, less `CONTACT_COST` for a contact (B, A).
         terminated: All agents have reached all goals (B,) bool.
         truncated: No other agent can in time, or the policy failed (B,) bool.
     """

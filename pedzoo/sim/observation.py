@@ -76,7 +76,7 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
         scene=none[:, 0],
         controlled=controlled,
         person=slots.where(mask, -1),
-        known=(agents["valid"].sum(2) - 1) * TRACE_PER_STEP + 1,
+        observed_points=(agents["valid"].sum(2) - 1) * TRACE_PER_STEP + 1,
         velocity=agents["velocity"],
         heading=agents["heading"][..., 0],
         radius=agents["radius"][..., 0],
@@ -84,5 +84,5 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
         goal_id=none,
         later_goals=torch.full_like(none, -1).unsqueeze(2),
         goal_point=destination,
-        way=(destination - history[:, :, -1]).norm(dim=-1),
+        remaining_path=(destination - history[:, :, -1]).norm(dim=-1),
     )

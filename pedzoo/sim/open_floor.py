@@ -6,7 +6,7 @@ import torch
 
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.arrival import arrived
-from pedzoo.sim.motion import Motion, Walk
+from pedzoo.sim.motion import Motion, MotionInput
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
 
@@ -18,8 +18,8 @@ class OpenFloor(Torch):
         """Take no floor plan."""
         super().__init__(MapBank())
 
-    def _advance(self, state: State, walk: Walk) -> Motion:
-        path, _ = self._walked(state, walk)
-        trace = path[:, walk.substeps - 1 :: walk.substeps].permute(2, 3, 1, 0)
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
+        path, _ = self._integrated(state, inputs)
+        trace = path[:, inputs.substeps - 1 :: inputs.substeps].permute(2, 3, 1, 0)
         nothing = torch.zeros_like(trace[..., 0], dtype=torch.bool)
-        return Motion(trace, nothing, nothing, arrived(path, state.goal_point, walk))
+        return Motion(trace, nothing, nothing, arrived(path, state.goal_point, inputs))

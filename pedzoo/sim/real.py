@@ -42,7 +42,7 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     episodes = Episodes(scenario, "recorded", physics, planned)
     rules = kernel.Rules(_still, TRACE_PER_STEP, fine, script=script)
     for number in torch.arange(scenes).split(_AT_ONCE):
-        start = episodes.begin(Draws.of(0, number))
+        start = episodes.begin(Draws.for_episodes(0, number))
         yield _walked(scenario, script, physics, rules, start)
 
 
@@ -52,25 +52,29 @@ class AsRecorded(Script):
     @classmethod
     def of(cls, script: Script) -> AsRecorded:
         """Return the script of the same people."""
-        return cls(script.people, script.xy, script.who, script.scenes)
+        return cls(script.people, script.xy, script.occupants, script.scenes)
 
-    def due(self, scene: Tensor, frame: Tensor) -> Tensor:
-        """Return the people in the slots until they really leave; see `Script.due`."""
-        due = super().due(scene, frame)
+    def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
+        """Return the people in the slots until they really leave; see `Script.people_in_slots`."""
+        scheduled = super().people_in_slots(scene, frame)
         at = frame.unsqueeze(1)
         # in the frame `left` all people that a policy would have are gone
-        there = (due >= 0) & (at < self.people.last[due]) & (at < self.scenes.left[scene].unsqueeze(1))
-        return torch.where(there, due, -1)
+        there = (
+            (scheduled >= 0)
+            & (at < self.people.last[scheduled])
+            & (at < self.scenes.left[scene].unsqueeze(1))
+        )
+        return torch.where(there, scheduled, -1)
 
     def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
         return torch.zeros_like(person, dtype=torch.bool)
 
 
 def _still(state: State) -> Guidance:
-    """Return goals where people are, so that all are told to stand."""
+    """Return goals where people are, so that all stand."""
     position = state.position
-    still, way = torch.zeros_like(position), torch.zeros_like(state.way)
-    return Guidance(position, still, position, state.goal_point, way)
+    still, remaining_path = torch.zeros_like(position), torch.zeros_like(state.remaining_path)
+    return Guidance(position, still, position, state.goal_point, remaining_path)
 
 
 def _walked(
@@ -79,11 +83,14 @@ def _walked(
     """Return what really happened in scenes that begin so."""
     people, scene = script.people, start.scene
     goal_point = people.goal.float()
-    planned = (people.way.float() - GOAL_RADIUS).clamp_min(0)
+    planned = (people.path_length.float() - GOAL_RADIUS).clamp_min(0)
     origin = script.scenes.origin[scene]
-    due = script.due(scene, origin)
+    scheduled = script.people_in_slots(scene, origin)
     state = start._replace(
-        person=due, mask=due >= 0, controlled=torch.zeros_like(start.mask), goal_id=torch.full_like(due, -1)
+        person=scheduled,
+        mask=scheduled >= 0,
+        controlled=torch.zeros_like(start.mask),
+        goal_id=torch.full_like(scheduled, -1),
     )
     still = torch.zeros_like(state.position)
     steps: list[dict[str, Tensor]] = []

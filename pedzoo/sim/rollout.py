@@ -1,4 +1,4 @@
-"""What closed-loop metrics and pictures are made of: where everybody was, every 0.1 s."""
+"""What closed-loop metrics and pictures are made of: where all agents were, every 0.1 s."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ OVER_TIME = (
 class Rollout:
     """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
 
-    Nothing changes after an episode's end: positions and counts stay as they were, nobody is present.
+    Nothing changes after an episode's end: positions and counts stay as they were, no agent is present.
 
-    Only who is ``controlled`` is scored; others who are present are met and touched. In ordinary scenes
-    everybody has a slot of their own and is controlled while present. In a replay people are played back
-    before the policy takes them over, and whoever comes later takes the slot of somebody who has left.
+    Only ``controlled`` agents are scored; other present agents are met and touched. In ordinary scenes each
+    agent has a slot of its own and is controlled while present. In a replay people are played back before
+    the policy takes them over. People who come later take the slots of people who have left.
 
     Attributes:
         trace: Positions (E, A, T, 2), metres.
-        goal: Where everybody was going (E, A, T, 2), metres.
-        present: Who is there, the episode still running (E, A, T) bool.
-        controlled: Who is there and moved by the policy (E, A, T) bool.
-        person: Who is in the slot (E, A, T) long, -1 for nobody; the slot's number in ordinary scenes.
+        goal: Goals of that moment (E, A, T, 2), metres.
+        present: Which agents are there, the episode still running (E, A, T) bool.
+        controlled: Which agents are there and moved by the policy (E, A, T) bool.
+        person: Person in the slot (E, A, T) long, -1 for none; the slot's number in ordinary scenes.
         planned: Length of the planner's ways of all goals until the one being walked to (E, A, T), metres,
             each as long as it was when the goal was set, less the goal's radius and not below 0.
-        agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false where nobody is.
+        agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false in empty slots.
         wall_contact: A wall was (E, A, T) bool.
-        reached: Goals reached until then by whoever is in the slot (E, A, T) long.
-        late: A goal was not reached in time (E, A) bool.
+        reached: Goals that the person in the slot has reached until then (E, A, T) long.
+        overdue: A goal was not reached in time (E, A) bool.
         failed: The policy gave no number (E,) bool.
-        mask: Who was there at the beginning (E, A) bool.
+        mask: Which agents were there at the beginning (E, A) bool.
         past: The warm start (E, A, 29, 2), its last point is where the episode begins.
         pref_speed: The speed that people like (E, A), m/s.
-        way: Length of the way to the first goal (E, A), metres.
+        first_path_length: Length of the path to the first goal (E, A), metres.
         radius: Radii of the bodies (E, A), metres.
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (E, A) long.
         map_id: Floor plan (E,) long.
         pose: Scene poses (E, 4).
-        goals: Goals that everybody had to reach.
+        goals: Goals that each agent had to reach.
         gate: The scene's door (E, 5): centre x and y, unit normal x and y of its wall, clear width; metres.
             None where the scenario has none.
     """
@@ -63,12 +63,12 @@ class Rollout:
     agent_contact: Tensor
     wall_contact: Tensor
     reached: Tensor
-    late: Tensor
+    overdue: Tensor
     failed: Tensor
     mask: Tensor
     past: Tensor
     pref_speed: Tensor
-    way: Tensor
+    first_path_length: Tensor
     radius: Tensor
     kind: Tensor
     map_id: Tensor
@@ -88,7 +88,7 @@ class Rollout:
 
     @property
     def scored(self) -> Tensor:
-        """Who is scored (E, A, T) bool: controlled, and in the slot already at the point before.
+        """Which agents are scored (E, A, T) bool: controlled, and in the slot already at the point before.
 
         The step to each such point was walked by that person, so points without a gap are one person's.
         """
@@ -96,7 +96,7 @@ class Rollout:
 
     @property
     def underway(self) -> Tensor:
-        """Who is controlled and had not reached all goals at the point before (E, A, T) bool.
+        """Which agents are controlled and had goals left at the point before (E, A, T) bool.
 
         After arriving people are there until the end of the decision: for longer if that takes 0.4 s.
         """
@@ -112,7 +112,7 @@ class Rollout:
 
     @property
     def met(self) -> Tensor:
-        """Who is there and was in the slot already at the point before (E, A, T) bool."""
+        """Which agents are there and were in the slot already at the point before (E, A, T) bool."""
         return self.present & self._stayed
 
     @property
@@ -123,26 +123,26 @@ class Rollout:
 
     @property
     def replayed(self) -> bool:
-        """Whether somebody is played back, comes later or takes another's slot, as in recorded scenes.
+        """Whether people are played back, come later or take others' slots, as in recorded scenes.
 
-        Whoever stands where they were when the episode began is not played back.
+        People who stand where the episode began are not played back.
         """
         stands = (self.trace == self.past[:, :, -1:]).all(-1).cummin(2).values
         theirs = self.mask.unsqueeze(2) & (self.controlled | stands) & (self.person == self.person[..., :1])
         return not bool((theirs | ~self.present).all())
 
     def stays(self, episode: int) -> list[tuple[int, int, int]]:
-        """Return slot, first and last point of everybody's stay in an episode, points as in `path`.
+        """Return slot, first and last point of each person's stay in an episode, points as in `path`.
 
         In a replay a slot has several people, one after the other.
         """
         there = torch.cat((self.mask[episode].unsqueeze(1), self.present[episode]), dim=1)
-        who = torch.cat((self.person[episode, :, :1], self.person[episode]), dim=1)
-        who = torch.nn.functional.pad(torch.where(there, who, -1), (1, 1), value=-1)
-        change = who[:, 1:] != who[:, :-1]
-        begins, ends = change & (who[:, 1:] >= 0), change & (who[:, :-1] >= 0)
-        found = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
-        return [(slot, first, last - 1) for (slot, first), (_, last) in found]
+        occupant = torch.cat((self.person[episode, :, :1], self.person[episode]), dim=1)
+        occupant = torch.nn.functional.pad(torch.where(there, occupant, -1), (1, 1), value=-1)
+        change = occupant[:, 1:] != occupant[:, :-1]
+        begins, ends = change & (occupant[:, 1:] >= 0), change & (occupant[:, :-1] >= 0)
+        result = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
+        return [(slot, first, last - 1) for (slot, first), (_, last) in result]
 
     def episodes(self, index: slice) -> Rollout:
         """Return some of the episodes."""
@@ -160,12 +160,12 @@ def joined(parts: Sequence[Rollout]) -> Rollout:
         last = value[:, :, -1:].expand(*value.shape[:2], missing, *value.shape[3:])
         return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
 
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for field in fields(Rollout):
         values = [getattr(part, field.name) for part in parts]
         if isinstance(values[0], Tensor):
             values = [grown(value) for value in values] if field.name in OVER_TIME else values
-            found[field.name] = torch.cat(values)
+            result[field.name] = torch.cat(values)
         else:
-            found[field.name] = values[0]
-    return Rollout(**found)
+            result[field.name] = values[0]
+    return Rollout(**result)

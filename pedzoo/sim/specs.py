@@ -18,8 +18,8 @@ def observation(scenes: int, agents: int, trace_points: int, maps: MapBank) -> C
         agent_contact=flag(*ba, trace_points),
         wall_contact=flag(*ba, trace_points),
         reached=whole(*ba, trace_points),
-        late=flag(*ba),
-        way=real(*ba),
+        overdue=flag(*ba),
+        remaining_path=real(*ba),
         shape=ba,
     )
     people = Composite(
@@ -51,13 +51,13 @@ def observation(scenes: int, agents: int, trace_points: int, maps: MapBank) -> C
 
 
 def action(scenes: int, agents: int) -> Composite:
-    """Return the spec of actions: velocities in m/s. The dynamics shorten them to everybody's top speed."""
+    """Return the spec of actions: velocities in m/s. The dynamics shorten them to the agents' top speeds."""
     people = Composite(action=real(scenes, agents, 2), shape=(scenes, agents))
     return Composite(agents=people, shape=(scenes,))
 
 
 def reward(scenes: int, agents: int) -> Composite:
-    """Return the spec of everybody's reward."""
+    """Return the spec of the agents' rewards."""
     people = Composite(reward=real(scenes, agents, 1), shape=(scenes, agents))
     return Composite(agents=people, shape=(scenes,))
 

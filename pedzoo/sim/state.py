@@ -35,7 +35,7 @@ class State(NamedTuple):
         mask: Which agents are there (B, A) bool.
         controlled: Which of them a policy moves (B, A) bool; the others are played back or stay.
         person: Number of the person in each slot (B, A) long, -1 for none: noise is drawn by it.
-        known: For how many of the latest trace points, up to 29, an agent was seen (B, A) long.
+        observed_points: How many of the latest trace points, up to 29, show an agent (B, A) long.
         past: Latest positions every 0.1 s (B, A, 29, 2), oldest first.
         velocity: Over the last 0.1 s (B, A, 2), m/s.
         heading: Where the body faces (B, A), radians.
@@ -48,14 +48,14 @@ class State(NamedTuple):
         turn_acceleration: Greatest change of the turning rate (B, A), rad/s^2.
         track: Distance between the wheels (B, A), metres.
         pref_speed: The speed that agents like (B, A), m/s.
-        goal_id: The planner's number of everybody's goal (B, A) long, -1 for none.
+        goal_id: The planner's number of each agent's goal (B, A) long, -1 for none.
         later_goals: The goals after the first (B, A, G) long, used in turn; -1 for none.
         goal_point: Where the goal is (B, A, 2), metres.
         drawn: Goals that were taken after the first (B, A) long.
         reached: Goals reached since the warm start (B, A) long.
         deadline: When the goal has to be reached (B, A), seconds on the clock.
-        late: A goal was not reached in time (B, A) bool.
-        way: Length of the way to the goal (B, A), metres.
+        overdue: A goal was not reached in time (B, A) bool.
+        remaining_path: Length of the path to the goal (B, A), metres.
         planned: Ways of all goals up to this one, as long as they were when the goal was set and without what
             a goal's radius saves (B, A), metres.
         stands: Until when an agent stands where it began (B, A), seconds on the clock; 0 where it does not.
@@ -73,7 +73,7 @@ class State(NamedTuple):
     mask: Tensor
     controlled: Tensor
     person: Tensor
-    known: Tensor
+    observed_points: Tensor
     past: Tensor
     velocity: Tensor
     heading: Tensor
@@ -92,8 +92,8 @@ class State(NamedTuple):
     drawn: Tensor
     reached: Tensor
     deadline: Tensor
-    late: Tensor
-    way: Tensor
+    overdue: Tensor
+    remaining_path: Tensor
     planned: Tensor
     stands: Tensor
 
@@ -109,10 +109,14 @@ class State(NamedTuple):
         """
         nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
         endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)
-        usual = dict.fromkeys(("turn_rate", "way", "planned", "stands"), nothing)
+        usual = dict.fromkeys(("turn_rate", "remaining_path", "planned", "stands"), nothing)
         usual |= dict.fromkeys(("kind", "drive", "drawn", "reached"), none)
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
-        usual |= {"late": never, "failed": never.new_zeros(len(mask)), "clock": nothing.new_zeros(len(mask))}
+        usual |= {
+            "overdue": never,
+            "failed": never.new_zeros(len(mask)),
+            "clock": nothing.new_zeros(len(mask)),
+        }
         usual |= {"track": torch.ones_like(nothing), "top_speed": TOP_SPEED_RATIO * pref_speed}
         usual |= {name: value for name, value in given.items() if value is not None}
         return cls(past=past, mask=mask, pref_speed=pref_speed, **usual)
@@ -130,8 +134,8 @@ class State(NamedTuple):
     @property
     def valid(self) -> Tensor:
         """Which of these are known (B, A, 8) bool; unknown ones are the first known one."""
-        age = torch.arange(PAST_LEN - 1, -1, -TRACE_PER_STEP, device=self.known.device)
-        return self.known.unsqueeze(2) > age
+        age = torch.arange(PAST_LEN - 1, -1, -TRACE_PER_STEP, device=self.observed_points.device)
+        return self.observed_points.unsqueeze(2) > age
 
     @property
     def decides(self) -> Tensor:
@@ -144,14 +148,14 @@ class State(NamedTuple):
         number = (self.drawn % self.later_goals.shape[2]).unsqueeze(2)
         return self.later_goals.gather(2, number)[..., 0]
 
-    def rows(self, index: Tensor) -> State:
+    def select(self, index: Tensor) -> State:
         """Return some of the scenes."""
         return State(*(value[index] for value in self))
 
-    def with_rows(self, index: Tensor, other: State) -> State:
+    def with_scenes(self, index: Tensor, other: State) -> State:
         """Return a state in which the scenes at ``index`` are those of ``other``."""
         if len(index) == len(self.key):
-            return other.rows(index.argsort())
+            return other.select(index.argsort())
         pairs = zip(self, other, strict=True)
         return State(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
 

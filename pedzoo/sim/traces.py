@@ -1,4 +1,4 @@
-"""From what happened step by step to the rollout that metrics read, whoever moved the people."""
+"""From what happened step by step to the rollout that metrics read, for policies and recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pedzoo.sim.state import State
 
 
 def rollout_of(
-    scenario: Scenario, start: State, steps: Sequence[Mapping[str, Tensor]], late: Tensor, failed: Tensor
+    scenario: Scenario, start: State, steps: Sequence[Mapping[str, Tensor]], overdue: Tensor, failed: Tensor
 ) -> Rollout:
     """Return the rollout of scenes that began in a state.
 
@@ -22,17 +22,17 @@ def rollout_of(
         scenario: Where they are from.
         start: How they began.
         steps: What has a value for every trace point, piece by piece (E, A, S, ...).
-        late: Who did not reach a goal in time (E, A) bool.
+        overdue: Which agents did not reach a goal in time (E, A) bool.
         failed: In which the policy gave no number (E,) bool.
     """
     return Rollout(
         **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
-        late=late,
+        overdue=overdue,
         failed=failed,
         mask=start.mask,
         past=start.past,
         pref_speed=start.pref_speed,
-        way=start.way,
+        first_path_length=start.remaining_path,
         radius=start.radius,
         kind=start.kind,
         map_id=start.map_id,

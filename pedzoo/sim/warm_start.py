@@ -45,7 +45,7 @@ def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegme
     walks = controlled & (state.drive == HOLONOMIC)
     state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
-    guidance = rules.guide(state)
+    guidance = rules.guidance(state)
     # people are on their way already
     state = state._replace(velocity=torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0))
     top_speed = state.top_speed

@@ -18,7 +18,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.base import Bodies
 from pedzoo.sim.engine.camera import Camera, person_color
 
 CODECS = {".webm": "VP90", ".mp4": "vp09"}
@@ -179,7 +179,7 @@ class _Panel:
             return self._last
         present, rollout = self.present[:, :, i], self.rollout
         where = rollout.map_id.unsqueeze(1), rollout.pose
-        people = People(self.trace[:, :, i], present, *where, rollout.radius)
+        people = Bodies(self.trace[:, :, i], present, *where, rollout.radius)
         image = self.physics.image(people, 0, self.size, camera)
         if camera.view == "top" or camera.view not in self.physics.views:
             for person, first, last in self.stays:

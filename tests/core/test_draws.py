@@ -8,26 +8,26 @@ from pedzoo.core.draws import Draws, join, mix, normal, uniform
 
 
 def test_a_scene_draws_the_same_in_every_batch() -> None:
-    everything = Draws.of(7, torch.arange(100)).normal("start", 5, 2)
-    alone = Draws.of(7, torch.tensor([42])).normal("start", 5, 2)
+    everything = Draws.for_episodes(7, torch.arange(100)).normal("start", 5, 2)
+    alone = Draws.for_episodes(7, torch.tensor([42])).normal("start", 5, 2)
     assert torch.equal(everything[42], alone[0])
 
 
 def test_more_people_keep_the_numbers_of_fewer() -> None:
-    draws = Draws.of(0, torch.arange(3))
+    draws = Draws.for_episodes(0, torch.arange(3))
     assert torch.equal(draws.uniform("speed", 9)[:, :4], draws.uniform("speed", 4))
     assert torch.equal(draws.uniform("place", 9, 2)[:, :4], draws.uniform("place", 4, 2))
 
 
 def test_seed_episode_purpose_and_index_all_matter() -> None:
-    base = Draws.of(0, torch.tensor([0])).uniform("a", 1)
+    base = Draws.for_episodes(0, torch.tensor([0])).uniform("a", 1)
     others = [
-        Draws.of(1, torch.tensor([0])).uniform("a", 1),
-        Draws.of(0, torch.tensor([1])).uniform("a", 1),
-        Draws.of(0, torch.tensor([0])).uniform("b", 1),
-        Draws.of(0, torch.tensor([0])).uniform("a", 2)[:, 1:],
-        Draws.of(-1, torch.tensor([0])).uniform("a", 1),
-        Draws.of(2**63, torch.tensor([0])).uniform("a", 1),
+        Draws.for_episodes(1, torch.tensor([0])).uniform("a", 1),
+        Draws.for_episodes(0, torch.tensor([1])).uniform("a", 1),
+        Draws.for_episodes(0, torch.tensor([0])).uniform("b", 1),
+        Draws.for_episodes(0, torch.tensor([0])).uniform("a", 2)[:, 1:],
+        Draws.for_episodes(-1, torch.tensor([0])).uniform("a", 1),
+        Draws.for_episodes(2**63, torch.tensor([0])).uniform("a", 1),
     ]
     assert len({float(value) for value in [base, *others]}) == len(others) + 1
 
@@ -57,6 +57,6 @@ def test_distributions() -> None:
 
 
 def test_whole_numbers_cover_their_range() -> None:
-    counts = Draws.of(3, torch.arange(6000)).whole("die", 6).bincount(minlength=6)
+    counts = Draws.for_episodes(3, torch.arange(6000)).integers("die", 6).bincount(minlength=6)
     assert len(counts) == 6
     assert int(counts.min()) > 850

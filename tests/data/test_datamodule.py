@@ -135,7 +135,7 @@ def test_several_files_are_one_split_and_those_without_a_window_are_named(
         ({"split": "0.7,0.2,0.2"}, ["--data.split '0.7,0.2,0.2'", "add up to 1"]),
         ({"split": "1.5,-0.5,0"}, ["--data.split '1.5,-0.5,0'", "at least 0"]),
         ({"split": "nan,0.5,0.5"}, ["--data.split 'nan,0.5,0.5'"]),
-        ({"split": "1,0,0"}, ["nobody", "val part", "lobby.csv", "share 0", "--data.split"]),
+        ({"split": "1,0,0"}, ["no person", "val part", "lobby.csv", "share 0", "--data.split"]),
         ({"split": "0.98,0.01,0.01"}, ["16 steps", "only", "lobby"]),
         ({"homography": "nowhere.txt"}, ["--data.homography", "nowhere.txt", "3 rows of 3 numbers"]),
         ({"homography": "{folder}/two.txt"}, ["--data.homography", "(2, 3)"]),

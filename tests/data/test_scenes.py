@@ -16,7 +16,7 @@ from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
-from pedzoo.data.windows import People
+from pedzoo.data.windows import KeptPeople
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.ros import read_ros
 
@@ -33,7 +33,7 @@ def tracks() -> Tracks:
     return Tracks.from_table("hand", np.array(rows))
 
 
-def scene_set(people: People = "complete", min_people: int = 1) -> SceneSet:
+def scene_set(people: KeptPeople = "complete", min_people: int = 1) -> SceneSet:
     return SceneSet([Recording(tracks())], [77], MapBank(), OBS, PRED, people, min_people)
 
 

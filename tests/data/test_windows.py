@@ -13,7 +13,7 @@ from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.scenes import SceneSet
 from pedzoo.data.tracks import Tracks
-from pedzoo.data.windows import Counts, People, Windows, cut_windows
+from pedzoo.data.windows import Counts, KeptPeople, Windows, cut_windows
 from pedzoo.maps.bank import MapBank
 
 FRAMES = (0, 10, 20, 30, 40, 100)  # six steps; the hole before the last is not looked at
@@ -110,7 +110,7 @@ def by_social_gans_loop(tracks: Tracks, obs_len: int, pred_len: int) -> list[lis
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("people", ["complete", "present"])
-def test_random_recordings_agree_with_the_loop_and_nobody_is_lost(seed: int, people: People) -> None:
+def test_random_recordings_agree_with_the_loop_and_nobody_is_lost(seed: int, people: KeptPeople) -> None:
     tracks = random_recording(seed)
     windows = cut_windows(tracks, 4, 3, people)
     found = [
@@ -139,7 +139,7 @@ def test_counts_are_printed_in_words_and_add_up() -> None:
     )
 
 
-def scenes_of(*tracks: Tracks, people: People = "complete", min_people: int = 2) -> SceneSet:
+def scenes_of(*tracks: Tracks, people: KeptPeople = "complete", min_people: int = 2) -> SceneSet:
     return SceneSet(
         [Recording(one) for one in tracks], [-1] * len(tracks), MapBank(), 2, 2, people, min_people
     )
@@ -203,7 +203,7 @@ def test_eth_ucy_counts_equal_the_published_tables(shared: Path, fold: str) -> N
 
 
 @pytest.mark.parametrize("people", ["complete", "present"])
-def test_a_huge_recording_stays_small_in_memory(people: People) -> None:
+def test_a_huge_recording_stays_small_in_memory(people: KeptPeople) -> None:
     """2000 people at once for 20 s, 2.5 Hz after resampling: 100 000 rows."""
     frame, agent = (part.ravel() for part in np.meshgrid(np.arange(50), np.arange(2000)))
     tracks = Tracks("huge", frame.T.copy(), agent.copy(), np.zeros((len(frame), 2)))

@@ -114,7 +114,7 @@ def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> Non
     assert not walked.replayed and walked.gate is None
     assert torch.equal(walked.scored, walked.present) and torch.equal(walked.met, walked.present)
     assert torch.equal(walked.path[:, :, 1:], walked.trace)
-    torch.testing.assert_close(walked.planned[:, :, 0], (walked.way - GOAL_RADIUS).clamp_min(0))
+    torch.testing.assert_close(walked.planned[:, :, 0], (walked.first_path_length - GOAL_RADIUS).clamp_min(0))
     # another way is added when a goal is reached, and only then
     there = walked.present[..., 1:]
     more, hit = walked.planned.diff(dim=2)[there], walked.reached.diff(dim=2)[there]

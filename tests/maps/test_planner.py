@@ -21,7 +21,7 @@ from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.maps.ways import corners
 from pedzoo.maps.ways.fields import build_fields
 from pedzoo.maps.ways.graph import OpenGraph
-from pedzoo.maps.ways.guidance import Guidance, Look
+from pedzoo.maps.ways.guidance import Guidance, NextWaypoints
 from pedzoo.maps.ways.planner import Planner
 
 
@@ -57,8 +57,8 @@ def arguments(bank: MapBank, people: int) -> tuple[Tensor, Tensor]:
     return torch.full((people,), bank.grids[0].map_id), identity_pose(people)
 
 
-def look(planner: Planner, points: Tensor, goal: Tensor) -> Look:
-    return planner.look(points, goal, *arguments(planner.bank, len(points)))
+def next_waypoints(planner: Planner, points: Tensor, goal: Tensor) -> NextWaypoints:
+    return planner.next_waypoints(points, goal, *arguments(planner.bank, len(points)))
 
 
 def guide(planner: Planner, points: Tensor, goal: Tensor, speed: float = 1.0, ahead: float = 3.2) -> Guidance:
@@ -70,8 +70,8 @@ def told(
     planner: Planner, points: Tensor, goal: Tensor, map_id: Tensor, pose: Tensor, speed: Tensor, ahead: float
 ) -> Guidance:
     """Guide people (P,) of whom each is in a scene of their own."""
-    scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.rows(map_id), pose, speed.unsqueeze(1)
-    found = planner.guide_scenes(*scenes, ahead, float(speed.max()))
+    scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.map_rows(map_id), pose, speed.unsqueeze(1)
+    found = planner.guidance(*scenes, ahead, float(speed.max()))
     return Guidance(*(value.squeeze(1) for value in found))
 
 
@@ -98,7 +98,7 @@ def test_ways_by_hand() -> None:
 
     goal = planner.add_goals(0, [(6.5, 0.5)])
     points = torch.tensor([[0.5, 0.5], [2.5, 4.5], [3.4, 4.6], [5.0, 3.0], [6.5, 0.5]])
-    found = look(planner, points, goal.expand(5))
+    found = next_waypoints(planner, points, goal.expand(5))
     root = math.sqrt(20)
     assert found.waypoint.tolist() == [[2.5, 4.5], [4.5, 4.5], [4.5, 4.5], [6.5, 0.5], [6.5, 0.5]]
     assert found.next_waypoint.tolist() == [[4.5, 4.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5]]
@@ -145,7 +145,9 @@ def test_ways_are_the_shortest_there_are(seed: int, monkeypatch: pytest.MonkeyPa
     goals = planner.add_goals(0, graph.xy[rooms[::5]])
     field = np.stack(
         [
-            look(planner, torch.from_numpy(graph.xy[rooms]).float(), goal.expand(len(rooms))).distance.numpy()
+            next_waypoints(
+                planner, torch.from_numpy(graph.xy[rooms]).float(), goal.expand(len(rooms))
+            ).distance.numpy()
             for goal in goals
         ]
     )
@@ -167,7 +169,7 @@ def check_lengths(planner: Planner, pairs: int) -> None:
     cells = draws.choice(rooms, 8, replace=False)
     goals = planner.add_goals(0, graph.xy[cells] + jitter[:8])
     which = np.arange(pairs) % 8
-    found = look(planner, torch.from_numpy(starts).float(), goals[which]).distance.numpy()
+    found = next_waypoints(planner, torch.from_numpy(starts).float(), goals[which]).distance.numpy()
     ends = graph.xy[cells] + jitter[:8]
     ways = [length(start, planner.path(start, ends[k], 0)) for start, k in zip(starts, which, strict=True)]
     np.testing.assert_allclose(found, ways, rtol=0.01)
@@ -189,7 +191,7 @@ def check_clearance(bank: MapBank, planner: Planner) -> None:
     goals = planner.add_goals(0, graph.xy[rooms[:: len(rooms) // 5]])
     points = torch.from_numpy(graph.xy[rooms]).float()
     for goal in goals:
-        found = look(planner, points, goal.expand(len(points)))
+        found = next_waypoints(planner, points, goal.expand(len(points)))
         part = torch.linspace(0, 1, 60)[:, None]
         line = points[:, None] + (found.waypoint - points)[:, None] * part
         assert bank.signed_distance(line, *arguments(bank, len(line))).min() > planner.clearance - 1e-4
@@ -204,7 +206,7 @@ def walk(bank: MapBank, planner: Planner, goal: Tensor, starts: Tensor, speed: f
     """Follow the desired velocity in steps of 0.1 s: everybody arrives in time, and nobody touches a wall."""
     points, goals = starts.clone(), goal.expand(len(starts))
     here = arguments(bank, len(points))
-    first = look(planner, points, goals).distance
+    first = next_waypoints(planner, points, goals).distance
     walked, arrived = torch.zeros(len(points)), torch.zeros(len(points), dtype=torch.bool)
     for _ in range(int(first.max() * 1.1 / (speed * 0.1)) + 5):
         told = guide(planner, points, goals, speed)
@@ -241,7 +243,7 @@ def test_people_pushed_aside_find_back() -> None:
 def test_from_outside_and_inside_of_walls_the_way_begins_at_the_nearest_open_cell() -> None:
     planner = cells_planner(TWO_ROOMS)
     goal = planner.add_goals(0, [(6.5, 0.5)])
-    found = look(planner, torch.tensor([[-4.5, 0.5], [3.6, 0.5]]), goal.expand(2))
+    found = next_waypoints(planner, torch.tensor([[-4.5, 0.5], [3.6, 0.5]]), goal.expand(2))
     assert found.waypoint[0].tolist() == [0.5, 0.5]
     assert found.next_waypoint[0].tolist() == [2.5, 4.5]
     assert float(found.distance[0]) == pytest.approx(5 + 2 * math.sqrt(20) + 2, abs=1e-5)
@@ -271,8 +273,8 @@ def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
         turn_to_map(moved.desired_velocity, pose), plain.desired_velocity, atol=1e-4, rtol=1e-4
     )
     torch.testing.assert_close(moved.distance, plain.distance, atol=1e-4, rtol=1e-4)
-    first = planner.look(points, goals, ids, identity_pose(count))
-    again = planner.look(move_to_scene(points, pose), goals, ids, pose)
+    first = planner.next_waypoints(points, goals, ids, identity_pose(count))
+    again = planner.next_waypoints(move_to_scene(points, pose), goals, ids, pose)
     for mine, other in zip(first[:3], again[:3], strict=True):
         torch.testing.assert_close(move_to_map(other, pose), mine, atol=1e-4, rtol=1e-4)
 
@@ -349,14 +351,14 @@ def test_goals_keep_their_numbers() -> None:
     planner = Planner(planner.bank)
     first = planner.add_goals(0, [(1.0, 1.0), (7.0, 1.0), (1.0, 1.0)])
     assert first.tolist() == [0, 1, 0]
-    before = look(planner, torch.tensor([[2.0, 2.0]]), first[1:2])
+    before = next_waypoints(planner, torch.tensor([[2.0, 2.0]]), first[1:2])
     # two goals in one cell are two goals; no map: as the crow flies
     second = planner.add_goals(0, torch.tensor([[7.0, 1.0], [7.001, 1.0]], dtype=torch.float64))
     third = planner.add_goals(-1, [(7.0, 1.0)])
     assert second.tolist() == [1, 2]
     assert third.tolist() == [3]
     assert planner.add_goals(0, torch.zeros(0, 2)).tolist() == []
-    after = look(planner, torch.tensor([[2.0, 2.0]]), second[:1])
+    after = next_waypoints(planner, torch.tensor([[2.0, 2.0]]), second[:1])
     for one, other in zip(before, after, strict=True):
         assert torch.equal(one, other)
 
@@ -368,13 +370,13 @@ def test_people_without_map_or_goal() -> None:
     ids = torch.tensor([-1, bank.grids[0].map_id, -1, bank.grids[0].map_id])
     goals = torch.tensor([int(everywhere), -1, -1, int(somewhere)])
     points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0], [6.0, 1.0]])
-    found = planner.look(points, goals, ids, identity_pose(4))
+    found = planner.next_waypoints(points, goals, ids, identity_pose(4))
     assert found.waypoint.tolist() == [[3, 4], [1, 1], [90, 0], [7, 1]]
     assert found.distance.tolist() == pytest.approx([5, 0, 0, 1])
     guidance = told(planner, points, goals, ids, identity_pose(4), torch.ones(4), 2.0)
     assert guidance.desired_velocity.flatten().tolist() == pytest.approx([0.6, 0.8, 0, 0, 0, 0, 1, 0])
     assert guidance.goal[:3].flatten().tolist() == pytest.approx([1.2, 1.6, 1, 1, 90, 0])
-    nobody = planner.look(points[:0], goals[:0], ids[:0], identity_pose(0))
+    nobody = planner.next_waypoints(points[:0], goals[:0], ids[:0], identity_pose(0))
     assert nobody.distance.shape == (0,)
     assert Planner(MapBank()).add_goals(-1, [(0, 0)]).tolist() == [0]
 
@@ -388,16 +390,16 @@ def test_several_maps_of_one_bank() -> None:
     starts = torch.from_numpy(graph.xy).float()
     mine, theirs = planner.add_goals(0, [(6.5, 0.5)]), alone.add_goals(0, graph.xy[:1])
     first = both.add_goals(0, [(6.5, 0.5)])
-    one = look(planner, torch.tensor([[0.5, 0.5]]), mine)
-    again = look(both, torch.tensor([[0.5, 0.5]]), first)  # tables are built before the second map is used
+    one = next_waypoints(planner, torch.tensor([[0.5, 0.5]]), mine)
+    again = next_waypoints(both, torch.tensor([[0.5, 0.5]]), first)  # before the second map is used
     second = both.add_goals(1, graph.xy[:1])
     ids = torch.full((len(starts),), other.map_id)
-    two = alone.look(starts, theirs.expand(len(starts)), ids, identity_pose(len(starts)))
-    mixed = both.look(starts, second.expand(len(starts)), ids, identity_pose(len(starts)))
+    two = alone.next_waypoints(starts, theirs.expand(len(starts)), ids, identity_pose(len(starts)))
+    mixed = both.next_waypoints(starts, second.expand(len(starts)), ids, identity_pose(len(starts)))
     for a, b in zip((*one, *two), (*again, *mixed), strict=True):
         torch.testing.assert_close(a, b)
     with pytest.raises(UserError, match="goal 1 was added for row 1 of the bank, but person 0 is on row 0"):
-        look(both, torch.tensor([[0.5, 0.5]]), second)
+        next_waypoints(both, torch.tensor([[0.5, 0.5]]), second)
 
 
 def test_no_way() -> None:
@@ -407,7 +409,7 @@ def test_no_way() -> None:
         planner.path((0.5, 0.5), (4.5, 0.5), 0)
     goal = planner.add_goals(0, [(4.5, 0.5)])
     points = torch.tensor([[0.5, 0.5], [3.5, 0.5]])
-    found = look(planner, points, goal.expand(2))
+    found = next_waypoints(planner, points, goal.expand(2))
     assert found.distance.tolist() == [math.inf, 1]
     assert found.waypoint.tolist() == [[0.5, 0.5], [4.5, 0.5]]
     told = guide(planner, points, goal.expand(2))
@@ -418,7 +420,7 @@ def test_no_way() -> None:
 def test_bad_goals_are_moved_a_little_or_refused() -> None:
     bank, planner = flat()
     near = planner.add_goals(0, [(0.1, 1.025)])  # 0.1 m from a wall: moved to the next open cell's centre
-    found = look(planner, torch.tensor([[1.0, 1.0]]), near)
+    found = next_waypoints(planner, torch.tensor([[1.0, 1.0]]), near)
     assert found.goal_point[0].tolist() == pytest.approx([0.275, 1.025], abs=1e-4)
     assert planner.add_goals(0, [(0.1, 1.025)]).tolist() == near.tolist()
     with pytest.raises(UserError, match=r"goal \(-3.00, 1.00\) is outside the map on map 'flat'.*\(0.2"):
@@ -430,7 +432,7 @@ def test_bad_goals_are_moved_a_little_or_refused() -> None:
         planner.path((-3.0, 1.0), (1.0, 1.0), 0)
     with pytest.raises(UserError, match="finite"):
         planner.add_goals(0, [(math.nan, 1.0)])
-    with pytest.raises(UserError, match="nobody can walk"):
+    with pytest.raises(UserError, match="no way through it"):
         Planner(MapBank([drawn("###", name="solid")])).add_goals(0, [(0.5, 0.5)])
     with pytest.raises(UserError, match="at least 0"):
         Planner(bank, clearance=-1)

@@ -114,13 +114,13 @@ def turned_left(direction: Tensor) -> Tensor:
 def ends(near: Segments, points: Tensor) -> tuple[Tensor, Tensor]:
     """Return where segments start and end (2, K, N), as the bank's polygons do where nothing is mirrored."""
     ahead = near.side * turned_left(near.direction)
-    start = points.T[:, None] - near.along * near.direction + near.apart * ahead
+    start = points.T[:, None] - near.along * near.direction + near.line_distance * ahead
     return start, start + near.length * near.direction
 
 
 def distances(near: Segments) -> Tensor:
     beyond = near.along - near.along.minimum(near.length).clamp_min(0)
-    return torch.hypot(beyond, near.apart)
+    return torch.hypot(beyond, near.line_distance)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

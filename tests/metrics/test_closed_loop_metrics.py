@@ -37,7 +37,7 @@ def two_episodes() -> Rollout:
         agent_contact=torch.stack((bits("00100", "00110"), bits("00000", "00000"))),
         wall_contact=torch.stack((bits("10100", "00000"), bits("11101", "00000"))),
         reached=torch.tensor([[[0, 0, 1, 1, 1], [0, 0, 0, 1, 1]], [[0, 0, 0, 0, 0], [9, 9, 9, 9, 9]]]),
-        late=torch.tensor([[False, False], [True, False]]),
+        overdue=torch.tensor([[False, False], [True, False]]),
         mask=torch.tensor([[True, True], [True, False]]),
     )
 
@@ -71,7 +71,7 @@ def busy() -> Rollout:
 def permuted(walked: Rollout, order: list[int]) -> Rollout:
     """Return the rollout with its people in another order."""
     values = {field.name: getattr(walked, field.name) for field in fields(walked)}
-    people = {*OVER_TIME, "late", "mask", "past", "pref_speed", "way"}
+    people = {*OVER_TIME, "overdue", "mask", "past", "pref_speed", "first_path_length"}
     return replace(walked, **{name: value[:, order] for name, value in values.items() if name in people})
 
 
@@ -156,14 +156,14 @@ def test_clean_are_episodes_in_which_all_arrive_and_nobody_touches_anything() ->
     nobody = torch.zeros(5, 2, 5, dtype=torch.bool)
     agents, walls = nobody.clone(), nobody.clone()
     agents[1, 0, 2] = walls[2, 1, 0] = True
-    late, failed = torch.zeros(5, 2, dtype=torch.bool), torch.zeros(5, dtype=torch.bool)
-    late[3, 1] = failed[4] = True
+    overdue, failed = torch.zeros(5, 2, dtype=torch.bool), torch.zeros(5, dtype=torch.bool)
+    overdue[3, 1] = failed[4] = True
     walked = made(
         path,
         agent_contact=agents,
         wall_contact=walls,
         reached=torch.ones(5, 2, 5, dtype=torch.long),
-        late=late,
+        overdue=overdue,
         failed=failed,
     )
     found = metrics(walked)
@@ -183,7 +183,7 @@ def test_median_time_is_of_those_who_arrive_and_its_interval_is_over_episodes() 
     assert middle == pytest.approx(arrived[(len(arrived) - 1) // 2]) and 0 < len(arrived) < 15
     low, high = found["ci95"]["time_ratio_median"]
     assert low <= middle <= high and low in arrived and high in arrived
-    nobody = replace(walked, late=~walked.late)
+    nobody = replace(walked, overdue=~walked.overdue)
     assert "time_ratio_median" not in row("nobody", nobody, 0.4)["metrics"]
 
 
@@ -259,9 +259,9 @@ def test_ratios_of_times_and_ways_are_ratios_of_sums() -> None:
     assert ratios["time_ratio"].above.tolist() == pytest.approx([3.1, 3.1])
     assert ratios["time_ratio"].below.tolist() == pytest.approx([2.004, 2.004])
     assert time_ratios(walked)[0].tolist() == [pytest.approx([1.5, 25.0])]
-    late = replace(walked, late=torch.tensor([[True, False]]))
-    assert metrics(late)["time_ratio"] == pytest.approx(0.1 / 0.004)
-    assert not {"time_ratio", "path_ratio"} & set(metrics(replace(late, planned=late.planned * 0.0)))
+    overdue = replace(walked, overdue=torch.tensor([[True, False]]))
+    assert metrics(overdue)["time_ratio"] == pytest.approx(0.1 / 0.004)
+    assert not {"time_ratio", "path_ratio"} & set(metrics(replace(overdue, planned=overdue.planned * 0.0)))
 
 
 def test_the_way_ratio_of_a_replay_is_a_ratio_of_sums() -> None:
@@ -280,7 +280,7 @@ def test_the_way_ratio_of_a_replay_is_a_ratio_of_sums() -> None:
 
 def test_a_frozen_crowd_is_deadlocked_and_gets_nowhere() -> None:
     frozen = two_episodes_with_door()
-    found = metrics(replace(frozen, goal=frozen.goal + 5.0, late=~frozen.late))
+    found = metrics(replace(frozen, goal=frozen.goal + 5.0, overdue=~frozen.overdue))
     assert found["deadlock"] == 1.0 and found["success"] == found["spl"] == found["stl"] == 0.0
     assert found["speed_m_per_s"] == 0.0 and found["symmetry_index"] == pytest.approx(0.0)
     undefined = {"path_ratio", "time_ratio", "yield_delay_s", "path_irregularity_rad_per_m"}

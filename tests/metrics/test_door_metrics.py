@@ -154,7 +154,7 @@ def test_nobody_yields_where_orca_walks_in_mirror_images() -> None:
 def test_gates_are_as_wide_as_the_free_cells_between_the_jambs(name: str) -> None:
     scenario = SCENARIOS.get(name)(width=[0.75, 0.9, 1.2])
     scenario.prepare(0.25)
-    draws = Draws.of(0, torch.arange(12))
+    draws = Draws.for_episodes(0, torch.arange(12))
     gates = scenario.gate(draws)
     rows = scenario.bank.index(scenario.layout(draws).map_id)
     assert gates is not None and len(set(gates[:, 4].tolist())) == 3

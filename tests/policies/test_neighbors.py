@@ -14,7 +14,7 @@ from pedzoo.policies import neighbors
 from pedzoo.policies.neighbors import nearest
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
-from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.base import Bodies
 from pedzoo.sim.physics.compiled import Compiled
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
@@ -159,7 +159,7 @@ def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pyt
     velocity, wish = (torch.randn(shape, generator=random) for _ in range(2))
     mask = torch.rand(1, 500, generator=random) < 0.9
     speed = torch.full((1, 500), 1.7)
-    people = People(position, mask, torch.full((1, 1), -1), identity_pose(1))
+    people = Bodies(position, mask, torch.full((1, 1), -1), identity_pose(1))
     steps = torch.arange(1, 9).view(2, 4, 1) / 20
     path = position[:, :, None, None] + velocity[:, :, None, None] * steps
     found = []

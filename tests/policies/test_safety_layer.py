@@ -191,7 +191,7 @@ def test_in_a_room_nobody_touches_walls_or_others() -> None:
     walls = around(bank, len(position))
     found = kept_clear(asked, walls)
     path = position.unsqueeze(2) + torch.linspace(0, 1, 21).view(-1, 1) * found.unsqueeze(2)
-    gap, _ = walls.rows(torch.arange(len(path)).repeat_interleave(10)).closest(path.flatten(0, 1))
+    gap, _ = walls.select(torch.arange(len(path)).repeat_interleave(10)).closest(path.flatten(0, 1))
     assert gap.min() > BODY_RADIUS - 1e-3 and nearest(position, found) > 2 * BODY_RADIUS - 1e-3
 
 

@@ -107,7 +107,7 @@ def mixed_crowd(people: int, walled: bool) -> tuple[ProposedSteps, LocalWalls | 
     if not walled:
         return asked, None
     walls = around(MapBank([ROOM]), 200)
-    everybody = walls.rows(torch.arange(200).repeat_interleave(people))
+    everybody = walls.select(torch.arange(200).repeat_interleave(people))
     free = (everybody.closest(asked.position.flatten(0, 1))[0] > 0).view(asked.present.shape)
     return asked._replace(present=asked.present & free, moved=asked.moved & free), walls
 

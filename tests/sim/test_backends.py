@@ -17,7 +17,7 @@ from pedzoo.core.kinematics import blended, limited
 from pedzoo.core.registry import PHYSICS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.engine.base import People, Physics
+from pedzoo.sim.engine.base import Bodies, Physics
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_physics
 from pedzoo.sim.motion import Motion
@@ -147,10 +147,10 @@ def test_gradients_of_torch_are_those_of_finite_differences(width: float) -> Non
 RADII = torch.tensor([[0.15, 0.5, 0.25]])
 
 
-def people_at(places: list[list[float]]) -> People:
+def people_at(places: list[list[float]]) -> Bodies:
     position = torch.tensor([places])
     mask = torch.ones(position.shape[:2], dtype=torch.bool)
-    return People(position, mask, torch.tensor([[-1]]), identity_pose(1), RADII[:, : len(places)])
+    return Bodies(position, mask, torch.tensor([[-1]]), identity_pose(1), RADII[:, : len(places)])
 
 
 @pytest.mark.parametrize("name", BACKENDS)
@@ -196,7 +196,7 @@ def test_walls_are_touched_at_the_own_radius(name: str, width: float) -> None:
     low, high = torch.from_numpy(grid.cells_to_map(ends)).float()
     place = low + (high - low) * torch.rand(40, 5, 2, generator=generator)
     gap, _ = env.bank.closest_wall(place, env.state.map_id, env.state.pose)
-    people: Any = People(
+    people: Any = Bodies(
         place, torch.ones(40, 5, dtype=torch.bool), env.state.map_id.unsqueeze(1), env.state.pose,
         torch.full((40, 5), width),
     )  # fmt: skip

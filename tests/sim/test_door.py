@@ -22,7 +22,7 @@ def layout(settings: str) -> tuple[Door, Layout]:
     door = make_scenario(f"door:{settings}")
     assert isinstance(door, Door)
     door.ready(0.25)
-    return door, door.layout(Draws.of(0, torch.arange(SCENES)))
+    return door, door.layout(Draws.for_episodes(0, torch.arange(SCENES)))
 
 
 def begun(settings: str) -> tuple[Tensor, Tensor]:
@@ -37,7 +37,7 @@ def test_the_scenes_of_the_paper_stay_what_they_are() -> None:
     _, said = layout("away=2.5,from_right=1,abreast=1")
     for mine, theirs in zip(plain[:5], said[:5], strict=True):
         assert torch.equal(mine, theirs)
-    draws = Draws.of(0, torch.arange(SCENES))
+    draws = Draws.for_episodes(0, torch.arange(SCENES))
     speed = (1.3 + 0.2 * draws.normal("speed", 2).clamp(-3, 3)).clamp_min(0.3)
     side = torch.tensor([-1, 1])
     lateral = side * 0.6 + 0.1 * draws.normal("jitter", 2).clamp(-3, 3)
@@ -153,7 +153,7 @@ def test_doors_that_cannot_be(settings: str, told: str) -> None:
 
 
 def test_a_number_is_a_range_of_one() -> None:
-    draws = Draws.of(1, torch.arange(50))
+    draws = Draws.for_episodes(1, torch.arange(50))
     assert torch.equal(Drawn("x", "y", 0.3).of(draws, 2), torch.full((50, 2), 0.3))
     many = Drawn("x", "y", (-1.0, 2.0)).of(draws, 20)
     assert -1 < float(many.min()) < -0.99 and 1.99 < float(many.max()) < 2

@@ -62,7 +62,7 @@ def touched(result: Rollout) -> float:
 
 
 def arrived(result: Rollout) -> float:
-    good = success(result.reached, result.goals, result.late, result.failed, result.mask)
+    good = success(result.reached, result.goals, result.overdue, result.failed, result.mask)
     return float(good.double().mean())
 
 
@@ -81,7 +81,7 @@ def test_a_crowd_has_room_and_arrives(name: str) -> None:
     assert float(apart(state.position).min()) > 2 * BODY_RADIUS
     wall, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
     assert float(wall.min()) > BODY_RADIUS
-    assert state.way.isfinite().all()
+    assert state.remaining_path.isfinite().all()
     assert arrived(walked(f"{name}:people={most}", 4)) > 0.95
 
 
@@ -94,7 +94,7 @@ def test_how_many_people(name: str) -> None:
     for people in (cls.fewest, 7):
         scenario = make_scenario(f"{name}:people={people}")
         scenario.ready(0.25)
-        assert scenario.layout(Draws.of(0, torch.arange(3))).mask.sum(1).tolist() == [people] * 3
+        assert scenario.layout(Draws.for_episodes(0, torch.arange(3))).mask.sum(1).tolist() == [people] * 3
 
 
 @EVERY
@@ -119,7 +119,7 @@ def test_a_scene_is_the_same_in_every_batch_and_another_with_another_seed(
 def test_people_meet_after_the_warm_start(name: str) -> None:
     """During it those in front have not turned aside for anybody, nor slowed down."""
     scenario, state = made(f"{name}:jitter=0,speed_std=0"), begun(f"{name}:jitter=0,speed_std=0", 4).state
-    places = scenario.places.of_scenes(scenario.variants.drawn(Draws.of(0, torch.arange(4))))
+    places = scenario.places.of_scenes(scenario.variants.drawn(Draws.for_episodes(0, torch.arange(4))))
     front = places.row == 0
     length = (state.position - state.past[:, :, 0]).norm(dim=-1)[front]
     assert torch.allclose(length, 2.8 * state.pref_speed[front], rtol=0.1)
@@ -186,7 +186,7 @@ def test_the_fast_overtake_the_slow(people: int) -> None:
 def test_lanes_keep_their_distance_whoever_is_fast() -> None:
     scenario = made("overtaking:people=20,jitter=0")
     scenario.ready(0.25)
-    draws = Draws.of(0, torch.arange(50))
+    draws = Draws.for_episodes(0, torch.arange(50))
     start, variant = scenario.layout(draws).start, scenario.variants.drawn(draws)
     for which, lanes in enumerate(scenario.lanes):
         for number in range(len(lanes)):
@@ -220,7 +220,7 @@ def test_nobody_sees_round_the_blind_corner(settings: str) -> None:
     env, scenario = begun(spec, 12), made(spec)
     position, variants = env.state.position, list(scenario.variants)
     lines = 0
-    for scene, number in enumerate(scenario.variants.drawn(Draws.of(0, torch.arange(12))).tolist()):
+    for scene, number in enumerate(scenario.variants.drawn(Draws.for_episodes(0, torch.arange(12))).tolist()):
         across = position[..., 1] > -variants[number]["width"] / 2
         grid = env.bank.grids[number]
         assert int(env.state.map_id[scene]) == grid.map_id
@@ -330,7 +330,7 @@ def test_passages_that_nobody_fits_through() -> None:
 def test_people_who_walk_together() -> None:
     scenario = made("hallway:people=5,against=1,together=true,width=[1.8,2.4],jitter=0")
     scenario.ready(0.25)
-    layout = scenario.layout(Draws.of(0, torch.arange(60)))
+    layout = scenario.layout(Draws.for_episodes(0, torch.arange(60)))
     # from the left two and two, from the right one
     sides = layout.start[..., 0].sign()
     assert (sides.sum(1) == -3).all()
@@ -343,5 +343,5 @@ def test_people_who_walk_together() -> None:
         assert torch.equal(mine[:, one, 0], mine[:, other, 0])
         assert torch.allclose((mine[:, one] - mine[:, other]).norm(dim=-1), torch.tensor(ABREAST))
     assert not torch.equal(speed[:, first], speed[:, third])
-    alone = made("hallway:people=5,against=1,width=2").speeds(Draws.of(0, torch.arange(60)))
+    alone = made("hallway:people=5,against=1,width=2").speeds(Draws.for_episodes(0, torch.arange(60)))
     assert not torch.equal(alone[:, first], alone[:, second])

@@ -88,7 +88,7 @@ def test_a_compiled_decision_is_that_of_the_kernel(
         deadline=torch.where(torch.arange(state.mask.shape[1]) % 2 == 1, 1.0, state.deadline),
     )
     generator = torch.Generator().manual_seed(0)
-    guidance = rules.guide(state)
+    guidance = rules.guidance(state)
     reached = 0
     for number in range(40):
         action = guidance.desired_velocity + 0.3 * torch.randn(*state.mask.shape, 2, generator=generator)
@@ -104,7 +104,7 @@ def test_a_compiled_decision_is_that_of_the_kernel(
             torch.testing.assert_close(one, two, msg=f"{name} in decision {number}")
         state, guidance, events = other
         reached = max(reached, int(events.reached.max()))
-    assert reached > 0 and state.failed.tolist() == [False, True, False] and state.late.any()
+    assert reached > 0 and state.failed.tolist() == [False, True, False] and state.overdue.any()
 
 
 def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:

@@ -162,18 +162,18 @@ def test_time_limits_and_how_scenes_end() -> None:
 
     env = make_env("door", num_envs=2)
     env.reset()
-    way, speed = env.state.way, env.state.pref_speed
+    way, speed = env.state.remaining_path, env.state.pref_speed
     assert torch.allclose(env.state.deadline, torch.clamp(4 * way / speed, min=20.0))
     results = walked(env, math.ceil(float(env.state.deadline.max()) / 0.4) + 1, Stands())
     last = results[-1]["next"]
     assert last["truncated"].all() and not last["terminated"].any()
-    assert last["agents", "info", "late"].all()
+    assert last["agents", "info", "overdue"].all()
     first = next(i for i, result in enumerate(results) if bool(result["next", "done"][0]))
     assert 0.4 * (first + 1) > float(env.state.deadline[0].max())
 
 
-@pytest.mark.parametrize(("deadline", "late"), [(0.3, False), (0.15, True)])
-def test_deadlines_lie_between_decisions_too(deadline: float, late: bool) -> None:
+@pytest.mark.parametrize(("deadline", "overdue"), [(0.3, False), (0.15, True)])
+def test_deadlines_lie_between_decisions_too(deadline: float, overdue: bool) -> None:
     """The goal is reached 0.2 s into a decision of 0.4 s."""
     env = make_env("door:people=1,jitter=0,offset=0,speed_std=0", warm_start="static")
     now: Any = env.reset()
@@ -186,7 +186,7 @@ def test_deadlines_lie_between_decisions_too(deadline: float, late: bool) -> Non
     now["agents", "action"] = torch.tensor([[[1.3, 0.0]]])
     after = env.step(now)["next"]
     assert after["agents", "info", "reached"][0, 0].tolist() == [0, 1, 1, 1]
-    assert bool(after["agents", "info", "late"]) is late
+    assert bool(after["agents", "info", "overdue"]) is overdue
 
 
 def test_gradients_of_a_return_over_two_decisions() -> None:
@@ -424,7 +424,7 @@ def test_a_partial_reset_changes_only_the_scenes_that_are_reset() -> None:
     assert torch.equal(env.state.clock, torch.tensor([1.2, 0.0, 1.2]))
     assert not torch.equal(env.state.key[1], before.key[1])
     # the scene that follows is the one a batch of three comes to next
-    assert torch.equal(env.state.key[1:2], Draws.of(0, torch.tensor([4])).key)
+    assert torch.equal(env.state.key[1:2], Draws.for_episodes(0, torch.tensor([4])).key)
 
 
 def test_episodes_follow_one_another_in_a_long_rollout() -> None:
@@ -434,7 +434,7 @@ def test_episodes_follow_one_another_in_a_long_rollout() -> None:
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
     assert all(len(row) > 1 for row in keys)
     for row, found in enumerate(keys):
-        expected = Draws.of(5, torch.arange(len(found)) * 3 + row).key
+        expected = Draws.for_episodes(5, torch.arange(len(found)) * 3 + row).key
         assert found == expected.tolist()
     starts = long["time"][..., 0] == 0
     assert int(starts.sum()) == sum(map(len, keys))

@@ -19,7 +19,7 @@ from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.engine.base import People, Physics
+from pedzoo.sim.engine.base import Bodies, Physics
 from pedzoo.sim.engine.camera import FLOOR, WALL, Camera, person_color
 from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled
@@ -47,12 +47,12 @@ def crowd(
     grid: OccupancyGrid | None = None,
     mask: Tensor | None = None,
     pose: Tensor | None = None,
-) -> People:
+) -> Bodies:
     """People at scene positions (B, A, 2), all scenes on one floor plan."""
     scenes = len(position)
     mask = torch.ones(position.shape[:2], dtype=torch.bool) if mask is None else mask
     map_id = torch.full((scenes, 1), grid.map_id if grid else -1)
-    return People(position, mask, map_id, identity_pose(scenes) if pose is None else pose)
+    return Bodies(position, mask, map_id, identity_pose(scenes) if pose is None else pose)
 
 
 def walks(start: Tensor, seed: int, speed: float = 1.3, trace: int = 4, steps: int = 4) -> Tensor:
@@ -64,7 +64,7 @@ def walks(start: Tensor, seed: int, speed: float = 1.3, trace: int = 4, steps: i
     return start[:, :, None, None] + move[:, :, None, None] * time
 
 
-def plain_contacts(bank: MapBank, path: Tensor, people: People) -> tuple[Tensor, Tensor]:
+def plain_contacts(bank: MapBank, path: Tensor, people: Bodies) -> tuple[Tensor, Tensor]:
     """The definition, without any shortcut."""
     apart = (path.unsqueeze(2) - path.unsqueeze(1)).norm(dim=-1)  # (B, A, A, S, M)
     both = people.mask.unsqueeze(1) & people.mask.unsqueeze(2)
@@ -148,7 +148,7 @@ def test_a_corner_is_not_blunt() -> None:
             assert (found.wall == touches).all()
 
 
-def agree(bank: MapBank, people: People, seed: int) -> None:
+def agree(bank: MapBank, people: Bodies, seed: int) -> None:
     """The contract: all backends give the same answers."""
     _, grid, bullet = backends(bank)
     path = walks(people.position, seed, trace=2, steps=2)
@@ -390,10 +390,10 @@ def test_backends_can_be_pickled_before_and_after_their_use() -> None:
 def test_pybullet_prints_nothing() -> None:
     pytest.importorskip("pybullet")
     code = (
-        "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.engine.base import People; "
+        "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.engine.base import Bodies; "
         "from pedzoo.core.geometry import identity_pose; from pedzoo.sim.physics.bullet import Bullet; "
         "mask, map_id = torch.ones(1, 2).bool(), torch.full((1, 1), -1); "
-        "people = People(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "
+        "people = Bodies(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "
         "physics = Bullet(MapBank()); physics.distances(people); "
         "physics.image(people, 0, (32, 24)); physics.close()"
     )

@@ -103,13 +103,13 @@ def test_a_fault_in_a_step_raises(fault: str) -> None:
     action = env.reset(seed=0)["agents", "desired_velocity"]
     does, error = FAULTS[fault]
 
-    def guide(right: Callable[..., Any], state: Any) -> Any:
+    def guidance(right: Callable[..., Any], state: Any) -> Any:
         does(state.position)
         return right(state)
 
     with pretended():
         state, asked = env.state.to(DEVICE), action.to(DEVICE)
         kernel.step(state, asked, env.physics, env.rules)
-    faulty = replace(env.rules, guide=partial(guide, env.rules.guide))
+    faulty = replace(env.rules, guidance=partial(guidance, env.rules.guidance))
     with pretended(copies=False), pytest.raises(error):
         kernel.step(state, asked, env.physics, faulty)

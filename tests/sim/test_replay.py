@@ -187,7 +187,7 @@ def test_starts_goals_ways_and_times(folder: Path) -> None:
     assert 0.4 * float(people.last[alice]) == pytest.approx(6.4)
     assert people.start[alice].tolist() == pytest.approx([1 + 7 * 0.3, 1])
     assert people.exit[alice].tolist() == people.goal[alice].tolist() == pytest.approx([5.8, 1])
-    assert float(people.way[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
+    assert float(people.path_length[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
     assert float(people.pref_speed[alice]) == pytest.approx(0.3 / 0.4)
     # (8.1, 4) is not in an open cell: the nearest one's centre is 0.25 m or more from the wall at x = 8
     assert people.exit[edge].tolist() == pytest.approx([8.1, 4])
@@ -389,7 +389,7 @@ def test_slots_are_never_shared(plaza: Replay) -> None:
     assert [piece.tolist() for piece in pieces(begin, end)] == [[0, 1, 2, 3], [4, 5]]
     scenario, people = plaza, plaza.persons
     assert scenario.script is not None
-    (who,) = scenario.script.who
+    (who,) = scenario.script.occupants
     for number in range(len(people.agent)):
         slot, frames = (who == number).nonzero(as_tuple=True)
         assert len(slot.unique()) == 1
@@ -519,12 +519,12 @@ def test_partial_resets_and_auto_reset(folder: Path) -> None:
     after = env.state
     assert after.scene.tolist() == [0, 0, 2]  # scene 4 of the seed is the first again
     assert after.clock.tolist() == pytest.approx([1.2, 0, 1.2])
-    for key in ("past", "person", "controlled", "known"):
+    for key in ("past", "person", "controlled", "observed_points"):
         assert torch.equal(getattr(after, key)[[0, 2]], getattr(before, key)[[0, 2]])
     long = make_env(scenario, num_envs=3).rollout(120, policy, break_when_any_done=False)
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
     for row, found in enumerate(keys):
-        assert found == Draws.of(0, torch.arange(len(found)) * 3 + row).key.tolist()
+        assert found == Draws.for_episodes(0, torch.arange(len(found)) * 3 + row).key.tolist()
     assert all(len(row) > 2 for row in keys)
 
 
@@ -603,7 +603,7 @@ def test_rewards_are_the_way_that_got_shorter(folder: Path) -> None:
     env = make_env(replay(folder))
     policy, now, total = GoToGoal(), env.reset(), 0.0
     slot = int((now["agents", "id"][0] == 0).nonzero()[0, 0])
-    way, length = float(env.state.way[0, slot]), 0.0
+    way, length = float(env.state.remaining_path[0, slot]), 0.0
     while bool(env.state.controlled[0, slot]):
         result = env.step(policy(now))
         touched = result["next", "agents", "info", "agent_contact"][0, slot].any()
@@ -629,7 +629,7 @@ def test_settings_that_cannot_be(folder: Path) -> None:
     with pytest.raises(UserError, match="did you mean 'zara1'"):
         make_env("replay:fold=zara11")
     save(folder / "short.txt", straight(1, 0, 8, (1.0, 1.0), (0.3, 0.0)))
-    with pytest.raises(UserError, match=r"nobody in 'files' can be simulated: \{'too short': 1\}"):
+    with pytest.raises(UserError, match=r"no person in 'files' can be simulated: \{'too short': 1\}"):
         replay(folder, "short")
 
 
@@ -656,7 +656,7 @@ def test_goals_that_share_ways_are_still_their_own() -> None:
         ids = planner.add_goals(0, goals)
         many = ids.repeat_interleave(2)
         map_id, pose = torch.full((8,), bank.grids[0].map_id), torch.tensor([[0.0, 1, 0, 0]]).repeat(8, 1)
-        looks.append(planner.look(start.repeat(4, 1), many, map_id, pose))
+        looks.append(planner.next_waypoints(start.repeat(4, 1), many, map_id, pose))
     exact, rough = looks
     assert torch.allclose(rough.goal_point, torch.from_numpy(goals).float().repeat_interleave(2, 0))
     assert float((exact.distance - rough.distance).abs().max()) < 0.3

@@ -42,7 +42,7 @@ def test_scenes_are_sound(name: str) -> None:
     apart = torch.cdist(state.position, state.position) + 9 * torch.eye(env.scenario.people)
     apart = torch.where(state.mask.unsqueeze(1) & state.mask.unsqueeze(2), apart, torch.inf)
     assert float(apart.min()) > 2 * BODY_RADIUS
-    assert state.way[state.mask].isfinite().all()
+    assert state.remaining_path[state.mask].isfinite().all()
     assert (state.goal_id[state.mask] >= 0).all()
     assert float(state.pref_speed.max()) <= env.scenario.fastest + 1e-6
     assert state.mask.any(1).all()
@@ -54,7 +54,7 @@ def test_nobody_starts_on_a_goal(name: str) -> None:
     env = make_env(name, num_envs=300, seed=1)
     env.reset()
     if env.scenario.script is None:
-        assert float(env.state.way[env.state.mask].min()) >= LEAST_WAY > 2 * GOAL_RADIUS
+        assert float(env.state.remaining_path[env.state.mask].min()) >= LEAST_WAY > 2 * GOAL_RADIUS
 
 
 @pytest.mark.parametrize("warm_start", ["orca", "static"])
@@ -64,13 +64,13 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
     env = make_env(scenario, num_envs=300, seed=2, warm_start=warm_start)
     env.reset()
     state = env.state
-    assert float(state.way.min()) >= LEAST_WAY
+    assert float(state.remaining_path.min()) >= LEAST_WAY
     assert bool((state.drawn > 0).any()) == (warm_start == "orca")
     assert (state.reached == 0).all()
     for episode in (0, *state.drawn.any(1).nonzero()[:3, 0].tolist()):
         alone = make_env(env.scenario, 1, seed=2, first_episode=episode, warm_start=warm_start)
         alone.reset()
-        for key in ("goal_id", "drawn", "goal_point", "way"):
+        for key in ("goal_id", "drawn", "goal_point", "remaining_path"):
             assert torch.equal(getattr(alone.state, key)[0], getattr(state, key)[episode])
 
 
@@ -82,7 +82,7 @@ def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> 
     )
     env = make_env(f"{tmp_path}/mine.py:One:people=3,pool=4", num_envs=200)
     env.reset()
-    assert (env.state.goal_id >= 0).all() and float(env.state.way.min()) < LEAST_WAY
+    assert (env.state.goal_id >= 0).all() and float(env.state.remaining_path.min()) < LEAST_WAY
 
 
 @EVERY_SCENARIO

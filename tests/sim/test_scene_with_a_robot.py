@@ -94,7 +94,16 @@ def test_people_begin_as_they_do_without_the_robot(file: Path, scenes: str) -> N
     people = alone.state.mask.shape[1]
     assert joined.state.kind[:, people].eq(ROBOT).all() and joined.state.mask[:, people].all()
     fields = ("past", "velocity", "heading", "pref_speed", "top_speed", "radius", "kind", "goal_point")
-    for name in (*fields, "mask", "controlled", "person", "deadline", "way", "goal_id", "later_goals"):
+    for name in (
+        *fields,
+        "mask",
+        "controlled",
+        "person",
+        "deadline",
+        "remaining_path",
+        "goal_id",
+        "later_goals",
+    ):
         mine, other = getattr(alone.state, name), getattr(joined.state, name)
         assert torch.equal(mine, people_of(other, people)), name
     for name in ("key", "map_id", "pose", "clock"):

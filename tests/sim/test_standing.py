@@ -23,7 +23,7 @@ def layout(spec: str, scenes: int = 300) -> Layout:
     scenario = make_scenario(spec)
     assert isinstance(scenario, Standing)
     scenario.ready(0.25)
-    return scenario.layout(Draws.of(0, torch.arange(scenes)))
+    return scenario.layout(Draws.for_episodes(0, torch.arange(scenes)))
 
 
 @pytest.mark.parametrize("physics", ["compiled", "bullet"])

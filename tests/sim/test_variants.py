@@ -58,7 +58,7 @@ def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
             low = torch.tensor(grid.origin[:2])
             high = low + torch.tensor(grid.cells.shape[::-1]) * grid.resolution
             assert ((points[scene] > low) & (points[scene] < high)).all()
-    assert state.way.isfinite().all()
+    assert state.remaining_path.isfinite().all()
     whole = (state.past, state.goal_point, state.map_id)
     for i in (0, 31, 47):
         alone = make_env(env.scenario, first_episode=i)
@@ -100,7 +100,7 @@ def test_a_list_of_one_is_the_number() -> None:
 
 
 def test_settings_are_drawn_one_by_one() -> None:
-    draws = Draws.of(3, torch.arange(500))
+    draws = Draws.for_episodes(3, torch.arange(500))
     both = Variants("x", width=(1.0, 2.0, 3.0), offset=(0.0, 0.1))
     alone = Variants("x", width=(1.0, 2.0, 3.0))
     assert torch.equal(both.drawn(draws) // 2, alone.drawn(draws))
@@ -115,7 +115,7 @@ def test_without_variation_scenes_of_a_plan_are_alike(name: str) -> None:
     there = starts(still)
     scenario = still.scenario
     assert isinstance(scenario, Encounter)
-    variant = scenario.variants.drawn(Draws.of(0, torch.arange(12)))
+    variant = scenario.variants.drawn(Draws.for_episodes(0, torch.arange(12)))
     for number in variant.unique().tolist():
         mine = there[variant == number]
         assert torch.equal(mine, mine[:1].expand_as(mine))
@@ -126,7 +126,7 @@ def test_people_start_aside_and_late(name: str) -> None:
     scenario = make_scenario(f"{name}:speed_std=0,jitter=0,aside=0.4,delay=0.8")
     scenario.ready(0.25)
     assert isinstance(scenario, Encounter)
-    draws = Draws.of(0, torch.arange(200))
+    draws = Draws.for_episodes(0, torch.arange(200))
     layout, places = scenario.layout(draws), scenario.places.of_scenes(scenario.variants.drawn(draws))
     off = layout.start - places.middle
     along = (off * places.heading).sum(-1)

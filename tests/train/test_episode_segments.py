@@ -40,8 +40,8 @@ def made(velocity: Tensor, start: Tensor, bank: MapBank | None = None, **more: A
         "goal": begin,
         "present": there,
         "moved": there,
-        "touched": ~there,
-        "grazed": ~there,
+        "agent_contact": ~there,
+        "wall_contact": ~there,
         "done": torch.zeros(scenes, dtype=torch.bool),
         "map_id": torch.full((scenes,), bank.grids[0].map_id if bank else -1),
         "pose": identity_pose(scenes),
@@ -224,7 +224,7 @@ def test_a_segment_is_what_the_environment_does() -> None:
             torch.testing.assert_close(segment.trace[step, :, :, 0], begin, atol=1e-4, rtol=0)
             walked = seen["agents", "info", "trace"]
             torch.testing.assert_close(segment.trace[step, :, :, 1:], walked, atol=1e-4, rtol=0)
-            assert torch.equal(segment.touched[step], seen["agents", "info", "agent_contact"].any(-1))
+            assert torch.equal(segment.agent_contact[step], seen["agents", "info", "agent_contact"].any(-1))
     assert segment.done.tolist() == [False] * 3
 
 

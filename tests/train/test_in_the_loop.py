@@ -75,7 +75,7 @@ def test_people_learn_to_keep_clear_of_each_other() -> None:
     before, cost = walked(model)
     train(module(model, lr=5e-3), 15, batch_size=2, unroll=2, unroll_batch_size=2)
     after, less = walked(model)
-    touched = [segment.touched.any(0).any(1).float().mean() for segment in (before, after)]
+    touched = [segment.agent_contact.any(0).any(1).float().mean() for segment in (before, after)]
     assert touched[0] > 0.9 and touched[1] < 0.3
     assert less < 0.7 * cost
     assert after.progress.sum() > 0.8 * before.progress.sum()  # and they still walk

@@ -132,7 +132,7 @@ def test_untrained_critic_expects_what_somebody_alone_earns(lived: TensorDict) -
     now = env.reset()
     value = critic(now)["agents", "value"]
     people = now["agents"]
-    expected = critic.alone(people["info", "way"].unsqueeze(-1), people["pref_speed"])
+    expected = critic.alone(people["info", "remaining_path"].unsqueeze(-1), people["pref_speed"])
     torch.testing.assert_close(value, expected)
 
 

@@ -144,7 +144,7 @@ def measured(case: Case) -> bytes:
     env.physics.close()
     found = row(case.policy, result, env.decision_dt)
     metrics, intervals = dict(found["metrics"]), dict(found["ci95"])
-    arrived = success(result.reached, result.goals, result.late, result.failed, result.mask)
+    arrived = success(result.reached, result.goals, result.overdue, result.failed, result.mask)
     stuck = deadlocked(result.trace, result.goal, result.scored) & ~arrived
     metrics["stuck"] = float(stuck.sum() / result.mask.sum())
     intervals["stuck"] = wilson(metrics["stuck"], case.episodes)

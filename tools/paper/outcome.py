@@ -40,7 +40,9 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     if rollout.gate is None:
         raise ValueError("outcomes are about a door, and this scenario has none")
     pair, meets = door.pair(rollout.path[:, :, 0], rollout.mask, rollout.gate)
-    arrived = navigation.success(rollout.reached, rollout.goals, rollout.late, rollout.failed, rollout.mask)
+    arrived = navigation.success(
+        rollout.reached, rollout.goals, rollout.overdue, rollout.failed, rollout.mask
+    )
     stuck = navigation.deadlocked(rollout.trace, rollout.goal, rollout.scored)
     near = safety.least_distance(safety.nearest(rollout.trace, rollout.present), rollout.scored).amin(1)
     both = door.of_pair(rollout.scored, pair).all(1) & meets.unsqueeze(1)

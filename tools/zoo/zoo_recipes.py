@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.types import PRED_LEN, Clock, GoalProtocol
+from pedzoo.core.types import PRED_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
 from pedzoo.models.export.publish import zoo_name
 from pedzoo.models.export.run_record import monitored
@@ -40,7 +40,7 @@ class Recipe:
         return GOALS.get(self.config, "window_end")
 
     @property
-    def clock(self) -> Clock:
+    def clock(self) -> TimeBase:
         """The benchmark's for tables; the true one for controllers, which meet people at their real speed."""
         return "true" if self.folder or self.fold == EVERYTHING else "benchmark"
 

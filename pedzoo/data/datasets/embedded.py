@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from pedzoo.core.types import Clock
+from pedzoo.core.types import TimeBase
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 
@@ -15,7 +15,9 @@ FOLDS = ["embedded"]
 class Embedded:
     """The recordings of the plaza: one for each split, all on the same floor plan."""
 
-    def __init__(self, fold: str = "embedded", root: str | None = None, clock: Clock = "benchmark") -> None:
+    def __init__(
+        self, fold: str = "embedded", root: str | None = None, clock: TimeBase = "benchmark"
+    ) -> None:
         """Find the shipped files.
 
         Args:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import data_root
-from pedzoo.core.types import STEP_SECONDS, Clock
+from pedzoo.core.types import STEP_SECONDS, TimeBase
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 
@@ -37,7 +37,7 @@ HOW_TO_GET = "`pedzoo download eth_ucy` gets those of ETH/UCY, to where they are
 class EthUcy:
     """The recordings of one fold."""
 
-    def __init__(self, fold: str, root: str | None, clock: Clock = "benchmark") -> None:
+    def __init__(self, fold: str, root: str | None, clock: TimeBase = "benchmark") -> None:
         """Find the fold's files below ``root``, PEDZOO_DATA or the folder of ``pedzoo download``.
 
         Raises:
@@ -85,13 +85,13 @@ class EthUcy:
         return list({file.name: file for file in files}.values())
 
     def _below(self, scene: str) -> dict[Split, list[str]]:
-        found: dict[Split, list[str]] = {}
+        paths_by_split: dict[Split, list[str]] = {}
         for split in ("train", "val", "test"):
             folder = self.root / scene / split
             if not (files := sorted(folder.glob("*.txt"))):
                 raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
-            found[split] = [str(path.relative_to(self.root)) for path in files]
-        return found
+            paths_by_split[split] = [str(path.relative_to(self.root)) for path in files]
+        return paths_by_split
 
     def _recording(self, path: Path) -> Recording:
         name = path.stem.removesuffix("_train").removesuffix("_val")

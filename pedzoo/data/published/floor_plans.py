@@ -73,7 +73,7 @@ def floor_plan(scene: str, folder: Path) -> OccupancyGrid:
 
 
 def _masks(scene: str, folder: Path) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where nobody walks in a scene's image, areas and thin things apart.
+    """Return where people do not walk in a scene's image, areas and thin things apart.
 
     Two of the published masks are wrong where people walk, and mended by the obstacles that were published
     with the recordings (EWAP): eth has its entrance closed, hotel the walkable grates about its trees.

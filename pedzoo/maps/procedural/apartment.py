@@ -47,7 +47,7 @@ def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
 def _hall(dice: Dice, inside: Rect) -> tuple[tuple[Rect, ...], list[Rect]]:
     """Return the hall's parts and what is left of the inside."""
     x0, _, x1, _ = inside
-    width = dice.whole(units(1.2), units(1.7))
+    width = dice.integer(units(1.2), units(1.7))
     room = inside.height - width - 2 * WALL
     low = inside.y0 + max(_NARROW + units(0.4), round(room * dice.uniform(0.36, 0.64)))
     low = min(low, inside.y1 - width - 2 * WALL - _NARROW - units(0.4))
@@ -55,7 +55,7 @@ def _hall(dice: Dice, inside: Rect) -> tuple[tuple[Rect, ...], list[Rect]]:
     hall, above = above.cut(1, low + WALL + width)
     form = dice.choice(("end", "end", "bend", "through"))
     if form == "end":
-        end = x1 - dice.whole(units(3.2), min(units(4.8), inside.width - units(4.0)))
+        end = x1 - dice.integer(units(3.2), min(units(4.8), inside.width - units(4.0)))
         return (
             (hall._replace(x1=end - WALL),),
             [part._replace(x1=end - WALL) for part in (below, above)] + [inside._replace(x0=end)],

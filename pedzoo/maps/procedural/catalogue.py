@@ -52,14 +52,14 @@ def desks(count: int) -> list[tuple[str, Rect]]:
     return [("desks", Rect(0, 0, length, depth)), *_chairs(length, depth, units(1.4))]
 
 
-def _chairs(length: int, depth: int, apart: int = 14) -> list[tuple[str, Rect]]:
+def _chairs(length: int, depth: int, spacing: int = 14) -> list[tuple[str, Rect]]:
     # chairs of 0.45 m, a third of them under the table
     seat, under = units(0.45), units(0.15)
-    count = max(length // apart, 1)
-    first = (length - count * apart + apart - seat) // 2
+    count = max(length // spacing, 1)
+    first = (length - count * spacing + spacing - seat) // 2
     rows = ((under - seat, 0), (depth, depth + seat - under))
     return [
-        ("chair", Rect(first + k * apart, low, first + k * apart + seat, high))
+        ("chair", Rect(first + k * spacing, low, first + k * spacing + seat, high))
         for low, high in rows
         for k in range(count)
     ]

@@ -27,7 +27,7 @@ class Dice:
         """Return a number from ``low`` up to ``high``."""
         return low + (high - low) * ((int(self._bits.random_raw()) >> 11) * 2.0**-53)
 
-    def whole(self, low: int, high: int) -> int:
+    def integer(self, low: int, high: int) -> int:
         """Return a whole number from ``low`` to ``high``, both of them possible."""
         return low + min(int(self.uniform() * (high - low + 1)), high - low)
 
@@ -37,12 +37,12 @@ class Dice:
 
     def choice(self, items: Sequence[Item]) -> Item:
         """Return one of the items."""
-        return items[self.whole(0, len(items) - 1)]
+        return items[self.integer(0, len(items) - 1)]
 
     def shuffled(self, items: Sequence[Item]) -> list[Item]:
         """Return the items in random order (Fisher and Yates)."""
         mixed = list(items)
         for last in range(len(mixed) - 1, 0, -1):
-            other = self.whole(0, last)
+            other = self.integer(0, last)
             mixed[last], mixed[other] = mixed[other], mixed[last]
         return mixed

@@ -98,14 +98,14 @@ def draw_doors(dice: Dice, rooms: Sequence[Room], widths: tuple[int, int]) -> li
 
 def _walls(rooms: Sequence[Room]) -> list[_Wall]:
     """Return the stretches that two rooms have between them."""
-    found = []
+    result = []
     for (i, one), (j, other) in combinations(enumerate(rooms), 2):
         for a in one.parts:
             for b in other.parts:
                 for axis in (0, 1):
                     if wall := _between(a, b, axis):
-                        found.append(_Wall((i, j), wall, axis))
-    return found
+                        result.append(_Wall((i, j), wall, axis))
+    return result
 
 
 def _between(a: Rect, b: Rect, axis: int) -> Rect | None:
@@ -127,8 +127,8 @@ def _door(dice: Dice, rooms: Sequence[Room], wall: _Wall, widths: tuple[int, int
     width = widths[0] + round((widths[1] - widths[0]) * dice.uniform(low, high))
     width = min(width, wall.length - 2 * JAMB)
     room = wall.length - 2 * JAMB - width
-    close = min(room, dice.whole(0, units(0.3)))
-    at = JAMB + dice.choice((close, room - close, dice.whole(0, room), dice.whole(0, room)))
+    close = min(room, dice.integer(0, units(0.3)))
+    at = JAMB + dice.choice((close, room - close, dice.integer(0, room), dice.integer(0, room)))
     if wall.axis == 0:
         x0 = wall.stretch.x0 + at
         opening = wall.stretch._replace(x0=x0, x1=x0 + width)

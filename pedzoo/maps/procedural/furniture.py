@@ -123,12 +123,12 @@ def _places(dice: Dice, room: Room, kind: Kind) -> Iterator[list[Piece]]:
     length, depth = max(rect.x1 for _, rect in pieces), max(rect.y1 for _, rect in pieces)
     for _ in range(_TRIES):
         part = dice.choice(room.parts)
-        side = dice.whole(0, 3)
+        side = dice.integer(0, 3)
         wall, across = (part.width, part.height) if side < 2 else (part.height, part.width)
         along, away = wall - length, across - depth
         if along < 0 or away < 0:
             continue
-        at, off = dice.whole(0, along), 0
+        at, off = dice.integer(0, along), 0
         if kind.place == "corner":
             at = dice.choice((0, along))
         elif kind.place == "middle":
@@ -145,15 +145,15 @@ def _places(dice: Dice, room: Room, kind: Kind) -> Iterator[list[Piece]]:
 
 def _moved(pieces: Sequence[tuple[str, Rect]], part: Rect, side: int, at: int, off: int) -> list[Piece]:
     """Return pieces drawn along a wall as they lie at the bottom, top, left or right wall of a part."""
-    found = []
+    placed = []
     for name, (a0, d0, a1, d1) in pieces:
         along, away = (at + a0, at + a1), (off + d0, off + d1)
         if side in (1, 3):
             across = part.height if side == 1 else part.width
             away = across - away[1], across - away[0]
         (x0, x1), (y0, y1) = (along, away) if side < 2 else (away, along)
-        found.append(Piece(name, Rect(part.x0 + x0, part.y0 + y0, part.x0 + x1, part.y0 + y1)))
-    return found
+        placed.append(Piece(name, Rect(part.x0 + x0, part.y0 + y0, part.x0 + x1, part.y0 + y1)))
+    return placed
 
 
 def _clusters(dice: Dice, box: Rect) -> list[list[Piece]]:

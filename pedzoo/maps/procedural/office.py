@@ -42,14 +42,14 @@ def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
     """
     count = 1 if inside.height < units(17) else 2 if inside.height < units(28) else 3
     count += (inside.height > units(40)) + (inside.height > units(52))
-    widths = [dice.whole(units(1.5), units(2.4)) for _ in range(count)]
+    widths = [dice.integer(units(1.5), units(2.4)) for _ in range(count)]
     depth = inside.height - sum(widths) - 2 * count * WALL
     if count == 1:
         below = round(depth * dice.uniform(0.38, 0.62))
         depths = [below, depth - below]
     else:
         deepest = min(units(5.8), (depth - (count - 1) * units(3)) // 2)
-        outer = [dice.whole(units(3.8), deepest) for _ in range(2)]
+        outer = [dice.integer(units(3.8), deepest) for _ in range(2)]
         core = depth - sum(outer)
         borders = [round(core * i / (count - 1)) for i in range(count)]
         depths = [outer[0], *(high - low for low, high in pairwise(borders)), outer[1]]
@@ -99,7 +99,7 @@ def _links(dice: Dice, band: Rect, inner: bool) -> tuple[list[Rect], list[Rect]]
         places = [dice.uniform(0.25, 0.75)] if dice.chance(0.3) else []
     links, blocks, begin = [], [], band.x0
     for place in places:
-        width = dice.whole(units(1.5), units(2.0))
+        width = dice.integer(units(1.5), units(2.0))
         low = band.x0 + round((length - width) * place)
         links.append(band._replace(x0=low, x1=low + width))
         if low > begin:

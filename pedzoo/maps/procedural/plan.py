@@ -83,7 +83,7 @@ def generate(
     """Return the floor plan of a seed: the same cells on every machine.
 
     Walls and furniture lie on a lattice of 5 cm, so that grids of all resolutions show the same plan. Inner
-    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The free space is one connected piece for everybody who
+    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The free space is one connected piece for all people who
     keeps 0.25 m from walls, the planner's clearance, and it reaches through every door.
 
     Args:
@@ -105,10 +105,10 @@ def generate(
     seed = int(seed)
     width, height = (units(side) for side in size or KINDS[kind].draw_size(Dice(seed, kind, "size")))
     for attempt in range(_ATTEMPTS):
-        found = _attempt(kind, (seed, kind, attempt), (width, height), furnished, doors)
-        if found is None:
+        result = _attempt(kind, (seed, kind, attempt), (width, height), furnished, doors)
+        if result is None:
             continue
-        rooms, openings, pieces = found
+        rooms, openings, pieces = result
         cells = np.full((height, width), OCCUPIED, dtype=np.uint8)
         for rect in (*(part for room in rooms for part in room.parts), *(door.opening for door in openings)):
             cells[rect.y0 : rect.y1, rect.x0 : rect.x1] = FREE
@@ -153,7 +153,7 @@ def _attempt(
 ) -> tuple[list[Room], list[Door], list[Piece]] | None:
     """Return rooms, doors and furniture, or None where this draw gives no sound plan."""
     dice = Dice(*key)
-    wall = dice.whole(units(0.1), units(0.2))
+    wall = dice.integer(units(0.1), units(0.2))
     long, short = max(size), min(size)
     rooms = KINDS[kind].draw_rooms(dice, Rect(wall, wall, long - wall, short - wall))
     if rooms is None:
@@ -165,10 +165,10 @@ def _attempt(
     pieces: list[Piece] = []
     for number, room in enumerate(rooms):
         mine = [door for door in doors if number in door.rooms]
-        found = furnish(Dice(*key, "furniture", number), room, mine, furnished)
-        if found is None:
+        result = furnish(Dice(*key, "furniture", number), room, mine, furnished)
+        if result is None:
             return None
-        pieces += found
+        pieces += result
     return rooms, doors, pieces
 
 

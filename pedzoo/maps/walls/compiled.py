@@ -17,7 +17,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from pedzoo.maps.walls.contenders import CONTENDERS
+from pedzoo.maps.walls.nearest_boxes import CANDIDATES
 
 
 def compiled(signature: str | None = None) -> Callable[[Any], Any]:
@@ -90,13 +90,13 @@ def wall_gap(x, y, frame, place, choice, option, limit):
     cell_x, cell_y, index = quarter(x, y, frame, place)
     chosen = choice[index]
     best, off_x, off_y = 1e300, 0.0, 0.0
-    for k in range(CONTENDERS):
-        dx = cell_x - min(max(cell_x, option[chosen, k]), option[chosen, 2 * CONTENDERS + k])
-        dy = cell_y - min(max(cell_y, option[chosen, CONTENDERS + k]), option[chosen, 3 * CONTENDERS + k])
+    for k in range(CANDIDATES):
+        dx = cell_x - min(max(cell_x, option[chosen, k]), option[chosen, 2 * CANDIDATES + k])
+        dy = cell_y - min(max(cell_y, option[chosen, CANDIDATES + k]), option[chosen, 3 * CANDIDATES + k])
         squared = dx * dx + dy * dy
         if squared < best:
             best, off_x, off_y = squared, dx, dy
-    sign, depth, side = option[chosen, 4 * CONTENDERS], math.sqrt(best), frame[6]
+    sign, depth, side = option[chosen, 4 * CANDIDATES], math.sqrt(best), frame[6]
     distance = depth * side
     if distance >= limit:
         return limit * sign, 0.0, 0.0
@@ -140,22 +140,22 @@ def _sees(home, corner, end, part, frame, place, least, clearance):
     " f8[:,:], i4[:,:], f8[:], f4[:],"
     " f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:])"
 )
-def guide(
+def guidance_loop(
     points, goals, rows, poses, speeds, seconds, clearance,
     to_cell, begin, nearest, xs, ys, goal_table, waypoints, lengths,
     affine, place, side, least,
     carrot, desired, waypoint_out, goal_out, distance_out,
 ):  # fmt: skip
-    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guide_scenes`.
+    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guidance`.
 
-    Args are the arrays of the agents (B, A, ...), of `Tables`, of `Walls`, and the results.
+    Args are the arrays of the agents (B, A, ...), of `WaypointTable`, of `Walls`, and the results.
     """
     scenes, agents = goals.shape
     first_goal = len(xs) - goal_table.shape[1] + 1
     frame, quarters = np.empty(7), np.empty(3, np.int64)
     corner, end = np.empty(2), np.empty(2)
     homes, entries = np.empty((scenes, agents, 2)), np.empty((2, scenes, agents), np.int64)
-    # one look-up after the other waits for memory: each is made for everybody before the next
+    # one look-up after the other waits for memory: each is made for all agents before the next
     for b in range(scenes):
         number = rows[b] + 1
         cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]

@@ -46,15 +46,15 @@ def bucket_lists(segments, low, size, reach, most):
                 min(int((max(y, end_y) + reach - low[1]) / BUCKET) + 1, size[1]),
             ):
                 for column in range(max(first, 0), min(last + 1, size[0])):
-                    apart, side = _around(
+                    line_distance, side = _around(
                         segments, s, low[0] + (column + 0.5) * BUCKET, low[1] + (row + 0.5) * BUCKET
                     )
-                    if apart <= reach + HALF and side < HALF:
+                    if line_distance <= reach + HALF and side < HALF:
                         bucket = row * size[0] + column
                         at = begin[bucket] + counts[bucket]
                         counts[bucket] += 1
                         if fill:
-                            number[at], gap[at], left[at] = s, apart, side
+                            number[at], gap[at], left[at] = s, line_distance, side
     kept = 0
     for bucket in range(len(counts)):
         some = slice(begin[bucket], begin[bucket + 1])
@@ -93,11 +93,11 @@ def nearest(place, row, reach, segments, candidates, offset, corner, buckets, nu
             s = candidates[c]
             from_x, from_y = x - segments[0, s], y - segments[1, s]
             along = from_x * segments[2, s] + from_y * segments[3, s]
-            apart = from_x * segments[3, s] - from_y * segments[2, s]
-            if not apart > 0:
+            line_distance = from_x * segments[3, s] - from_y * segments[2, s]
+            if not line_distance > 0:
                 continue
             beyond = along - max(min(along, segments[4, s]), np.float32(0))
-            distance2[0] = beyond * beyond + apart * apart
+            distance2[0] = beyond * beyond + line_distance * line_distance
             bits[0] &= ROUNDED
             if not distance2[0] < reach[i] * reach[i]:
                 continue

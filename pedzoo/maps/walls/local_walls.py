@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.walls.constants import INTO, WALL
-from pedzoo.maps.walls.contenders import CONTENDERS
+from pedzoo.maps.walls.nearest_boxes import CANDIDATES
 from pedzoo.maps.walls.walls import Walls
 
 _STEPS = 16
@@ -71,7 +71,7 @@ class LocalWalls:
         )
         return cls(walls, torch.stack(frame), walls.place.index_select(1, row))
 
-    def rows(self, index: Tensor) -> LocalWalls:
+    def select(self, index: Tensor) -> LocalWalls:
         """Return the walls as some of the N entries see them."""
         return LocalWalls(self.walls, self.frame.index_select(1, index), self.place.index_select(1, index))
 
@@ -136,10 +136,10 @@ class LocalWalls:
         shape = index.shape
         choice = walls.choice.index_select(0, index.reshape(-1))
         option = walls.option.index_select(1, choice).to(place.dtype)
-        corners, sign = option[:-1].view(2, 2, CONTENDERS, *shape), option[-1].view(shape)
-        apart = place.unsqueeze(1) - place.unsqueeze(1).clamp(corners[0], corners[1])
-        squared, best = torch.addcmul(apart[0] * apart[0], apart[1], apart[1]).min(dim=0)
-        apart = apart.gather(1, best.expand(2, 1, *shape))[:, 0]
+        corners, sign = option[:-1].view(2, 2, CANDIDATES, *shape), option[-1].view(shape)
+        offset = place.unsqueeze(1) - place.unsqueeze(1).clamp(corners[0], corners[1])
+        squared, best = torch.addcmul(offset[0] * offset[0], offset[1], offset[1]).min(dim=0)
+        offset = offset.gather(1, best.expand(2, 1, *shape))[:, 0]
         depth = squared.sqrt()
         distance = depth * side.to(place.dtype)
         toward = sign * (distance < walls.limit)
@@ -148,13 +148,13 @@ class LocalWalls:
             low, high = corners.gather(2, best.expand(2, 2, 1, *shape))[:, :, 0]
             beyond = torch.maximum(low - place, place - high)
             square = torch.stack((beyond[0] >= beyond[1], beyond[0] < beyond[1]))
-            apart = torch.where(edge, square * (2 * place - low - high).sign(), apart)
+            offset = torch.where(edge, square * (2 * place - low - high).sign(), offset)
             depth = torch.where(edge, 1, depth)
         else:
             depth = depth.clamp_min(1e-9)
         # the way back from cells to the scene is the transposed one
         axes = (self._single if place.dtype == torch.float32 else self._parts)[:2]
-        scaled = apart * (toward * side.to(place.dtype) / depth)
+        scaled = offset * (toward * side.to(place.dtype) / depth)
         away = torch.stack([torch.addcmul(axis[0] * scaled[0], axis[1], scaled[1]) for axis in axes])
         return distance.clamp_max(walls.limit) * sign, away
 

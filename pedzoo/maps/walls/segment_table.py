@@ -193,10 +193,10 @@ class SegmentTable:
             self.segments[:5].index_select(1, segment).unflatten(1, column.shape[:1] + row.shape)
         )
         from_x, from_y = place[0] - start_x, place[1] - start_y
-        along, apart = from_x * dx + from_y * dy, from_x * dy - from_y * dx
+        along, line_distance = from_x * dx + from_y * dy, from_x * dy - from_y * dx
         beyond = along - along.minimum(length).clamp_min(0)
-        counts = (column < self.offset.index_select(0, bucket + 1) - begin) & (apart > 0)
-        distance2 = torch.where(counts, beyond * beyond + apart * apart, _FAR).float()
+        counts = (column < self.offset.index_select(0, bucket + 1) - begin) & (line_distance > 0)
+        distance2 = torch.where(counts, beyond * beyond + line_distance * line_distance, _FAR).float()
         bits = distance2.view(torch.int32).bitwise_and(ROUNDED).long().bitwise_left_shift(31)
         return (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
 

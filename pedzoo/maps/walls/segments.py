@@ -19,12 +19,12 @@ class Segments(NamedTuple):
     """Up to K segments of walls near each of N people, nearest first, seen from the person.
 
     Each has a frame of its own around the person: x along the segment, y towards the wall, so that both
-    corners are at y = ``apart``. What belongs to a corner comes twice: for the left one, at x = -``along``,
-    and for the right one with x turned round, at x = ``along`` - ``length``, so that both are treated alike.
+    corners are at y = ``line_distance``. Values of corners come twice. The left corner is at x = -``along``.
+    The right one has x turned round, at x = ``along`` - ``length``, so that both are treated alike.
 
     Attributes:
         along: How far the person is past the left corner (K, N), metres.
-        apart: How far the person is from the segment's line (K, N), more than 0.
+        line_distance: How far the person is from the segment's line (K, N), more than 0.
         length: Of the segment (K, N).
         direction: Unit vector from the left to the right corner, in the scene (2, K, N).
         side: 1 where the wall is to the left of ``direction``, -1 in mirrored scenes (1, N).
@@ -34,7 +34,7 @@ class Segments(NamedTuple):
     """
 
     along: Tensor
-    apart: Tensor
+    line_distance: Tensor
     length: Tensor
     direction: Tensor
     side: Tensor
@@ -91,7 +91,7 @@ class WallSegments:
         x, y = along[0], along[1] * mirror
         return Segments(
             along=from_x * along[0] + from_y * along[1],
-            apart=from_x * along[1] - from_y * along[0],
+            line_distance=from_x * along[1] - from_y * along[0],
             length=length[0],
             direction=torch.stack((cos * x - sin * y, sin * x + cos * y)),
             side=mirror[None],

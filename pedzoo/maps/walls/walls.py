@@ -1,4 +1,4 @@
-"""Exact distances to walls made of square cells, for everybody on every floor plan in one call.
+"""Exact distances to walls made of square cells, for all agents on all floor plans in one call.
 
 The field behind `MapBank.signed_distance` is read between cell centres: smooth, and off by up to a fifth of a
 cell. Contacts and sliding along walls need the walls as they are, the union of the occupied squares.
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.walls.contenders import CONTENDERS, contenders
+from pedzoo.maps.walls.nearest_boxes import CANDIDATES, nearest_boxes
 from pedzoo.maps.walls.segment_table import Outlines, SegmentTable
 
 _ROUNDING = 1e-4
@@ -28,11 +28,11 @@ _ROUNDING = 1e-4
 class Walls:
     """Boxes of wall and of free space of R maps, and for each quarter of a cell those that may be nearest.
 
-    Each map is padded by ``max_distance`` and cut into quarters of cells; see `pedzoo.maps.walls.contenders`
-    for which boxes contend in a quarter. The contending boxes of a position's quarter are compared.
+    Each map is padded by ``max_distance`` and cut into quarters of cells. Which boxes contend in a
+    quarter says `pedzoo.maps.walls.nearest_boxes`. The contending boxes of a position's quarter are compared.
 
     Attributes:
-        option: Sets of contending boxes in columns (4 * CONTENDERS + 1, O) float32: all their x0, then all
+        option: Sets of contending boxes in columns (4 * CANDIDATES + 1, O) float32: all their x0, then all
             their y0, x1 and y1, in half cells from the padded map's outer corner; last, plus one where they
             are walls and minus one where they are free space.
         choice: Which set contends in each quarter, row by row, one map after another (Q,) int32.
@@ -57,7 +57,7 @@ class Walls:
     @classmethod
     def of(cls, grids: Sequence[OccupancyGrid], unknown: Unknown, max_distance: float) -> Walls:
         """Return the walls of ``grids``, with unknown cells counted as walls or as free."""
-        # Whoever is farther out than the padding has no wall within max_distance. "No map" is a last map of
+        # People farther out than the padding have no wall within max_distance. "No map" is a last map of
         # one free cell that every position falls on: index -1 finds it.
         pads = [math.ceil(max_distance / grid.resolution) for grid in grids]
         plans = [np.pad(grid.occupied(unknown), pad) for grid, pad in zip(grids, pads, strict=True)]
@@ -65,12 +65,14 @@ class Walls:
         sides = [*(grid.resolution for grid in grids), 1.0]
         option, choice, least, options = [], [], [], 0
         for cells, side in zip(plans, sides, strict=True):
-            found = contenders(cells)
-            sets = np.concatenate((np.repeat(np.arange(len(found.box))[:, None], CONTENDERS, 1), found.sets))
-            boxes = (2 * found.box)[sets].transpose(2, 1, 0).reshape(4 * CONTENDERS, -1)
-            option.append(np.concatenate((boxes, found.sign[sets[:, 0]][None])).astype(np.float32))
-            choice.append((found.choice + options).astype(np.int32).ravel())
-            bound = (found.least - _ROUNDING) * side
+            nearest = nearest_boxes(cells)
+            sets = np.concatenate(
+                (np.repeat(np.arange(len(nearest.box))[:, None], CANDIDATES, 1), nearest.sets)
+            )
+            boxes = (2 * nearest.box)[sets].transpose(2, 1, 0).reshape(4 * CANDIDATES, -1)
+            option.append(np.concatenate((boxes, nearest.sign[sets[:, 0]][None])).astype(np.float32))
+            choice.append((nearest.choice + options).astype(np.int32).ravel())
+            bound = (nearest.least - _ROUNDING) * side
             least.append(np.minimum(bound, max_distance).astype(np.float32).ravel())
             options += len(sets)
         begin = np.cumsum([0, *(4 * cells.size for cells in plans[:-1])])

@@ -1,4 +1,4 @@
-"""The carrot: the point ahead on agents' ways that they are told to walk to."""
+"""The carrot: the point ahead on agents' ways that they walk to."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class CornerGraph:
         With ``only_edges`` the cells are the corners; pairs are those that ways bend around at both ends,
         each in one order.
         """
-        found = [np.empty((2, 0), dtype=np.int64)]
+        chunks = [np.empty((2, 0), dtype=np.int64)]
         place, count = self.graph.place[cells], len(self.cells)
         rows = max(1, _AT_ONCE // max(count, 1))
         for first in range(0, len(cells), rows):
@@ -86,8 +86,8 @@ class CornerGraph:
             one, other = np.nonzero(pairs)
             one = some[one]
             seen = self.graph.sight.clear(place[one], self._place[other])
-            found.append(np.stack((one[seen], other[seen])))
-        return np.concatenate(found, axis=1)
+            chunks.append(np.stack((one[seen], other[seen])))
+        return np.concatenate(chunks, axis=1)
 
     def way(
         self, start: int, goal: int, start_place: NDArray[np.float64], goal_place: NDArray[np.float64]

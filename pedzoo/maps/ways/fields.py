@@ -148,30 +148,35 @@ class _Front:
         )
         via = np.where(missing, np.float32(np.inf), self.length.take(base + beside) + _STEP_LENGTHS)
 
-        everybody = np.arange(len(cell))
+        every_cell = np.arange(len(cell))
         shortest = via.argmin(axis=0)
-        found, chosen = via[shortest, everybody], beside[shortest, everybody]
-        who = everybody
+        shortest_length, chosen = via[shortest, every_cell], beside[shortest, every_cell]
+        remaining = every_cell
         for _ in range(_TRIES):
             best = total.argmin(axis=0)
-            least = total[best, np.arange(len(who))]
-            worth = np.flatnonzero(least <= found[who])
-            who, total, offered, least = who[worth], total[:, worth], offered[:, worth], least[worth]
-            candidate = offered[best[worth], np.arange(len(who))]
+            least = total[best, np.arange(len(remaining))]
+            worth = np.flatnonzero(least <= shortest_length[remaining])
+            remaining, total, offered, least = (
+                remaining[worth],
+                total[:, worth],
+                offered[:, worth],
+                least[worth],
+            )
+            candidate = offered[best[worth], np.arange(len(remaining))]
             # a goal is looked for at its cell's centre: only there is the clearance certain
-            spot = self._places(np.where(candidate == 0, self.own[goal[who]], candidate))
-            seen = _surely(offered, candidate, (spot - here[who]).T, self.legal[number[who]])
-            asked = np.flatnonzero(~seen) if self.thick else np.arange(len(who))
-            seen[asked] = self.graph.sight.clear(here[who[asked]], spot[asked])
-            chosen[who[seen]] = candidate[seen]
-            found[who[seen]] = least[seen]
+            spot = self._places(np.where(candidate == 0, self.own[goal[remaining]], candidate))
+            seen = _surely(offered, candidate, (spot - here[remaining]).T, self.legal[number[remaining]])
+            asked = np.flatnonzero(~seen) if self.thick else np.arange(len(remaining))
+            seen[asked] = self.graph.sight.clear(here[remaining[asked]], spot[asked])
+            chosen[remaining[seen]] = candidate[seen]
+            shortest_length[remaining[seen]] = least[seen]
             missed = np.flatnonzero(~seen)
             if not len(missed):
                 break
-            who, offered = who[missed], offered[:, missed]
+            remaining, offered = remaining[missed], offered[:, missed]
             total = np.where(offered == candidate[missed], np.float32(np.inf), total[:, missed])
         self.waypoint[base + cell] = chosen
-        self.length[base + cell] = found
+        self.length[base + cell] = shortest_length
 
 
 def _norm(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -200,8 +205,8 @@ def _surely(
     # the order of STEPS, which leaves out the cell itself in the middle
     diagonal, straight = (up + 1) * 3 + right + 1, np.where(level, right + 4, up * 3 + 4)
     diagonal, straight = diagonal - (diagonal > 4), straight - (straight > 4)
-    everybody = np.arange(len(candidate))
-    both = (offered[diagonal, everybody] == candidate) & (offered[straight, everybody] == candidate)
+    every_cell = np.arange(len(candidate))
+    both = (offered[diagonal, every_cell] == candidate) & (offered[straight, every_cell] == candidate)
     return both & ((legal >> diagonal.astype(np.uint8)) & 1).astype(bool)
 
 

@@ -71,13 +71,13 @@ class OpenGraph:
         width = padded.shape[1]
         here = np.flatnonzero(padded)
         flat, numbers = padded.ravel(), number.ravel()
-        found = np.empty((len(self), len(STEPS)), dtype=np.int32)
+        result = np.empty((len(self), len(STEPS)), dtype=np.int32)
         for k, (down, right) in enumerate(STEPS):
             beside = flat[here + down * width] & flat[here + right]
-            found[:, k] = np.where(
+            result[:, k] = np.where(
                 beside | (down * right == 0), numbers[here + down * width + right], len(self)
             )
-        return found
+        return result
 
     @cached_property
     def matrix(self) -> csr_array:
@@ -108,7 +108,7 @@ class OpenGraph:
         return points @ self._to_cell[:, :2].T + self._to_cell[:, 2]
 
     def locate(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the flat cells of map-frame points (M,), nearest inside the map, and who is inside (M,)."""
+        """Return the flat cells of map-frame points (M,), nearest in the map, and which are inside (M,)."""
         # half cells belong to the smaller one, so that rounding is the same for all of them
         place = np.ceil(self.to_place(points) - 0.5 - 1e-9).astype(np.int64)
         limit = np.array([self.shape[1] - 1, self.shape[0] - 1])
@@ -128,7 +128,7 @@ class OpenGraph:
         """
         if not len(self):
             raise UserError(
-                f"map {self.grid.name!r} has no cell with clearance {self.clearance} m: nobody can walk there"
+                f"map {self.grid.name!r} has no cell with clearance {self.clearance} m: no way through it"
             )
         flat, inside = self.locate(points)
         cell = self.index[flat]
@@ -142,8 +142,8 @@ class OpenGraph:
             i = int(far.argmax())
             where = "is in a wall or too near to one" if inside[i] else "is outside the map"
             raise UserError(
-                f"{what} {show(points[i])} {where} on map {self.grid.name!r}: the nearest point with "
-                f"clearance {self.clearance} m is {show(moved[i])}, more than {snap} m away"
+                f"{what} {format_point(points[i])} {where} on map {self.grid.name!r}: the nearest point with "
+                f"clearance {self.clearance} m is {format_point(moved[i])}, more than {snap} m away"
             )
         return cell, moved
 
@@ -161,7 +161,7 @@ def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.
     return np.take(large, np.asarray(parts, dtype=np.int32))
 
 
-def show(point: NDArray[np.float64]) -> str:
+def format_point(point: NDArray[np.float64]) -> str:
     """Return a position as messages show it."""
     return f"({point[0]:.2f}, {point[1]:.2f})"
 
@@ -173,9 +173,9 @@ def as_points(points: ArrayLike | Tensor) -> NDArray[np.float64]:
         UserError: One is not finite.
     """
     given = points.detach().cpu().numpy() if isinstance(points, Tensor) else points
-    found = np.array(given, dtype=np.float64).reshape(-1, 2)
-    if not np.isfinite(found).all():
+    result = np.array(given, dtype=np.float64).reshape(-1, 2)
+    if not np.isfinite(result).all():
         raise UserError(
-            f"goals must be finite positions in metres, got {found[~np.isfinite(found).all(1)][0]}"
+            f"goals must be finite positions in metres, got {result[~np.isfinite(result).all(1)][0]}"
         )
-    return found
+    return result

@@ -1,4 +1,4 @@
-"""What the planner says: where people's ways lead, and what they are told."""
+"""What the planner says: where people's ways lead, and how they are guided."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.ways.planar import Frame
-from pedzoo.maps.ways.tables import Found
+from pedzoo.maps.ways.waypoint_table import WaypointLookup
 
 EPSILON = 1e-6
-"""Metres: whoever is so near to a point is on it."""
+"""Metres: an agent so near to a point is on it."""
 
 
-class Look(NamedTuple):
+class NextWaypoints(NamedTuple):
     """Where people's ways lead, in the scene's frame, metres."""
 
     waypoint: Tensor
@@ -28,23 +28,23 @@ class Look(NamedTuple):
 
 
 class Guidance(NamedTuple):
-    """What people are told, in the scene's frame, metres and seconds."""
+    """Carrots and desired velocities of people, in the scene's frame, metres and seconds."""
 
     goal: Tensor
     """The carrot (P, 2)."""
     desired_velocity: Tensor
     """``pref_speed`` towards the next waypoint (P, 2)."""
     waypoint: Tensor
-    """As in `Look` (P, 2)."""
+    """As in `NextWaypoints` (P, 2)."""
     goal_point: Tensor
-    """As in `Look` (P, 2)."""
+    """As in `NextWaypoints` (P, 2)."""
     distance: Tensor
-    """As in `Look` (P,)."""
+    """As in `NextWaypoints` (P,)."""
 
 
-def segments(home: Tensor, found: Found) -> tuple[Tensor, Tensor, Tensor]:
+def segments(home: Tensor, waypoints: WaypointLookup) -> tuple[Tensor, Tensor, Tensor]:
     """Return the lengths (P,) of the next two segments of people's ways, and where it goes then (2, P)."""
-    way, second = found.waypoint - home, found.after - found.waypoint
+    way, second = waypoints.waypoint - home, waypoints.after - waypoints.waypoint
     length, second_length = torch.hypot(*way), torch.hypot(*second)
     # beyond the goal the way goes on as it came
     beyond = torch.where(

@@ -1,4 +1,4 @@
-"""The global planner: ways through floor plans to people's goals, looked up for everybody at once."""
+"""The global planner: ways through floor plans to people's goals, looked up for all people at once."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.ways.carrot import seen_beyond
-from pedzoo.maps.ways.compiled_guide import guide_compiled
+from pedzoo.maps.ways.compiled_guidance import guidance_compiled
 from pedzoo.maps.ways.corners import CornerGraph
 from pedzoo.maps.ways.fields import Fields, build_fields
-from pedzoo.maps.ways.graph import OpenGraph, as_points, show
-from pedzoo.maps.ways.guidance import Guidance, Look, heading, segments
+from pedzoo.maps.ways.graph import OpenGraph, as_points, format_point
+from pedzoo.maps.ways.guidance import Guidance, NextWaypoints, heading, segments
 from pedzoo.maps.ways.planar import Frame
-from pedzoo.maps.ways.tables import Found, Goal, Tables
+from pedzoo.maps.ways.waypoint_table import Goal, WaypointLookup, WaypointTable
 
 
 class Planner:
     """Ways to goals on the floor plans of a bank.
 
     Goals are registered once (`add_goals`); at first use every goal gets a field of next waypoints over its
-    whole floor plan, so that asking for anybody's way from anywhere is two look-ups. People who are not on
+    whole floor plan, so that the way from any place is two look-ups. People who are not on
     an open cell (pushed towards a wall, or outside the map) take the way of the nearest open cell, and go to
     that cell's centre first when it is farther away than the clearance.
 
@@ -68,10 +68,11 @@ class Planner:
         self._corners: dict[int, CornerGraph] = {}
         self._ids: dict[tuple[int, float, float], int] = {}
         self._goals: list[Goal] = []
-        self._rows: set[int] = set()  # maps that the tables know
-        self._with_fields = 0  # goals that they know
-        self._tables: Tables | None = None
-        self._copies: dict[torch.device, tuple[Tables, Tables]] = {}  # of which tables, on which device
+        self._rows: set[int] = set()  # maps that the table has
+        self._with_fields = 0  # goals that it has
+        self._table: WaypointTable | None = None
+        # for each device the table on the CPU and its copy
+        self._copies: dict[torch.device, tuple[WaypointTable, WaypointTable]] = {}
 
     @property
     def goals(self) -> int:
@@ -117,25 +118,27 @@ class Planner:
             ids.append(self._ids[key])
         return torch.tensor(ids, dtype=torch.long)
 
-    def prepare(self) -> Tables:
+    def prepare(self) -> WaypointTable:
         """Build the fields of all goals that have none yet, and return them; look-ups do so, too.
 
-        Whoever knows many goals adds them all before: building them together is faster, and each time the
-        tables are copied.
+        Add all known goals before the first look-up: building them together is faster, and each build
+        copies the table.
         """
-        tables, known = self._tables, self._with_fields
-        if tables is not None and known == len(self._goals):
-            return tables
-        fresh = self._goals[known:]
+        table, done = self._table, self._with_fields
+        if table is not None and done == len(self._goals):
+            return table
+        fresh = self._goals[done:]
         rows = {goal.row for goal in fresh}
-        if tables is None or not rows <= self._rows:
+        if table is None or not rows <= self._rows:
             self._rows |= rows
             maps = [self.graph(r) if r in self._rows else None for r in range(len(self.bank.grids))]
-            tables = tables.with_maps(maps, self.clearance) if tables else Tables.build(maps, self.clearance)
+            table = (
+                table.with_maps(maps, self.clearance) if table else WaypointTable.build(maps, self.clearance)
+            )
         if fresh:
-            tables = tables.with_goals(fresh, *self._build(fresh))
-        self._tables, self._with_fields = tables, len(self._goals)
-        return tables
+            table = table.with_goals(fresh, *self._build(fresh))
+        self._table, self._with_fields = table, len(self._goals)
+        return table
 
     def _build(self, goals: Sequence[Goal]) -> tuple[list[Fields], list[int]]:
         """Return fields, and which of them each goal has; all of a map are built together."""
@@ -156,8 +159,8 @@ class Planner:
             fields += [Fields(built.waypoint[k : k + 1], built.length[k : k + 1]) for k in range(len(first))]
         return fields, which
 
-    def look(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> Look:
-        """Return everybody's next waypoints and how far their goals are.
+    def next_waypoints(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> NextWaypoints:
+        """Return people's next waypoints and how far their goals are.
 
         Waypoints are constants to autograd; the distance is differentiable with respect to ``points``.
 
@@ -170,17 +173,17 @@ class Planner:
         Raises:
             UserError: A goal is of another map than the person.
         """
-        row = self.rows(map_id)
+        row = self.map_rows(map_id)
         self._on(points.device).check(goal_id, row)
         frame = Frame.of(pose)
-        _, found = self._find(points, goal_id, row, frame)
+        _, waypoints = self._find(points, goal_id, row, frame)
         with torch.no_grad():
-            places = torch.stack((found.waypoint, found.after, found.goal), dim=1)
+            places = torch.stack((waypoints.waypoint, waypoints.after, waypoints.goal), dim=1)
             waypoint, after, goal = frame.to_scene(places)
-        distance = (waypoint - points).norm(dim=1) + found.onward
-        return Look(waypoint, after, goal, distance)
+        distance = (waypoint - points).norm(dim=1) + waypoints.onward
+        return NextWaypoints(waypoint, after, goal, distance)
 
-    def rows(self, map_id: Tensor) -> Tensor:
+    def map_rows(self, map_id: Tensor) -> Tensor:
         """Return the rows (N,) long of floor plans ``map_id`` (N,) in the bank; -1 stays -1.
 
         Raises:
@@ -188,31 +191,31 @@ class Planner:
         """
         return self.bank.to(map_id.device).index(map_id)
 
-    def _on(self, device: torch.device) -> Tables:
-        """Return the tables of all goals, on a device."""
-        tables = self.prepare()
-        if tables.waypoint.device == device:
-            return tables
-        if self._copies.get(device, (None,))[0] is not tables:
-            self._copies[device] = tables, tables.to(device)
+    def _on(self, device: torch.device) -> WaypointTable:
+        """Return the table of all goals, on a device."""
+        table = self.prepare()
+        if table.waypoint.device == device:
+            return table
+        if self._copies.get(device, (None,))[0] is not table:
+            self._copies[device] = table, table.to(device)
         return self._copies[device][1]
 
     @torch.no_grad()
-    def _find(self, points: Tensor, goal: Tensor, row: Tensor, frame: Frame) -> tuple[Tensor, Found]:
+    def _find(self, points: Tensor, goal: Tensor, row: Tensor, frame: Frame) -> tuple[Tensor, WaypointLookup]:
         """Return agents' positions on the map (2, *E) and where they go, for points (*E, 2)."""
         home = frame.to_map(points.detach().float())
-        found = self._on(points.device).look(home.flatten(1), goal.flatten(), row.flatten())
-        found = Found(*(part.view(*part.shape[:-1], *goal.shape) for part in found))
+        waypoints = self._on(points.device).lookup(home.flatten(1), goal.flatten(), row.flatten())
+        waypoints = WaypointLookup(*(part.view(*part.shape[:-1], *goal.shape) for part in waypoints))
         none = goal < 0
-        stay = none | found.onward.isinf()
-        return home, found._replace(
-            waypoint=torch.where(stay, home, found.waypoint),
-            after=torch.where(stay, home, found.after),
-            goal=torch.where(none, home, found.goal),
-            last=found.last | stay,
+        stay = none | waypoints.onward.isinf()
+        return home, waypoints._replace(
+            waypoint=torch.where(stay, home, waypoints.waypoint),
+            after=torch.where(stay, home, waypoints.after),
+            goal=torch.where(none, home, waypoints.goal),
+            last=waypoints.last | stay,
         )
 
-    def guide_scenes(
+    def guidance(
         self,
         points: Tensor,
         goal_id: Tensor,
@@ -242,28 +245,30 @@ class Planner:
             fastest: No ``pref_speed`` is above it, m/s.
         """
         if self.compiled and points.device.type == "cpu":
-            tables = self._on(points.device)
-            return guide_compiled(
-                self.bank, tables, points, goal_id, row, pose, pref_speed, look_ahead_seconds
+            table = self._on(points.device)
+            return guidance_compiled(
+                self.bank, table, points, goal_id, row, pose, pref_speed, look_ahead_seconds
             )
         frame = Frame.of(pose).per_scene()
-        home, found = self._find(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
+        home, waypoints = self._find(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
         with torch.no_grad():
             ahead = pref_speed * look_ahead_seconds
-            length, second_length, beyond = segments(home, found)
-            # a second segment that does not end at the goal is as far as anybody looks
+            length, second_length, beyond = segments(home, waypoints)
+            # a second segment that does not end at the goal is as far as the carrot goes
             rest = (ahead - length).clamp_min(0)
-            rest = torch.where(found.last, rest, rest.minimum(second_length))
+            rest = torch.where(waypoints.last, rest, rest.minimum(second_length))
             if self.bank.grids:
                 walls = self.bank.to(row.device).walls_on_map(row).per_scene()
                 farthest = fastest * look_ahead_seconds
-                rest = seen_beyond(walls, home, found.waypoint, beyond, rest, farthest)
-            places = torch.stack((found.waypoint, found.goal, found.waypoint + beyond * rest), dim=1)
+                rest = seen_beyond(walls, home, waypoints.waypoint, beyond, rest, farthest)
+            places = torch.stack(
+                (waypoints.waypoint, waypoints.goal, waypoints.waypoint + beyond * rest), dim=1
+            )
             waypoint, point, carrot = frame.to_scene(places)
             straight = (length >= ahead).unsqueeze(-1)
         unit, distance = heading(points, waypoint, frame, length, beyond)
         goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
-        return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + found.onward)
+        return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + waypoints.onward)
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest way in the map's frame: the goal is the last.
@@ -285,8 +290,9 @@ class Planner:
         (first, last), moved = graph.settle(ends, self.snap, "start or goal")
         if graph.component[first] != graph.component[last]:
             raise UserError(
-                f"no way from {show(ends[0])} to {show(ends[1])} on map {graph.grid.name!r}: they are in "
-                f"rooms without a door between that leaves clearance {self.clearance} m"
+                f"no way from {format_point(ends[0])} to {format_point(ends[1])} on map "
+                f"{graph.grid.name!r}: they are in rooms without a door between "
+                f"that leaves clearance {self.clearance} m"
             )
         bends = self.corners(row).way(first, last, *graph.to_place(moved))
         return np.concatenate((graph.xy[bends], moved[1:]))

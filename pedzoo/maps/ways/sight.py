@@ -59,19 +59,19 @@ class Sight:
         forward = np.where(along < 0, -forward, forward)
 
         seen = np.ones(len(way), dtype=bool)
-        who = np.flatnonzero(steps)
-        at = np.zeros(len(who), dtype=np.int64)
+        open_lines = np.flatnonzero(steps)
+        at = np.zeros(len(open_lines), dtype=np.int64)
         lines = base, forward, sideways, slope, steps
         while True:
-            room = self._look(at, *(part[who] for part in lines[:4]))
-            seen[who[room == 0]] = False
+            room = self._look(at, *(part[open_lines] for part in lines[:4]))
+            seen[open_lines[room == 0]] = False
             at = at + room
-            rest = (room > 0) & (at < steps[who])
-            who, at = who[rest], at[rest]
-            count = steps[who] - at
+            rest = (room > 0) & (at < steps[open_lines])
+            open_lines, at = open_lines[rest], at[rest]
+            count = steps[open_lines] - at
             if count.sum() <= _FEW:
                 break
-        line = np.repeat(who, count)
+        line = np.repeat(open_lines, count)
         column = np.arange(len(line)) + np.repeat(at - (count.cumsum() - count), count)
         seen[line[self._look(column, *(part[line] for part in lines[:4])) == 0]] = False
         return seen

@@ -82,7 +82,7 @@ def _chosen(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> 
         # the way has to be free of walls until the robot is passed
         passed = -(away[scene, agent].unsqueeze(2) * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
         passed = torch.where((soon & others)[scene, agent].unsqueeze(2), passed, 0.0).amax(1)
-        seen = walls.rows(scene)
+        seen = walls.select(scene)
         place, radius = steps.position[scene, agent], steps.radius[scene, agent]
         cost = cost + _cost(_wall_contact(seen, place, samples, radius, passed.clamp(_LEAST_VIEW, HORIZON)))
     best = samples[torch.arange(len(scene), device=scene.device), cost.argmin(1)]

@@ -59,7 +59,7 @@ def _uncovered(
     """Return which lines count (K, N), 1 or 0: not those of what lies behind the line of a nearer segment."""
     scale = 1 / settings.time_horizon_obst
     margin = (radius * scale - EPSILON).clamp_min(torch.finfo(lines.dtype).tiny)
-    one = (walls.apart * ahead).sub_(walls.along * walls.direction).mul_(scale)
+    one = (walls.line_distance * ahead).sub_(walls.along * walls.direction).mul_(scale)
     other = one + scale * walls.length * walls.direction
     x, y = torch.stack((one, other), dim=1)  # (2 corners, K, N)
     bound = cross(lines[:2], lines[2:]).add_(margin)
@@ -77,7 +77,7 @@ def _lines(
     In order: x and y of a point of the line, x and y of its direction, whether it counts.
     """
     scale = 1 / settings.time_horizon_obst
-    apart = walls.apart.clamp_min(_TOUCHING)
+    apart = walls.line_distance.clamp_min(_TOUCHING)
     corner = torch.stack((-walls.along, walls.along - walls.length))
     apart2 = apart * apart
 

@@ -112,7 +112,7 @@ class Controller:
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
-        self._key = Draws.of(seed, torch.zeros(1, dtype=torch.long)).key
+        self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(self._clock.length, self._ticks)
 

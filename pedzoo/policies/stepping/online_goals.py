@@ -92,7 +92,7 @@ class OnlineGoals(NamedTuple):
         row = torch.tensor([0 if self.planner.bank.grids else -1])
         fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
         points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
-        guidance = self.planner.guide_scenes(
+        guidance = self.planner.guidance(
             points, goal_id, row, identity_pose(1), speed, AHEAD_SECONDS, fastest
         )
         return Guidance(*(part.squeeze(0) for part in guidance))

@@ -19,14 +19,14 @@ from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.compiled import advance_compiled, compiles
-from pedzoo.sim.motion import Contacts, Motion, Owned, Walk
+from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
 from pedzoo.sim.state import State
 
 REACH = 5.0
 """Metres up to which distances and rays are asked for, where nothing else is said."""
 
 
-class People(NamedTuple):
+class Bodies(NamedTuple):
     """Where people are in B scenes.
 
     Attributes:
@@ -43,18 +43,18 @@ class People(NamedTuple):
     pose: Tensor
     radius: Tensor | None = None
 
-    def scene(self, number: int) -> People:
+    def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
-        return People(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
+        return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
 
 
 class Distances(NamedTuple):
     """How near others and walls are to each person; absent people have the reach and no normals.
 
     Attributes:
-        agent: Least distance between centres (B, A), metres; the reach where nobody is nearer.
+        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
         wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
-        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where nobody is within reach.
+        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
         wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
     """
 
@@ -156,7 +156,7 @@ class Physics(ABC):
         wanted = moving & (state.goal_id >= 0)
         own = self.owned(state)
         if own is None:
-            return self._advance(state, Walk(velocity, moving, substeps, played, wanted))
+            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted))
         own = own & moving
         if command is None:
             command = torch.zeros_like(state.velocity)
@@ -165,39 +165,39 @@ class Physics(ABC):
         if played is None:
             played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
         played = torch.where(own[:, :, None, None, None], moved.path, played)
-        motion = self._advance(state, Walk(velocity, moving & ~own, substeps, played, wanted))
+        motion = self._advance(state, MotionInput(velocity, moving & ~own, substeps, played, wanted))
         return motion._replace(
             heading=torch.where(own, moved.heading, torch.nan),
             turn_rate=torch.where(own, moved.turn_rate, 0.0),
         )
 
-    def _advance(self, state: State, walk: Walk) -> Motion:
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        people = People(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
-        if compiles(state.past, walk.velocity):
-            paths = torch.empty(*walk.moving.shape, walk.velocity.shape[1], walk.substeps, 2)
-            walked = advance_compiled(self.bank, state, walk, paths)
-            return Motion(walked.trace, *self.contacts(paths, people), walked.reached)
-        path, _ = self._walked(state, walk)
-        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, walk.substeps))
+        people = Bodies(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+        if compiles(state.past, inputs.velocity):
+            paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
+            integrated = advance_compiled(self.bank, state, inputs, paths)
+            return Motion(integrated.trace, *self.contacts(paths, people), integrated.reached)
+        path, _ = self._integrated(state, inputs)
+        steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
         contacts = self.contacts(steps.detach(), people)
-        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, walk))
+        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
 
-    def _walked(self, state: State, walk: Walk) -> tuple[Tensor, Tensor | None]:
+    def _integrated(self, state: State, inputs: MotionInput) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
         walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
-        position, velocity = state.position.movedim(-1, 0), walk.velocity * walk.moving
-        path, gap = integrate(position, velocity, state.radius, walk.substeps, walls)
-        if walk.played is not None:
-            given = walk.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
-            scripted = state.mask & ~walk.moving
+        position, velocity = state.position.movedim(-1, 0), inputs.velocity * inputs.moving
+        path, gap = integrate(position, velocity, state.radius, inputs.substeps, walls)
+        if inputs.played is not None:
+            given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
+            scripted = state.mask & ~inputs.moving
             path = torch.where(scripted, given, path)
             if walls is not None and gap is not None:
                 gap = torch.where(scripted, walls.look(given, edges=False)[0], gap)
         return path, gap
 
     @abstractmethod
-    def distances(self, people: People, reach: float = REACH) -> Distances:
+    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """Return the distances to the nearest person and wall, as far as ``reach`` metres.
 
         Raises:
@@ -205,7 +205,7 @@ class Physics(ABC):
         """
 
     @abstractmethod
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """Return which agents touch another one or a wall on the way.
 
         Agents touch when their centres are closer than the sum of their radii, a wall is touched by a centre
@@ -217,7 +217,7 @@ class Physics(ABC):
         """
 
     @abstractmethod
-    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """Return how far rays go before they meet a wall or a body (B, R), metres; else ``reach``.
 
         A ray that starts inside a body does not see that body; one that starts inside a wall goes nowhere.
@@ -231,7 +231,7 @@ class Physics(ABC):
 
     @abstractmethod
     def image(
-        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+        self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """Return a picture (H, W, 3) uint8 RGB of one scene.
 
@@ -252,13 +252,13 @@ class Physics(ABC):
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _radius(self, people: People) -> Tensor:
+    def _radius(self, people: Bodies) -> Tensor:
         """Return the radii of the bodies (B, A), metres."""
         if people.radius is not None:
             return people.radius
         return people.position.new_full(people.mask.shape, self.body_radius)
 
-    def _present(self, people: People) -> Tensor:
+    def _present(self, people: Bodies) -> Tensor:
         return people.mask & people.position.isfinite().all(-1)
 
     def _check_reach(self, reach: float) -> None:
@@ -268,23 +268,23 @@ class Physics(ABC):
                 f"make the bank with MapBank(..., max_distance={reach})"
             )
 
-    def _plan(self, people: People, scene: int) -> OccupancyGrid | None:
+    def _plan(self, people: Bodies, scene: int) -> OccupancyGrid | None:
         row = int(self.bank.index(people.map_id[scene].view(1)))
         return self.bank.grids[row] if row >= 0 else None
 
-    def _framed(self, people: People, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
+    def _framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
         """Return a camera whose center and width are known."""
         camera = camera or Camera()
         if camera.center is not None and camera.width is not None:
             return camera
         grid = self._plan(people, scene)
         if grid is None:
-            found = camera.around(people.position[scene][people.mask[scene]], size)
+            fitted = camera.around(people.position[scene][people.mask[scene]], size)
         else:
             corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
-            found = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
-        width = found.width if camera.width is None else camera.width
-        return Camera(camera.view, camera.center or found.center, width, camera.heading, camera.pitch)
+            fitted = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
+        width = fitted.width if camera.width is None else camera.width
+        return Camera(camera.view, camera.center or fitted.center, width, camera.heading, camera.pitch)
 
 
 def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:

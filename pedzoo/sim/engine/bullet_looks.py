@@ -21,7 +21,7 @@ SHAPES = 16
 """pybullet takes so many shapes per body and drops the others without a word."""
 
 AWAY = (0.0, 0.0, -100.0)
-"""Where bodies wait that nobody asks for: below the floor."""
+"""Where unused bodies wait: below the floor."""
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 """No rotation, as a quaternion."""
@@ -31,7 +31,7 @@ class BulletLooks:
     """Walls and figures of people in a pybullet client of their own.
 
     pybullet draws every body that can be collided with, in colours of its choice. And a GPU's renderer shows
-    only what is made after it is loaded, which takes long: whoever takes no pictures should not wait for it.
+    only what is made after it is loaded, which takes long: programs without pictures should not wait for it.
     """
 
     def __init__(self, boxes: NDArray[np.float64]) -> None:
@@ -78,7 +78,7 @@ class BulletLooks:
         width, height = size
         distance = math.dist(eye[0], eye[1])
         upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
-        found = self._p.getCameraImage(
+        image = self._p.getCameraImage(
             width,
             height,
             viewMatrix=self._p.computeViewMatrix(*eye),
@@ -94,9 +94,9 @@ class BulletLooks:
             renderer=self._p.ER_BULLET_HARDWARE_OPENGL if self._egl else self._p.ER_TINY_RENDERER,
             physicsClientId=self.client,
         )
-        picture = np.asarray(found[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
+        picture = np.asarray(image[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
-        picture[np.asarray(found[4]).reshape(height, width) < 0] = FLOOR
+        picture[np.asarray(image[4]).reshape(height, width) < 0] = FLOOR
         return picture
 
     def _figure(self, person: int, radius: float) -> int:

@@ -116,7 +116,7 @@ class BulletScene:
         self._put(body, (x, y, BODY_HEIGHT / 2 if radius == self._radius else RAY_HEIGHT))
 
     def clear(self) -> None:
-        """Take everybody away."""
+        """Take all bodies away."""
         for body in self._bodies.values():
             self._put(body, AWAY)
 

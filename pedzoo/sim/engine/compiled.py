@@ -11,7 +11,7 @@ from torch import Tensor
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
-from pedzoo.sim.motion import Contacts, Motion, Walk
+from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.state import State
 
 _NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
@@ -24,12 +24,12 @@ def compiles(*tensors: Tensor) -> bool:
     return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
 
 
-def advance_compiled(bank: MapBank, state: State, walk: Walk, paths: Tensor | None = None) -> Motion:
+def advance_compiled(bank: MapBank, state: State, inputs: MotionInput, paths: Tensor | None = None) -> Motion:
     """Return what `Physics.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
 
     The trace is differentiable with respect to positions, velocities and played paths.
     """
-    velocity, moving, substeps, played, wanted = walk
+    velocity, moving, substeps, played, wanted = inputs
     position = state.past[:, :, -1]
     slopes = None
     if torch.is_grad_enabled() and any(
@@ -83,10 +83,10 @@ def contacts_compiled(
     nothing = torch.zeros(scenes, agents, dtype=torch.bool)
     start = path[:, :, 0, 0]
     velocity = path.new_zeros(2, ticks, scenes, agents)
-    found = _run(
+    motion = _run(
         bank, start, velocity, radius, present, nothing, path, start, nothing, substeps, (frame, place)
     )  # fmt: skip
-    return Contacts(found.agent_contact, found.wall_contact)
+    return Contacts(motion.agent_contact, motion.wall_contact)
 
 
 def _run(

@@ -78,8 +78,10 @@ def advance(
                         if has_walls and not wall_contact[b, a, s]:
                             _, _, index = quarter(here[a, 0], here[a, 1], frame, place)
                             if least[index] < radius[b, a]:
-                                found = wall_gap(here[a, 0], here[a, 1], frame, place, choice, option, limit)
-                                wall_contact[b, a, s] = found[0] < radius[b, a]
+                                nearest = wall_gap(
+                                    here[a, 0], here[a, 1], frame, place, choice, option, limit
+                                )
+                                wall_contact[b, a, s] = nearest[0] < radius[b, a]
                     continue
                 if slopes.size > 0:
                     m00, m01, m10, m11, n00, n01, n10, n11 = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
@@ -152,8 +154,8 @@ def advance(
                             x, y = path[a, n * half + m, 0], path[a, n * half + m, 1]
                             _, _, index = quarter(x, y, frame, place)
                             if least[index] < radius[b, a]:
-                                found = wall_gap(x, y, frame, place, choice, option, limit)
-                                wall_contact[b, a, s] = found[0] < radius[b, a]
+                                nearest = wall_gap(x, y, frame, place, choice, option, limit)
+                                wall_contact[b, a, s] = nearest[0] < radius[b, a]
                 if slopes.size > 0:
                     for k, value in enumerate((m00, m01, m10, m11, n00, n01, n10, n11)):
                         slopes[b, a, s, k] = value

@@ -27,7 +27,7 @@ def step_compiles(state: State, commands: Tensor, rules: Rules) -> bool:
         return False
     if not torch.is_grad_enabled():
         return True
-    given = commands, state.past, state.velocity, state.way
+    given = commands, state.past, state.velocity, state.remaining_path
     return not any(value.requires_grad for value in given)
 
 
@@ -46,11 +46,11 @@ def step_compiled(
     lengths = torch.empty(4, scenes, agents)
     heading, clock = torch.empty_like(state.heading), torch.empty_like(state.clock)
     failed, ends = torch.empty_like(state.failed), torch.empty(2, scenes, dtype=torch.bool)
-    found = tuple(value.numpy() for value in (events, clock, failed, flags, counts))
+    outputs = tuple(value.numpy() for value in (events, clock, failed, flags, counts))
     given = (
         commands, state.failed, state.mask, state.controlled, state.goal_id, state.later_goals, state.person,
         state.drawn, state.reached, state.past, state.velocity, state.heading, state.top_speed, state.radius,
-        state.goal_point, state.clock, state.deadline, state.stands, state.late,
+        state.goal_point, state.clock, state.deadline, state.stands, state.overdue,
     )  # fmt: skip
     walls = (state.wall_frame.numpy(), state.wall_place.numpy()) if bank.grids else NO_FRAMES
     steps = rules.substeps
@@ -58,23 +58,25 @@ def step_compiled(
         *(value.detach().numpy() for value in given), ticks, rules.goals, rules.leave, rules.keep_goal,
         CLOCK_ROUNDING, TURNS_FROM, GOAL_RADIUS**2,
         steps, max(1, steps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
-        *walls, *bank.walls.arrays, past.numpy(), *found, velocity.numpy(), heading.numpy(),
+        *walls, *bank.walls.arrays, past.numpy(), *outputs, velocity.numpy(), heading.numpy(),
     )  # fmt: skip
-    mask, controlled, late, *_ = flags.unbind()
+    mask, controlled, overdue, *_ = flags.unbind()
     person, goal_id, drawn, count = counts.unbind()
     after = state._replace(
         clock=clock, failed=failed, mask=mask, controlled=controlled, person=person, past=past,
-        velocity=velocity, heading=heading, goal_id=goal_id, drawn=drawn, reached=count, late=late,
+        velocity=velocity, heading=heading, goal_id=goal_id, drawn=drawn, reached=count, overdue=overdue,
     )  # fmt: skip
-    guidance = rules.guide(after)
-    told = guidance.distance, state.way, state.planned, state.deadline, state.pref_speed
+    guidance = rules.guidance(after)
+    inputs = guidance.distance, state.remaining_path, state.planned, state.deadline, state.pref_speed
     settle(
-        *(value.detach().numpy() for value in told),
-        found[1], found[2], state.mask.numpy(), found[0], *found[3:],
+        *(value.detach().numpy() for value in inputs),
+        outputs[1], outputs[2], state.mask.numpy(), outputs[0], *outputs[3:],
         rules.goals, WAYS, LEAST_SECONDS, GOAL_RADIUS, CONTACT_COST,
         lengths.numpy(), ends.numpy(), state.reached.numpy(), reached.numpy(),
     )  # fmt: skip
-    way, planned, deadline, reward = lengths.unbind()
-    after = after._replace(way=way, planned=planned, goal_point=guidance.goal_point, deadline=deadline)
+    remaining_path, planned, deadline, reward = lengths.unbind()
+    after = after._replace(
+        remaining_path=remaining_path, planned=planned, goal_point=guidance.goal_point, deadline=deadline
+    )
     agent, wall, _ = events.unbind()
     return after, guidance, Events(past[:, :, -ticks:], agent, wall, reached, reward, *ends.unbind())

@@ -55,7 +55,7 @@ def _blended(old_x, old_y, x, y, top_speed, velocity, b, a):
 )
 def move(
     commands, failed, mask, controlled, goal_id, later_goals, person, drawn, reached, past,
-    velocity, heading, top_speed, radius, goal_point, clock, deadline, stands, late,
+    velocity, heading, top_speed, radius, goal_point, clock, deadline, stands, overdue,
     ticks, goals, leave, keep_goal, rounding, turns_from, goal_radius2,
     steps, strides, skin, wall_rounding, creep, tick_seconds,
     frames, places, choice, option, least, limit,
@@ -69,7 +69,7 @@ def move(
     * the past with the trace at its end (B, A, 29, 2);
     * events (3, B, A, S): contacts with agents, with walls, goals reached;
     * clocks and failures (B,);
-    * flags (6, B, A): mask, controlled, late, moved, goal reached now, set out now;
+    * flags (6, B, A): mask, controlled, overdue, moved, goal reached now, set out now;
     * counts (4, B, A): person, goal, goals drawn, goals reached;
     * velocities (B, A, 2) and headings (B, A).
     """
@@ -77,7 +77,7 @@ def move(
     length = past.shape[2]
     speeds = np.empty((2, ticks, scenes, agents), np.float32)
     walking = np.empty((scenes, agents), np.bool_)
-    new_mask, new_controlled, new_late, moving, hit, sets_out = flags
+    new_mask, new_controlled, new_overdue, moving, hit, sets_out = flags
     second = np.float32(tick_seconds)
     step = np.float32(ticks * tick_seconds)
     for b in range(scenes):
@@ -111,8 +111,8 @@ def move(
             for tick in range(ticks):
                 when = clock[b] + second * np.float32(tick + 1)
                 in_time = in_time or (events[2, b, a, tick] and when <= deadline[b, a] + rounding)
-            overdue = new_clock[b] > deadline[b, a] + rounding and not in_time and reached[b, a] < goals
-            new_late[b, a] = late[b, a] or (overdue and controlled[b, a])
+            past_deadline = new_clock[b] > deadline[b, a] + rounding and not in_time and reached[b, a] < goals
+            new_overdue[b, a] = overdue[b, a] or (past_deadline and controlled[b, a])
             waits = mask[b, a] and not controlled[b, a] and stands[b, a] > 0
             sets_out[b, a] = waits and new_clock[b] + rounding >= stands[b, a]
             count = reached[b, a] + got
@@ -138,7 +138,7 @@ def move(
     " i8[:,:,:], i8, f4, f4, f4, f4, f4[:,:,:], b1[:,:], i8[:,:], i8[:,:,:])"
 )
 def settle(
-    distance, way, planned, deadline, pref_speed, clock, failed, mask, events, flags, counts,
+    distance, remaining_path, planned, deadline, pref_speed, clock, failed, mask, events, flags, counts,
     goals, ways, least_seconds, goal_radius, contact_cost, lengths, ends, reached, reached_until,
 ):  # fmt: skip
     """Write what the planner's ways (B, A) make of a decision.
@@ -148,11 +148,11 @@ def settle(
     ends (2, B), terminated and truncated; goals reached before (B, A), and until each trace point (B, A, S).
     """
     scenes, agents = mask.shape
-    late, moving, hit, sets_out = flags[2], flags[3], flags[4], flags[5]
+    overdue, moving, hit, sets_out = flags[2], flags[3], flags[4], flags[5]
     for b in range(scenes):
         ended, settled = True, True
         for a in range(agents):
-            now = distance[b, a] if math.isfinite(distance[b, a]) else way[b, a]
+            now = distance[b, a] if math.isfinite(distance[b, a]) else remaining_path[b, a]
             lengths[0, b, a] = now
             begins = hit[b, a] or sets_out[b, a]
             goes_on = (hit[b, a] and counts[1, b, a] >= 0) or sets_out[b, a]
@@ -160,16 +160,16 @@ def settle(
             lengths[2, b, a] = deadline[b, a]
             if begins:
                 lengths[2, b, a] = clock[b] + max(ways * now / pref_speed[b, a], least_seconds)
-            touched = False
+            in_contact = False
             for tick in range(events.shape[3]):
-                touched = touched or events[0, b, a, tick] or events[1, b, a, tick]
+                in_contact = in_contact or events[0, b, a, tick] or events[1, b, a, tick]
                 reached_until[b, a, tick] = reached[b, a] + events[2, b, a, tick]
-            progress = way[b, a] - (_0 if hit[b, a] else now)
+            progress = remaining_path[b, a] - (_0 if hit[b, a] else now)
             lengths[3, b, a] = _0
             if moving[b, a]:
-                lengths[3, b, a] = progress - (contact_cost if touched else _0)
+                lengths[3, b, a] = progress - (contact_cost if in_contact else _0)
             done = counts[3, b, a] >= goals or not mask[b, a]
             ended = ended and done
-            settled = settled and (done or late[b, a])
+            settled = settled and (done or overdue[b, a])
         ends[0, b] = ended and not failed[b]
         ends[1, b] = (settled or failed[b]) and not ends[0, b]

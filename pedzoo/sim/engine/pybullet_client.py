@@ -58,7 +58,7 @@ def check_connected(client: int) -> None:
     """
     if not load_pybullet().isConnected(client):
         raise UserError(
-            f"pybullet client {client} of this Bullet is gone, somebody called pybullet.disconnect: "
+            f"pybullet client {client} of this Bullet is gone, pybullet.disconnect was called: "
             "make a new Bullet(bank), and leave its clients to close()"
         )
 

@@ -31,10 +31,10 @@ def draw_top_view(
         unknown: What its unknown cells count as.
         pose: How the scene lies on it (4,).
         position: Scene positions (A, 2), metres.
-        present: Whom to draw (A,) bool.
+        present: Which agents to draw (A,) bool.
         radius: Of bodies (A,), metres.
         size: Width and height in pixels.
-        camera: Whose center and width are seen; it looks down whatever its ``view``.
+        camera: Its center and width are used; it looks down whatever its ``view``.
     """
     import cv2
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.engine.base import REACH, Distances, People, Physics
+from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.engine.bullet_scene import BulletScene
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.frames import Affine, scene_to_grid
@@ -87,7 +87,7 @@ class Bullet(Physics):
         self._scenes.clear()
         self._closed = True
 
-    def _asked(self, people: People, present: Tensor) -> Iterator[_Asked]:
+    def _asked(self, people: Bodies, present: Tensor) -> Iterator[_Asked]:
         """Yield scene after scene.
 
         Raises:
@@ -97,8 +97,8 @@ class Bullet(Physics):
         places, poses = _array(people.position), people.pose.tolist()
         for index, (row, pose, here) in enumerate(zip(rows, poses, present.tolist(), strict=True)):
             affine = self._affine(row, pose)
-            who = [person for person, there in enumerate(here) if there]
-            yield _Asked(index, self._bullet(row), affine, _move(affine, places[index]), who)
+            present_people = [person for person, there in enumerate(here) if there]
+            yield _Asked(index, self._bullet(row), affine, _move(affine, places[index]), present_people)
 
     def _affine(self, row: int, pose: list[float]) -> Affine:
         """Return the map from a scene to pybullet's frame, made once: poses stay as they are."""
@@ -120,7 +120,7 @@ class Bullet(Physics):
         return self._scenes[row]
 
     @torch.no_grad()
-    def distances(self, people: People, reach: float = REACH) -> Distances:
+    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """See `Physics.distances`; not differentiable."""
         self._check_reach(reach)
         shape = people.mask.shape
@@ -130,8 +130,8 @@ class Bullet(Physics):
             for person in asked.present:
                 asked.bullet.place(person, *asked.places[person])
             for person in asked.present:
-                found = self._nearest_person(asked, person, reach), self._nearest_wall(asked, person, reach)
-                for kind, (gap, away) in enumerate(found):
+                result = self._nearest_person(asked, person, reach), self._nearest_wall(asked, person, reach)
+                for kind, (gap, away) in enumerate(result):
                     gaps[kind, asked.index, person] = gap
                     normals[kind, asked.index, person] = away @ asked.affine[:, :2]
         (agent, wall), (agent_normal, wall_normal) = (
@@ -145,8 +145,8 @@ class Bullet(Physics):
         if not len(apart) or apart.min() >= reach:
             return reach, np.zeros(2)
         both = 2 * self.body_radius
-        found = asked.bullet.person_gap(person, others[int(apart.argmin())], max(reach - both, 0.0))
-        return (found[0] + both, found[1]) if found else (reach, np.zeros(2))
+        result = asked.bullet.person_gap(person, others[int(apart.argmin())], max(reach - both, 0.0))
+        return (result[0] + both, result[1]) if result else (reach, np.zeros(2))
 
     def _nearest_wall(self, asked: _Asked, person: int, reach: float) -> tuple[float, NDArray[np.float64]]:
         best, away = reach, np.zeros(2)
@@ -158,16 +158,16 @@ class Bullet(Physics):
         for box in near[np.argsort(least[near])].tolist():
             if least[box] > max(best, 0) + _SLACK:
                 break
-            found = asked.bullet.wall_gap(person, box, max(best - self.body_radius, 0.0))
-            if found and found[0] + self.body_radius < best:
-                best, away = found[0] + self.body_radius, found[1]
+            result = asked.bullet.wall_gap(person, box, max(best - self.body_radius, 0.0))
+            if result and result[0] + self.body_radius < best:
+                best, away = result[0] + self.body_radius, result[1]
         return best, away
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         extra = self._radius(people) - self.body_radius
-        # a bound on how far anybody gets
+        # a bound on how far any agent gets
         far = torch.hypot(*(path - people.position[:, :, None, None]).abs().amax((2, 3)).movedim(-1, 0))
         present = people.mask & far.isfinite()
         agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
@@ -206,8 +206,8 @@ class Bullet(Physics):
             bullet.place(first, *way[first, trace, step])
             bullet.place(second, *way[second, trace, step])
             more = float(extra[first] + extra[second])
-            found = bullet.person_gap(first, second, max(more, 0.0))
-            if found and found[0] < more:
+            result = bullet.person_gap(first, second, max(more, 0.0))
+            if result and result[0] < more:
                 touching[[first, second], trace] = True
 
     def _hit(
@@ -231,13 +231,13 @@ class Bullet(Physics):
         for (person, box, trace), place in zip(questions, places, strict=True):
             if not touching[person, trace]:
                 asked.bullet.place(person, *place)
-                found = asked.bullet.wall_gap(person, box, max(float(extra[person]), 0.0))
-                touching[person, trace] = found is not None and found[0] < extra[person]
+                result = asked.bullet.wall_gap(person, box, max(float(extra[person]), 0.0))
+                touching[person, trace] = result is not None and result[0] < extra[person]
 
     @torch.no_grad()
-    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `Physics.rays`: pybullet's batched ray test, at the height of the chest."""
-        found = np.full(origin.shape[:2], reach)
+        result = np.full(origin.shape[:2], reach)
         starts = _array(origin)
         widths = self._radius(people).tolist()
         for asked in self._asked(people, self._present(people)):
@@ -245,8 +245,8 @@ class Bullet(Physics):
             start = _move(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
-            found[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
-        return torch.from_numpy(found).to(origin)
+            result[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
+        return torch.from_numpy(result).to(origin)
 
     def _scene_rays(
         self,
@@ -265,20 +265,20 @@ class Bullet(Physics):
         holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
         groups, group = np.unique(holds, axis=0, return_inverse=True)
         group = group.reshape(-1)[of.reshape(-1)]
-        found = np.full(len(start), reach)
+        result = np.full(len(start), reach)
         for number, held in enumerate(groups):
             taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
             for person in taken:
                 asked.bullet.remove(person, radius[person])
             rays = np.flatnonzero(group == number)
-            found[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
+            result[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
             for person in taken:
                 asked.bullet.place(person, *asked.places[person], radius=radius[person])
-        found[asked.bullet.in_wall(start)] = 0.0
-        return found
+        result[asked.bullet.in_wall(start)] = 0.0
+        return result
 
     def image(
-        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+        self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.base import Bodies
 from pedzoo.sim.engine.compiled import advance_compiled, compiles, contacts_compiled
-from pedzoo.sim.motion import Contacts, Motion, Walk
+from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
 
@@ -17,13 +17,13 @@ class Compiled(Torch):
 
     compiled = True
 
-    def _advance(self, state: State, walk: Walk) -> Motion:
-        if compiles(state.past, walk.velocity):
-            return advance_compiled(self.bank, state, walk)
-        return super()._advance(state, walk)
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
+        if compiles(state.past, inputs.velocity):
+            return advance_compiled(self.bank, state, inputs)
+        return super()._advance(state, inputs)
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         if not compiles(path):
             return super().contacts(path, people)

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.engine.base import REACH, Distances, People, Physics
+from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.engine.near import agent_contacts
 from pedzoo.sim.engine.top_view import draw_top_view
-from pedzoo.sim.motion import Contacts, Motion, Walk
+from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.state import State
 
 _CHUNK = 4_000_000
@@ -22,7 +22,7 @@ _CHUNK = 4_000_000
 class Torch(Physics):
     """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
 
-    def distances(self, people: People, reach: float = REACH) -> Distances:
+    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """See `Physics.distances`; differentiable with respect to positions."""
         self._check_reach(reach)
         present = self._present(people)
@@ -35,33 +35,33 @@ class Torch(Physics):
             agent, nearest = between.min(-1)
         else:
             agent, nearest = position[..., 0], torch.zeros_like(people.mask, dtype=torch.long)
-        apart = position - position.gather(1, nearest.unsqueeze(-1).expand_as(position))
-        apart = torch.where((agent < reach).unsqueeze(-1), apart, 0)
+        offset = position - position.gather(1, nearest.unsqueeze(-1).expand_as(position))
+        offset = torch.where((agent < reach).unsqueeze(-1), offset, 0)
         wall, away = self.bank.closest_wall(position, people.map_id[:, 0], people.pose)
         near = present & (wall < reach)
         return Distances(
             agent=agent,
             wall=torch.where(near, wall, reach),
-            agent_normal=torch.nn.functional.normalize(apart, dim=-1),
+            agent_normal=torch.nn.functional.normalize(offset, dim=-1),
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
-    def _advance(self, state: State, walk: Walk) -> Motion:
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `Physics.advance`; contacts come from the distances that the path has looked up already."""
-        (path, gap), substeps = self._walked(state, walk), walk.substeps
+        (path, gap), substeps = self._integrated(state, inputs), inputs.substeps
         with torch.no_grad():
             radius = state.radius
             points = path.detach()
             agent = agent_contacts(points, state.mask, radius)
             wall = torch.zeros_like(agent) if gap is None else (gap < radius) & state.mask
             near = (points - state.goal_point.movedim(-1, 0).unsqueeze(1)).square().sum(0) < GOAL_RADIUS**2
-            flags = torch.stack((agent, wall, near & walk.wanted)).unflatten(1, (-1, substeps)).any(2)
+            flags = torch.stack((agent, wall, near & inputs.wanted)).unflatten(1, (-1, substeps)).any(2)
             reached = flags[2].cumsum(0) > 0
         trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
         return Motion(trace, *(part.permute(1, 2, 0) for part in (flags[0], flags[1], reached)))
 
     @torch.no_grad()
-    def contacts(self, path: Tensor, people: People) -> Contacts:
+    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
         radius = self._radius(people)
         row = self.bank.index(people.map_id[:, 0])
@@ -78,7 +78,7 @@ class Torch(Physics):
         )
 
     @torch.no_grad()
-    def rays(self, people: People, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
+    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `Physics.rays`: a traversal of the grid, and discs by formula."""
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
@@ -93,21 +93,21 @@ class Torch(Physics):
         ]
         return torch.where(valid, torch.minimum(walls, torch.cat(bodies, 1)), reach)
 
-    def _body_rays(self, people: People, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
+    def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
         present = self._present(people)
         if not people.mask.shape[1]:
             return origin.new_full(origin.shape[:2], reach)
         # |origin + t direction - position| = radius, the smaller t; a root below zero lies behind the ray
-        apart = origin.unsqueeze(2) - people.position.unsqueeze(1)
-        along = (apart * direction.unsqueeze(2)).sum(-1)
-        outside = apart.square().sum(-1) - self._radius(people).unsqueeze(1) ** 2
+        offset = origin.unsqueeze(2) - people.position.unsqueeze(1)
+        along = (offset * direction.unsqueeze(2)).sum(-1)
+        outside = offset.square().sum(-1) - self._radius(people).unsqueeze(1) ** 2
         root = along.square() - outside
         entry = -along - root.clamp_min(0).sqrt()
         seen = (root > 0) & (entry >= 0) & (outside > 0) & present.unsqueeze(1)
         return torch.where(seen, entry, reach).amin(-1).clamp_max(reach)
 
     def image(
-        self, people: People, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
+        self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; always from the top, drawn without any renderer."""
         return draw_top_view(

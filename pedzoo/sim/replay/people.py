@@ -1,4 +1,4 @@
-"""The people of recordings: when each comes and goes, where to, and whom a policy can take over."""
+"""The people of recordings: when each comes and goes, where to, and which of them a policy can take over."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pedzoo.maps.ways.planner import Planner
 from pedzoo.sim.scenes.scenario import SLOWEST
 
 LONGEST = 2
-"""Whoever has not arrived after so many times as long as they really took is taken out."""
+"""People are taken out after so many times as long as they really took."""
 
 CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
 """What becomes of a recorded person: taken over by the policy, or played back and why."""
@@ -27,7 +27,7 @@ REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "
 SpeedOf = Literal["observed", "track"]
 
 
-class People(NamedTuple):
+class RecordedPeople(NamedTuple):
     """P recorded people; row p is ``person`` p of states and rollouts.
 
     Times of recordings are seconds since their first row, in frames of 0.4 s.
@@ -42,7 +42,7 @@ class People(NamedTuple):
         exit: Where they are last seen (P, 2), metres.
         goal: The goal: the exit, or the nearest place that one can walk to (P, 2), metres.
         goal_id: The planner's number of it (P,) long, -1 for none.
-        way: Length of the planner's way from start to goal (P,), metres; 0 without a goal.
+        path_length: Length of the planner's way from start to goal (P,), metres; 0 without a goal.
         pref_speed: The speed that they like (P,), m/s.
     """
 
@@ -55,12 +55,12 @@ class People(NamedTuple):
     exit: Tensor
     goal: Tensor
     goal_id: Tensor
-    way: Tensor
+    path_length: Tensor
     pref_speed: Tensor
 
     @property
     def controlled(self) -> Tensor:
-        """Whom the policy takes over (P,) bool."""
+        """Which people the policy takes over (P,) bool."""
         return self.what == CONTROLLED
 
     @property
@@ -77,8 +77,8 @@ class People(NamedTuple):
     @property
     def counts(self) -> dict[str, int]:
         """How many people there are of each kind, those that do not occur left out."""
-        found = Counter(self.what.tolist())
-        return {name: found[what] for what, name in enumerate(REASONS) if found[what]}
+        number = Counter(self.what.tolist())
+        return {name: number[what] for what, name in enumerate(REASONS) if number[what]}
 
 
 def people_of(
@@ -87,25 +87,25 @@ def people_of(
     planner: Planner,
     share: float = 1.0,
     speed: SpeedOf = "observed",
-) -> tuple[People, Tensor]:
+) -> tuple[RecordedPeople, Tensor]:
     """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
 
     Args:
         recordings: Tracks with a row in every frame of 0.4 s, the first of which is frame 0.
         rows: Row of each recording's floor plan in the planner's bank, -1 for none.
         planner: Finds the ways; exits become its goals.
-        share: Whoever can be taken over later than this share of a recording's time is played back.
+        share: People who could be taken over later than this share of a recording's time are played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
     """
-    found = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
-    people = People(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
+    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
     xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
     return people, xy.float()
 
 
-def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
+def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPeople:
     """Return the people of one recording without goals."""
     agent, begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)
     end = begin + count - 1
@@ -120,7 +120,7 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
     def places(rows: np.ndarray) -> Tensor:
         return torch.from_numpy(tracks.xy[rows])
 
-    return People(
+    return RecordedPeople(
         recording=torch.full((len(agent),), number),
         agent=torch.from_numpy(agent),
         first=torch.from_numpy(first),
@@ -130,12 +130,12 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> People:
         exit=places(end),
         goal=places(end),
         goal_id=torch.full((len(agent),), -1),
-        way=torch.zeros(len(agent), dtype=torch.float64),
+        path_length=torch.zeros(len(agent), dtype=torch.float64),
         pref_speed=torch.from_numpy((walked[measured] - walked[begin]) / seconds).clamp_min(SLOWEST).float(),
     )
 
 
-def _with_goals(people: People, mine: Tensor, row: int, planner: Planner) -> People:
+def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:
     """Return people of whom those of one recording, ``mine`` (P,) bool, have goals where they can."""
     gone = people.until[mine & people.controlled]
     if not len(gone):
@@ -152,16 +152,18 @@ def _with_goals(people: People, mine: Tensor, row: int, planner: Planner) -> Peo
     goal_id[with_goal] = planner.add_goals(row, goal[with_goal])
     start = people.start[mine].float()
     map_id = torch.full((len(start),), planner.bank.grids[row].map_id if row >= 0 else -1)
-    way = people.way.float()
-    way[mine] = planner.look(start, goal_id[mine], map_id, identity_pose(len(start))).distance
-    lost = way.isinf()
+    path_length = people.path_length.float()
+    path_length[mine] = planner.next_waypoints(
+        start, goal_id[mine], map_id, identity_pose(len(start))
+    ).distance
+    lost = path_length.isinf()
     stayed = ((goal - people.start).norm(dim=1) <= GOAL_RADIUS) & ~blocked
     what = people.what
-    for reason, who in ((NO_WAY, lost), (STAYED, stayed), (BLOCKED, blocked)):
-        what = torch.where(mine & who & (what == CONTROLLED), reason, what)
+    for reason, which in ((NO_WAY, lost), (STAYED, stayed), (BLOCKED, blocked)):
+        what = torch.where(mine & which & (what == CONTROLLED), reason, what)
     return people._replace(
         what=what,
         goal=goal,
         goal_id=torch.where(lost, -1, goal_id),
-        way=torch.where(lost, 0.0, way).to(people.way),
+        path_length=torch.where(lost, 0.0, path_length).to(people.path_length),
     )

@@ -1,4 +1,4 @@
-"""Who comes and goes when: people who are played back from a recording, and taken over by the policy."""
+"""When people come and go: they are played back from a recording, and taken over by the policy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.replay.people import People
+from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
@@ -18,10 +18,10 @@ class Scenes(NamedTuple):
     Attributes:
         table: Which row of the script's table each has (R,) long.
         origin: Frame at which its clock is 0 (R,) long.
-        until: Frame from which on nobody of it is there (R,) long.
-        last: Frame in which the policy takes somebody over for the last time (R,) long.
+        until: Frame from which on none of its people are there (R,) long.
+        last: Frame in which the policy takes a person over for the last time (R,) long.
         left: Frame in which the last of them really leaves (R,) long.
-        lead: The only person whom it takes over (R,) long, -1 where it takes over all whom it can.
+        lead: The only person that it takes over (R,) long, -1 where it takes over all that it can.
     """
 
     table: Tensor
@@ -33,13 +33,13 @@ class Scenes(NamedTuple):
 
 
 class Opening(NamedTuple):
-    """Who is there, and how, when scenes begin.
+    """The people of scenes when these begin.
 
     Attributes:
         scene: Which scenes of the script (B,) long.
-        person: Who is in each slot (B, A) long, -1 for nobody.
-        controlled: Whom the policy moves (B, A) bool.
-        known: Trace points for which they have been seen (B, A) long.
+        person: Person in each slot (B, A) long, -1 for none.
+        controlled: Which people the policy moves (B, A) bool.
+        observed_points: Trace points for which they have been seen (B, A) long.
         velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
         deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
     """
@@ -47,7 +47,7 @@ class Opening(NamedTuple):
     scene: Tensor
     person: Tensor
     controlled: Tensor
-    known: Tensor
+    observed_points: Tensor
     velocity: Tensor | None = None
     deadline: Tensor | None = None
 
@@ -57,24 +57,24 @@ class Opening(NamedTuple):
 
 
 class Script:
-    """Moves people as they were recorded, and says who is there.
+    """Moves people as they were recorded, and says which are there.
 
-    Whoever is on stage is played back first. The policy takes over in the frame that `People` says, and has
-    them until they arrive or their time is up. Nobody else ever uses their slot before that, so who is in
-    which slot depends on the script alone. Everything happens in step with the frames of 0.4 s, except that
+    People are played back first. The policy takes over in the frame that `RecordedPeople` says, and moves
+    them until they arrive or their time is up. Their slot is theirs until then, so which person is in which
+    slot depends on the script alone. Everything happens in step with the frames of 0.4 s, except that
     people leave with the decision in which they arrive.
     """
 
-    def __init__(self, people: People, xy: Tensor, who: Tensor, scenes: Scenes) -> None:
+    def __init__(self, people: RecordedPeople, xy: Tensor, occupants: Tensor, scenes: Scenes) -> None:
         """Take the parts.
 
         Args:
             people: All people.
             xy: Rows of their tracks (N, 2), person after person, one for each frame.
-            who: Who is in which slot in which frame (tables, A, frames) long, -1 for nobody.
+            occupants: Person in each slot in each frame (tables, A, frames) long, -1 for none.
             scenes: The scenes.
         """
-        self.people, self.xy, self.who, self.scenes = people, xy, who, scenes
+        self.people, self.xy, self.occupants, self.scenes = people, xy, occupants, scenes
         self._begin = torch.cumsum(people.last - people.first + 1, 0) - (people.last - people.first + 1)
         self._pref_speed = people.pref_speed.float()
 
@@ -82,21 +82,21 @@ class Script:
         """Return the script on a device: itself where it is there already."""
         if self.xy.device == torch.device(device):
             return self
-        people = People(*(value.to(device) for value in self.people))
+        people = RecordedPeople(*(value.to(device) for value in self.people))
         scenes = Scenes(*(value.to(device) for value in self.scenes))
-        return type(self)(people, self.xy.to(device), self.who.to(device), scenes)
+        return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
 
-    def due(self, scene: Tensor, frame: Tensor) -> Tensor:
-        """Return who has each slot (B, A) long at a recording's frame (B,); -1 for nobody."""
+    def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
+        """Return the person in each slot (B, A) long at a recording's frame (B,); -1 for none."""
         table, until, lead = (
             values[scene] for values in (self.scenes.table, self.scenes.until, self.scenes.lead)
         )
-        due = self.who[table, :, frame.clamp_max(self.who.shape[2] - 1)]
-        # the last slot is kept for the lead, who is not met a second time
+        scheduled = self.occupants[table, :, frame.clamp_max(self.occupants.shape[2] - 1)]
+        # the last slot is kept for the lead, which is not met a second time
         leads = (lead >= 0) & (frame < self.people.until[lead])
-        due = torch.where(due == lead.unsqueeze(1), -1, due)
-        due[:, -1] = torch.where(leads, lead, due[:, -1])
-        return torch.where((frame < until).unsqueeze(1), due, -1)
+        scheduled = torch.where(scheduled == lead.unsqueeze(1), -1, scheduled)
+        scheduled[:, -1] = torch.where(leads, lead, scheduled[:, -1])
+        return torch.where((frame < until).unsqueeze(1), scheduled, -1)
 
     def places(self, person: Tensor, frame: Tensor) -> Tensor:
         """Return where people (..., ) are at frames (..., ), in their first or last place before or after."""
@@ -108,7 +108,7 @@ class Script:
 
         Args:
             scene: Which scenes (B,) long.
-            person: Whose (B, A) long; anything where it is -1.
+            person: Persons (B, A) long; paths of -1 mean nothing.
             tick: Trace points since the clock was 0, before the first one wanted (B,) long; the S points do
                 not go beyond the end of a frame.
             points: S.
@@ -122,15 +122,15 @@ class Script:
         return torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
 
     def opening(self, scene: Tensor) -> tuple[Opening, Tensor]:
-        """Return how scenes (B,) begin, and everybody's positions in the frames until then (B, A, 8, 2)."""
+        """Return how scenes (B,) begin, and people's positions in the frames until then (B, A, 8, 2)."""
         frame = self.scenes.origin[scene]
-        person = self.due(scene, frame)
+        person = self.people_in_slots(scene, frame)
         there = person >= 0
         at = frame.unsqueeze(1).expand_as(person)
         frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
         history = self.places(person.unsqueeze(2).expand_as(frames), frames)
         seen = (at - self.people.first[person]).clamp_max(OBS_LEN - 1)
-        # who has come in this moment is on the way already
+        # people who come in this moment are on their way already
         came = (seen < 1).unsqueeze(2)
         last = torch.where(came, history[:, :, -1], history[:, :, -2])
         following = torch.where(came, self.places(person, at + 1), history[:, :, -1])
@@ -138,18 +138,18 @@ class Script:
             scene=scene,
             person=person,
             controlled=self._taken(scene, person, at),
-            known=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
+            observed_points=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
             velocity=(following - last) / STEP_SECONDS,
             deadline=self._deadline(scene, person),
         ), torch.where(there[..., None, None], history, 0.0)
 
     def scored(self, scene: Tensor, person: Tensor) -> Tensor:
-        """Return whom the policy has at some time (B, A) bool."""
+        """Return which people the policy has at some time (B, A) bool."""
         lead = self.scenes.lead[scene].unsqueeze(1)
         return self.people.controlled[person] & (person >= 0) & ((lead < 0) | (person == lead))
 
     def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
-        """Return whom the policy takes over in this frame (B, A) bool."""
+        """Return which people the policy takes over in this frame (B, A) bool."""
         return self.scored(scene, person) & (self.people.taken[person] == frame)
 
     def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
@@ -161,48 +161,48 @@ class Script:
         recorded = self.path(state.scene, state.person, _tick(state.clock), points, substeps)
         return torch.where(failed.view(-1, 1, 1, 1, 1), state.position[:, :, None, None], recorded)
 
-    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+    def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
         """Let people come, go and be taken over at the end of a decision of S ``points``.
 
         Returns:
-            The state ``after`` with them, and who was taken over just now (B, A) bool.
+            The state ``after`` with them, and which people were taken over just now (B, A) bool.
         """
         tick = _tick(before.clock) + points
         at = self.scenes.origin[after.scene] * TRACE_PER_STEP + tick
         frame, sharp = at // TRACE_PER_STEP, (at % TRACE_PER_STEP == 0).unsqueeze(1)
-        known = (after.known + points).clamp_max(PAST_LEN)
-        after = after._replace(clock=tick * TRACE_SECONDS, known=known)
-        due = self.due(after.scene, frame)
-        now = frame.unsqueeze(1).expand_as(due)
-        there = due >= 0
-        comes = there & sharp & (self.people.first[due] == now)
-        stays = after.mask & (after.person == due)
+        observed_points = (after.observed_points + points).clamp_max(PAST_LEN)
+        after = after._replace(clock=tick * TRACE_SECONDS, observed_points=observed_points)
+        scheduled = self.people_in_slots(after.scene, frame)
+        now = frame.unsqueeze(1).expand_as(scheduled)
+        there = scheduled >= 0
+        comes = there & sharp & (self.people.first[scheduled] == now)
+        stays = after.mask & (after.person == scheduled)
         mask = comes | stays
-        late = after.late | (after.mask & after.controlled & ~stays)
-        taken = stays & sharp & self._taken(after.scene, due, now)
-        here = self.places(due, now)
-        velocity = (self.places(due, now + 1) - here) / STEP_SECONDS
+        overdue = after.overdue | (after.mask & after.controlled & ~stays)
+        taken = stays & sharp & self._taken(after.scene, scheduled, now)
+        here = self.places(scheduled, now)
+        velocity = (self.places(scheduled, now + 1) - here) / STEP_SECONDS
         come = comes.unsqueeze(2)
         return after._replace(
             mask=torch.where(sharp, mask, after.mask),
             controlled=torch.where(sharp, (after.controlled & stays) | taken, after.controlled),
-            person=torch.where(sharp, torch.where(mask, due, -1), after.person),
-            known=known.masked_fill(comes, 1),
+            person=torch.where(sharp, torch.where(mask, scheduled, -1), after.person),
+            observed_points=observed_points.masked_fill(comes, 1),
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),
-            pref_speed=torch.where(comes, self._pref_speed[due], after.pref_speed),
-            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[due], after.top_speed),
-            goal_id=torch.where(comes, self.people.goal_id[due], after.goal_id),
+            pref_speed=torch.where(comes, self._pref_speed[scheduled], after.pref_speed),
+            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[scheduled], after.top_speed),
+            goal_id=torch.where(comes, self.people.goal_id[scheduled], after.goal_id),
             drawn=after.drawn.masked_fill(comes, 0),
             reached=after.reached.masked_fill(comes, 0),
-            deadline=torch.where(comes, self._deadline(after.scene, due), after.deadline),
-            late=torch.where(sharp, late & ~comes, after.late),
-            way=after.way.masked_fill(comes, 0.0),
+            deadline=torch.where(comes, self._deadline(after.scene, scheduled), after.deadline),
+            overdue=torch.where(sharp, overdue & ~comes, after.overdue),
+            remaining_path=after.remaining_path.masked_fill(comes, 0.0),
             planned=after.planned.masked_fill(comes, 0.0),
         ), taken
 
-    def over(self, state: State) -> Tensor:
-        """Return the scenes in which nobody is controlled, now or later (B,) bool."""
+    def ended(self, state: State) -> Tensor:
+        """Return the scenes without controlled people, now or later (B,) bool."""
         frame = self.scenes.origin[state.scene] + _tick(state.clock) // TRACE_PER_STEP
         return ~state.controlled.any(1) & (frame >= self.scenes.last[state.scene])
 

@@ -11,10 +11,10 @@ from torch import Tensor
 def slots(begin: Tensor, end: Tensor) -> Tensor:
     """Return slots (P,) long for people who are there from ``begin`` to before ``end`` (P,) long.
 
-    As few as possible, none used by two at a time: whoever comes next gets the free slot with the smallest
+    As few as possible, none used by two at a time: the next person gets the free slot with the smallest
     number. People who are never there (``end`` not after ``begin``) get -1.
     """
-    found = torch.full_like(begin, -1)
+    result = torch.full_like(begin, -1)
     free: list[int] = []
     leaving: list[tuple[int, int]] = []
     used = 0
@@ -29,24 +29,24 @@ def slots(begin: Tensor, end: Tensor) -> Tensor:
             used += 1
         slot = heappop(free)
         heappush(leaving, (goes, slot))
-        found[person] = slot
-    return found
+        result[person] = slot
+    return result
 
 
 def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> Tensor:
-    """Return who is in each of ``most`` slots in each of ``frames`` frames (most, frames) long, -1 nobody."""
-    who = torch.full((most, frames), -1)
-    everybody = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
-    for person, (place, comes, goes) in enumerate(everybody):
+    """Return the person in ``most`` slots in ``frames`` frames (most, frames) long, -1 for none."""
+    occupant = torch.full((most, frames), -1)
+    stays = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
+    for person, (place, comes, goes) in enumerate(stays):
         if place >= 0:
-            who[place, comes:goes] = person
-    return who
+            occupant[place, comes:goes] = person
+    return occupant
 
 
 def pieces(begin: Tensor, end: Tensor) -> list[Tensor]:
-    """Return groups of people (each (n,) long) such that nobody of one is there together with one of another.
+    """Return groups of people (each (n,) long) such that people of two groups are never there together.
 
-    In order of time; within a group somebody is there from its first ``begin`` to its last ``end`` (P,).
+    In order of time; within a group there are people from its first ``begin`` to its last ``end`` (P,).
     """
     groups: list[list[int]] = []
     until = None

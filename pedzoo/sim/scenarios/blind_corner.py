@@ -11,7 +11,7 @@ from pedzoo.sim.scenes.variants import Numbers, Variant
 class BlindCorner(Encounter):
     """A corridor from the left that bends down at the origin; people come from both ends.
 
-    *Blind corner* of Francis et al. 2023 (Fig. 7, Table 3). Nobody sees those from the other end when the
+    *Blind corner* of Francis et al. 2023 (Fig. 7, Table 3). No person sees those from the other end when the
     episode begins, and the first ones are at the corner at the same time. The two groups are mirror images
     of each other in the diagonal where they are of the same size and speed, and ``jitter``, ``aside`` and
     ``delay`` are 0.
@@ -59,7 +59,7 @@ class BlindCorner(Encounter):
             unseen = width + max(lane.middle[1] + lane.aside for lane in mine) + self.jitter + 0.1
             before = max(0.0, unseen - self.meet * self.slowest)
             for lane in mine:
-                # whoever keeps to the outer wall before the corner does so behind it
+                # people at the outer wall before the corner are there behind it, too
                 bent = lane._replace(before=before, goals=((lane.middle[1], -beyond),))
                 lanes.append(_mirrored(bent) if side else bent)
         return lanes

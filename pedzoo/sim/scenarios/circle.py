@@ -1,4 +1,4 @@
-"""People on a circle change places with whoever stands opposite."""
+"""People on a circle change places with those opposite."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Circle(Encounter):
             jitter: Metres that starts are off their places at most, in x and in y.
             aside: Metres that people start to the left or right of the line to the middle at most, less where
                 neighbours are near; their goals stay.
-            delay: Seconds that everybody comes late at most.
+            delay: Seconds that people come late, at most.
 
         Raises:
             UserError: A setting that gives no scene.
@@ -66,15 +66,15 @@ class Circle(Encounter):
 
     @property
     def most_jitter(self) -> float:
-        """Metres with which nobody touches anybody at the start."""
+        """Metres between people at the start with which none touch."""
         return min(1.0, max(0.0, self._room(min(self.variants.values["radius"]))))
 
     def _room(self, radius: float) -> float:
-        """Return the metres beside everybody on the circle that are theirs."""
+        """Return the metres beside each person on the circle that are theirs."""
         return radius * self.half_chord - APART / 2
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
-        """Return a lane for everybody, from their place on the circle through its middle."""
+        """Return a lane for each person, from their place on the circle through its middle."""
         radius, lanes = variant["radius"], []
         for number in range(self.people):
             angle = 2 * math.pi * number / self.people

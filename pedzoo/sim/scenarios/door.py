@@ -86,8 +86,8 @@ class Door(Scenario):
             away: Metres from the middle of the wall at which the first of a side are when the warm start ends
                 if nothing holds them up; ``[least,most]``: each side draws one.
             sync: Seconds by which the first of the two sides would be at the door one after the other if each
-                walked alone, at most, evenly distributed; who would be there too early starts farther away
-                than ``away``. None: as ``away`` and their speeds have it.
+                walked alone, at most, evenly distributed; people who would be there too early start farther
+                away than ``away``. None: as ``away`` and their speeds have it.
             from_right: How many of the people come from the right; None: every other one.
             abreast: How many of a side walk together, side by side and equally fast, 1 to 3; those of a row
                 that is not full are in its middle.
@@ -114,13 +114,13 @@ class Door(Scenario):
                 raise UserError(
                     f"{self.name}: sync {sync}: expected at least 0 s, and people from both sides"
                 )
-            # who is faster waits for who is slower
+            # faster people wait for slower ones
             alone = math.hypot(self.away.most + PUSH, aside) / self.slowest + sync
             self.half_length = self.fastest * (WARM_SECONDS + alone) + queue + 1.5
         self.half_width = aside + 2.0 + ABREAST * (abreast - 1) / 2
 
     def _seat(self, people: int, from_right: int, abreast: int) -> None:
-        """Say who comes from where, in which row, and whom they walk beside."""
+        """Give each person a side, a row, and the people beside them."""
         if not 0 <= from_right <= people:
             raise UserError(
                 f"{self.name}: from_right {from_right} of {people} people: expected 0 to {people}"
@@ -169,7 +169,7 @@ class Door(Scenario):
         self._map_id = torch.tensor([self.bank.id_of(self.variants.name(one)) for one in self.variants])
         goals = []
         for variant, row in zip(self.variants, self.bank.index(self._map_id).tolist(), strict=True):
-            # everybody keeps to their side of the axis: from the left, y = -offset to y = -offset
+            # people keep to their side of the axis: from the left, y = -offset to y = -offset
             points = [(BEHIND, -variant["offset"]), (-BEHIND, variant["offset"])]
             goals.append(self.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)))
         self._goals = torch.stack(goals)
@@ -187,7 +187,7 @@ class Door(Scenario):
         side = 2 * right - 1  # -1 comes from the left, 1 from the right
         speed = self.speeds(draws)[:, leader]
         speed = torch.where(side > 0, speed * self.speed_ratio, speed)
-        # whoever comes behind somebody faster starts no nearer to them than `SPACING`
+        # people behind faster ones start no nearer to them than `SPACING`
         pace = speed.new_zeros(len(speed), int(row.max()) + 1, 2)
         pace[:, row, right] = speed
         pace = pace.cummax(1).values[:, row, right]

@@ -27,7 +27,7 @@ MORE = 4
 
 
 class Goals(Scenario):
-    """Everybody has some goals to reach, one after the other; who is finished walks on until all are.
+    """People reach some goals, one after the other; finished people walk on until all are.
 
     Starts and goals are drawn from points that are spread over the largest connected part of the floor
     plan; which points these are depends on the plan alone.
@@ -51,7 +51,7 @@ class Goals(Scenario):
                 ``floor_trav_0.png``), or what needs none: ``flat``, four rooms and a corridor, or
                 ``apartment.7``, ``office.7`` and the like, drawn from a seed.
             people: How many, or the least and the largest number, ``[2,5]``.
-            goals: That everybody has to reach.
+            goals: That each person has to reach.
             pool: Places among which goals are drawn, per floor plan.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
@@ -119,15 +119,15 @@ class Goals(Scenario):
     def layout(self, draws: Draws) -> Layout:
         """Return people at places of their own, each with a goal that is some way off."""
         device = draws.key.device
-        row = draws.whole("map", len(self._map_ids)).to(device)
-        # everybody gets another place: those with the smallest numbers of a whole row of them
+        row = draws.integers("map", len(self._map_ids)).to(device)
+        # each person gets another place: those with the smallest numbers of a whole row of them
         lottery = draws.uniform("place", self._places.shape[1])
         absent = torch.arange(self._places.shape[1], device=device) >= self._counts.to(device)[row].unsqueeze(
             1
         )
         place = lottery.masked_fill(absent, 2.0).topk(self.people, largest=False).indices
         start = self._places.to(device)[row.unsqueeze(1), place]
-        number = self.fewest + draws.whole("people", self.people - self.fewest + 1)
+        number = self.fewest + draws.integers("people", self.people - self.fewest + 1)
         mask = torch.arange(self.people, device=device) < number.unsqueeze(1)
         chosen = self._first_choice(row.unsqueeze(1), place, draws.uniform("goal", self.people))
         goal = self._goals.to(device)[row.unsqueeze(1), chosen]
@@ -136,7 +136,7 @@ class Goals(Scenario):
     def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
         """Return another goal that is some way off the last one."""
         row, place = (table.to(last.device)[last] for table in (self._row_of_goal, self._place_of_goal))
-        lot = draws.at("goal", agent, number)
+        lot = draws.uniform_at("goal", agent, number)
         return self._goals.to(last.device)[row, self._next_choice(row, place, lot)]
 
     def _far(self, row: int, places: Tensor) -> Tensor:
@@ -145,7 +145,9 @@ class Goals(Scenario):
         pairs = len(places) * len(goals)
         points = places.float().repeat_interleave(len(goals), 0)
         map_id = self._map_ids[row].expand(pairs)
-        way = self.planner.look(points, goals.repeat(len(places)), map_id, identity_pose(pairs)).distance
+        way = self.planner.next_waypoints(
+            points, goals.repeat(len(places)), map_id, identity_pose(pairs)
+        ).distance
         far = ((way > NEAREST) & way.isfinite()).view(len(places), len(goals))
         if not far.any(1).all():
             name = self.bank.grids[row].name

@@ -35,7 +35,7 @@ class Hallway(Encounter):
 
         Args:
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
-            offset: Metres that everybody keeps to the right of the corridor's middle on their whole way; 0 is
+            offset: Metres that people keep to the right of the corridor's middle on their whole way; 0 is
                 head-on; a list: one per scene.
             people: 2 to 50, side by side where the corridor has room, and one behind the other.
             against: How many of them come from the right; None: half of them.

@@ -15,7 +15,7 @@ HEADINGS: tuple[Point, ...] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 class Intersection(Encounter):
     """Two corridors of the same width that cross at the origin; people come from their arms in turn.
 
-    *Intersection* of Francis et al. 2023 (Fig. 7, Table 3), without gestures: nobody waves anybody on. Those
+    *Intersection* of Francis et al. 2023 (Fig. 7, Table 3), without gestures: no waving on. Those
     in front are in the middle at the same time.
     """
 

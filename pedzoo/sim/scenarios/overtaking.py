@@ -22,7 +22,7 @@ class Overtaking(Encounter):
     """A corridor along x, in which all walk to the right; the fast reach the slow at x = 0.
 
     *Pedestrian overtaking* of Francis et al. 2023 (Fig. 7, Table 3). Agents 0 to ``slow - 1`` are the slow
-    ones where everybody has a lane.
+    ones where each person has a lane.
     """
 
     most = 20
@@ -85,7 +85,7 @@ class Overtaking(Encounter):
         return room((-whole_cells(reach + BEHIND), -y), (whole_cells(beyond + BEHIND), y), WALL)
 
     def speeds(self, draws: Draws) -> Tensor:
-        """Return everybody's preferred speed (B, A), m/s: the slow keep a distance from the slowest fast."""
+        """Return the preferred speeds (B, A), m/s: the slow keep a distance from the slowest fast."""
         speed = super().speeds(draws)
         slow = self.places.of_scenes(self.variants.drawn(draws)).side == SLOW
         limit = speed.masked_fill(slow, float("inf")).amin(1, keepdim=True)

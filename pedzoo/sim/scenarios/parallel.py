@@ -15,7 +15,7 @@ class Parallel(Encounter):
     """Streams along x without walls, one left of the other, in the same direction or in opposite ones.
 
     *Parallel traffic* of Francis et al. 2023 (Fig. 7, Table 3). Some people change over into a lane of the
-    other stream on their way; with ``opposite=true`` it is bidirectional flow, everybody on the right.
+    other stream on their way; with ``opposite=true`` it is bidirectional flow, all people on the right.
     """
 
     def __init__(

@@ -18,7 +18,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.ways.planner import Planner
 from pedzoo.sim.real import real_parts
-from pedzoo.sim.replay.people import People, SpeedOf, people_of
+from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of
 from pedzoo.sim.replay.script import Scenes, Script
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
@@ -31,17 +31,17 @@ CELL, SHARE = 0.1, 0.2
 
 
 class Replay(Scenario):
-    """Everybody of a recording, on the true clock: played back for 8 steps, then walked by the policy.
+    """All people of a recording, on the true clock: played back for 8 steps, then moved by the policy.
 
-    Whoever arrives within 0.3 m of where they really left the scene leaves; whoever has not after twice the
-    time that they really took is taken out. Nobody is put back to where they really were in between. Tracks
-    of at most 8 steps, and people who are at their exit already, are only played back: they are met, but do
-    not react. Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
-    most. Unknown cells are free, and everybody's preferred speed is what was observed in their first 8 steps.
-    That and the exit are all that a policy is told of the recording ahead, and the velocity with which others
+    People leave within 0.3 m of where they really left the scene. They are taken out after twice the time
+    that they really took. They are never put back to where they really were in between. Tracks of at most 8
+    steps, and people who are at their exit already, are only played back: they are met, but do not react.
+    Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
+    most. Unknown cells are free, and preferred speeds are those observed in the first 8 steps.
+    That and the exit are all that a policy knows of the recording ahead, and the velocity with which others
     come in, which is that of their first step.
 
-    A recording is cut where nobody can be left (in a recording of sparse crowds), so that its parts run side
+    A recording is cut where no person is left (in a recording of sparse crowds), so that its parts run side
     by side: part i of R is scene i, i + R, ... of every seed; what differs is the policy's noise. With
     ``simulated=one`` every person has a scene of their own in which all others are played back.
 
@@ -52,7 +52,7 @@ class Replay(Scenario):
     """
 
     unknown: Unknown = "free"
-    persons: People
+    persons: RecordedPeople
     recordings: list[str]
     scenes: int
 
@@ -81,7 +81,7 @@ class Replay(Scenario):
             share: Only people who come in this first share of the time are simulated, others are played back:
                 a tenth gives a quick look.
             speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole
-                ``track``, which nobody could know; at least 0.3 m/s.
+                ``track``, which uses the future; at least 0.3 m/s.
 
         Raises:
             UserError: There are no such recordings, or a setting is out of range.
@@ -117,12 +117,12 @@ class Replay(Scenario):
         return [grid for grid in self._grids if grid is not None]
 
     def prepare(self, clearance: float) -> None:
-        """Read the recordings, find everybody's way to their exit, and say who has which slot when.
+        """Read the recordings, find people's paths to their exits, and give them slots.
 
         Prints how many people are simulated and played back.
 
         Raises:
-            UserError: A recording is refused, or nobody can be simulated.
+            UserError: A recording is refused, or no person can be simulated.
         """
         recordings = self._source.recordings("test")
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
@@ -138,7 +138,7 @@ class Replay(Scenario):
         sizes = self.persons.last - self.persons.first + 1
         self._person = torch.arange(len(sizes)).repeat_interleave(sizes)
         if not self.persons.controlled.any():
-            raise UserError(f"replay: nobody in {self.name!r} can be simulated: {self.persons.counts}")
+            raise UserError(f"replay: no person in {self.name!r} can be simulated: {self.persons.counts}")
         self.planner = planner
         self._stage()
 
@@ -153,36 +153,36 @@ class Replay(Scenario):
         return True
 
     def _stage(self) -> None:
-        """Say who has which slot when, and print how many people are simulated and played back."""
+        """Give people slots, and print how many are simulated and played back."""
         self.script = self._all() if self.simulated == "all" else self._one()
         self.scenes = len(self.script.scenes.table)
-        self.people = self.script.who.shape[1]
+        self.people = self.script.occupants.shape[1]
         print(f"replay {self.name}: {self.summary()}")
 
     def summary(self) -> str:
-        """Return in one line who is simulated and who is played back."""
+        """Return in one line how many people are simulated and played back."""
         kinds = ", ".join(f"{count} {name}" for name, count in self.persons.counts.items())
         return f"{len(self.persons.agent)} people in {self.scenes} scenes of at most {self.people}: {kinds}"
 
     def _all(self) -> Script:
-        """Return the script in which everybody is simulated who can be."""
+        """Return the script that simulates all people that it can."""
         people = self.persons
         frames = int(people.until.max()) + 1
-        slot, found = torch.full_like(people.first, -1), []
+        slot, scene_rows = torch.full_like(people.first, -1), []
         for recording in range(len(self._map_id)):
             mine = (people.recording == recording).nonzero()[:, 0]
             slot[mine] = slots(people.first[mine], people.until[mine])
             for piece in pieces(people.first[mine], people.until[mine]):
-                who = mine[piece]
-                scored = who[people.controlled[who]]
+                group = mine[piece]
+                scored = group[people.controlled[group]]
                 if len(scored):
-                    origin = people.first[who].min() + OBS_LEN - 1
+                    origin = people.first[group].min() + OBS_LEN - 1
                     last, left = people.taken[scored].max(), people.last[scored].max()
-                    found.append((recording, origin, people.until[who].max(), last, left, -1))
-        return self._scripted(slot, people.until, frames, int(slot.max()) + 1, found)
+                    scene_rows.append((recording, origin, people.until[group].max(), last, left, -1))
+        return self._scripted(slot, people.until, frames, int(slot.max()) + 1, scene_rows)
 
     def _one(self) -> Script:
-        """Return the script with a scene for everybody; those who stay equally long follow each other."""
+        """Return the script with a scene for each person, ordered by how long they stay."""
         people = self.persons
         frames = int(people.last.max()) + 1
         slot = torch.full_like(people.first, -1)
@@ -191,23 +191,23 @@ class Replay(Scenario):
             slot[mine] = slots(people.first[mine], people.last[mine])
         leads = people.controlled.nonzero()[:, 0]
         leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
-        found = [
+        scene_rows = [
             (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p)
             for p in leads
         ]
-        return self._scripted(slot, people.last, frames, int(slot.max()) + 2, found)
+        return self._scripted(slot, people.last, frames, int(slot.max()) + 2, scene_rows)
 
-    def _scripted(self, slot: Tensor, end: Tensor, frames: int, most: int, found: list[tuple]) -> Script:
+    def _scripted(self, slot: Tensor, end: Tensor, frames: int, most: int, scene_rows: list[tuple]) -> Script:
         people = self.persons
         mine = (people.recording == number for number in range(len(self._map_id)))
         tables = [table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine]
-        columns = (torch.tensor([int(value) for value in column]) for column in zip(*found, strict=True))
+        columns = (torch.tensor([int(value) for value in column]) for column in zip(*scene_rows, strict=True))
         return Script(people, self._xy, torch.stack(tables), Scenes(*columns))
 
     def layout(self, draws: Draws) -> Layout:
         """Return the recorded beginning of scenes; they follow one another in the order of episodes."""
         if draws.episode is None or self.script is None:
-            raise ValueError("a replay needs the numbers of its episodes, Draws.of(seed, episode)")
+            raise ValueError("a replay needs the numbers of its episodes, Draws.for_episodes(seed, episode)")
         scene = draws.episode % self.scenes
         opening, history = self.script.opening(scene)
         there = opening.person >= 0

@@ -1,4 +1,4 @@
-"""Somebody stands at a narrow door for some seconds while others want to go through."""
+"""A person stands at a narrow door for some seconds while others want to go through."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from pedzoo.sim.scenes.scenario import Layout
 from pedzoo.sim.scenes.variants import Numbers
 
 ROOM = 0.2
-"""Metres between whoever stands in the door and its sides, at least."""
+"""Metres between the person in the door and its sides, at least."""
 
 
 class Standing(Door):
     """The rooms of `Door`; the last agent stands in its way, others come to it as they do there.
 
-    Whoever stands is met, but neither moved by the policy nor scored before they set out for a goal of their
-    own, behind the wall or before it. Their history says that they stand. Where the door is so narrow that
-    nobody gets past them, others have to wait.
+    The standing person is met, but neither moved by the policy nor scored before they set out for a goal of
+    their own, behind the wall or before it. Their history says that they stand. Where the door is too narrow
+    to get past them, others have to wait.
     """
 
     name: ClassVar[str] = "standing"
@@ -54,7 +54,7 @@ class Standing(Door):
             offset: Lateral distance of others' starts and of goals from the door's axis, metres; a list: one
                 per scene.
             jitter: Standard deviation of the starts about it, metres.
-            people: Whoever stands, and at least one who comes.
+            people: The one who stands, and at least one who comes.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             speed_ratio: Speed of those from the right, divided by that of those from the left.
@@ -64,7 +64,7 @@ class Standing(Door):
             sync: As of `Door`: by how much the two sides come to the door one after the other, seconds.
             from_right: How many of those who come do so from the right; None: every other one.
             abreast: How many of a side walk together, 1 to 3.
-            at: Metres to the right of the middle of the wall where somebody stands, 0 in the door and
+            at: Metres to the right of the middle of the wall where the person stands, 0 in the door and
                 negative on the left; ``[least,most]``: drawn. How far beside the door's axis is drawn, too,
                 no nearer to its sides than 0.2 m.
             seconds: How long they stand after the warm start; ``[least,most]``: drawn. They set out with the
@@ -89,13 +89,13 @@ class Standing(Door):
             )
 
     def layout(self, draws: Draws) -> Layout:
-        """Return those who come and, as the last, whoever stands."""
+        """Return those who come and, as the last, the one who stands."""
         coming = super().layout(draws)
         width = self.variants.of("width", draws)
         beside = (width / 2 - ROOM).clamp_min(0.0) * (2 * draws.uniform("beside") - 1)
         place = torch.stack((self.at.of(draws, 1)[:, 0], beside), dim=-1)
         goals = self._goals.to(width.device)[self.variants.drawn(draws)]
-        goal = goals.gather(1, draws.whole("goal", 2, 1))
+        goal = goals.gather(1, draws.integers("goal", 2, 1))
         speed = self.speeds(draws)[:, -1:]
         return coming._replace(
             start=torch.cat((coming.start, place.unsqueeze(1)), dim=1),
@@ -106,6 +106,6 @@ class Standing(Door):
         )
 
     def _stand(self, draws: Draws) -> Tensor:
-        """Return how long everybody stands (B, A), seconds."""
+        """Return how long people stand (B, A), seconds."""
         seconds = self.seconds.of(draws, 1)
         return torch.cat((seconds.new_zeros(len(seconds), self.people - 1), seconds), dim=1)

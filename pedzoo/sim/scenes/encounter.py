@@ -1,6 +1,6 @@
 """Scenes about one encounter: people come in lanes from several sides and reach a place at the same time.
 
-Such scenarios differ in their floor plans and in their lanes; who starts where follows from these. Scenes of
+Such scenarios differ in their floor plans and in their lanes; all starts follow from these. Scenes of
 one scenario differ, too: in the floor plan where it has several, and in what people draw of ``jitter``,
 ``aside`` and ``delay``. With these and ``speed_std`` 0, and one number per setting, all are the same scene.
 
@@ -36,7 +36,7 @@ MOST_DELAY = 10.0
 """Seconds."""
 
 BEHIND = 1.5
-"""Metres of floor behind whoever comes last, and behind goals."""
+"""Metres of floor behind the last person, and behind goals."""
 
 CELL = 0.05
 """Metres: side of the floor plans' cells."""
@@ -53,8 +53,8 @@ def whole_cells(length: float) -> float:
 class Encounter(Scenario):
     """People in lanes who meet; subclasses say which, and on what floor plans.
 
-    Everybody starts as far away as they walk until then, so that the slow and the fast meet. Whoever comes
-    behind somebody faster starts no nearer to them than `SPACING`.
+    People start as far away as they walk until then, so that the slow and the fast meet. People behind
+    faster ones start no nearer to them than `SPACING`.
 
     Attributes:
         fewest: People, at least.
@@ -130,7 +130,7 @@ class Encounter(Scenario):
 
     @property
     def most_jitter(self) -> float:
-        """Metres with which nobody touches anybody at the start."""
+        """Metres between people at the start with which none touch."""
         return MOST_JITTER
 
     @property
@@ -172,7 +172,7 @@ class Encounter(Scenario):
         return longest + (WARM_SECONDS + self.meet) * self.fastest + self.jitter
 
     def prepare(self, clearance: float) -> None:
-        """Find the ways to the lanes' goals, and give everybody a place in a lane."""
+        """Find the ways to the lanes' goals, and give each person a place in a lane."""
         super().prepare(clearance)
         walls, names = bool(self.bank.grids), map(self.variants.name, self.variants)
         # variants may share a floor plan
@@ -188,7 +188,7 @@ class Encounter(Scenario):
         self.places = Places.of(self.lanes)
 
     def layout(self, draws: Draws) -> Layout:
-        """Return everybody as far from the middle of their lane as they walk until they meet."""
+        """Return all people as far from the middle of their lane as they walk until they meet."""
         scenes, agents, device = len(draws.key), self.people, draws.key.device
         variant = self.variants.drawn(draws)
         mine = self.places.of_scenes(variant)
@@ -212,7 +212,7 @@ class Encounter(Scenario):
         return Layout(self._map_id.to(device)[variant], start, mask, speed, goal)
 
     def _goal(self, draws: Draws, goals: Tensor) -> Tensor:
-        """Return everybody's goal (B, A) long, of those of their lane (B, A, G), -1 where there are fewer."""
+        """Return people's goals (B, A) long, of those of their lane (B, A, G), -1 where there are fewer."""
         others = (goals >= 0).sum(2) - 1
         strays, which = draws.uniform("goal", self.people, 2).unbind(-1)
         other = 1 + (which * others).long().minimum(others - 1)

@@ -24,7 +24,7 @@ APART = 0.5
 """Metres between people of different lanes when they start, at least."""
 
 FREE = 0.3
-"""Metres between anybody's start and walls, at least."""
+"""Metres between starts and walls, at least."""
 
 _ASIDE = 0.45
 """Metres between the outermost lanes and walls."""
@@ -37,7 +37,7 @@ class Lane(NamedTuple):
         people: How many.
         heading: Unit vector in which they walk.
         middle: Where they meet others, metres.
-        goals: Where they go from there, metres; everybody to the first, but for a share of strays.
+        goals: Where they go from there, metres; all to the first, but for a share of strays.
         before: Metres that they all start farther back.
         side: Lanes of one side start aside by the same length.
         aside: Metres that they start to the left or to the right of the lane at most.
@@ -55,7 +55,7 @@ class Lane(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Everybody's place in a lane, on each of V variants of a scene, and what the lane says about them.
+    """Each person's place in a lane, on each of V variants of a scene, and what the lane says about them.
 
     Attributes:
         row: How many are before them in their lane (V, A) long.
@@ -66,7 +66,7 @@ class Places(NamedTuple):
         before: Metres that they start farther back (V, A).
         aside: As of the lane (V, A).
         delay: As of the lane (V, A).
-        leader: Whom they are beside (V, A) long: the first of those of their side and row.
+        leader: The person beside them (V, A) long: the first of their side and row.
     """
 
     row: Tensor
@@ -81,7 +81,7 @@ class Places(NamedTuple):
 
     @classmethod
     def of(cls, variants: Sequence[Sequence[Lane]]) -> Places:
-        """Return everybody's place: first those in front, lane by lane, then those behind them."""
+        """Return each person's place: first those in front, lane by lane, then those behind them."""
         tables = []
         for lanes in variants:
             slots = sorted((row, number) for number, lane in enumerate(lanes) for row in range(lane.people))
@@ -134,5 +134,5 @@ def lanes_in(width: float) -> int:
 
 
 def block(people: int) -> int:
-    """Return in how many lanes people in the open come who are as broad as deep, five at most."""
+    """Return how many lanes a group in the open has that is as broad as deep, five at most."""
     return min(5, math.ceil(math.sqrt(people)))

@@ -1,4 +1,4 @@
-"""What every scenario is: floor plans, and who starts where, how fast and to which goals."""
+"""What every scenario is: floor plans, and where people start, how fast and to which goals."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class Layout(NamedTuple):
 
     Attributes:
         map_id: Floor plan (B,) long, -1 for none.
-        start: Positions before the warm start (B, A, 2), metres; anything finite where nobody is.
-        mask: Who is there (B, A) bool.
+        start: Positions before the warm start (B, A, 2), metres; anything finite in empty slots.
+        mask: Which agents are there (B, A) bool.
         pref_speed: The speed that people like (B, A), m/s.
         goal: First goals (B, A) long, as the planner numbers them.
         pose: Scene poses (B, 4); None for scenes that lie as their map.
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
-        opening: Who is there in scenes with a script, which always begin as they were recorded.
+        opening: People in scenes with a script, which always begin as they were recorded.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
-            seconds; 0 for who does not. No policy moves them so long. None: nobody.
+            seconds; 0 for agents that do not. No policy moves them so long. None: none stand.
         radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
             `Scenario.smallest_radius`.
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
@@ -86,14 +86,14 @@ class Scenario(ABC):
 
     Attributes:
         people: A, the largest number of people in a scene.
-        goals: Goals that everybody has to reach.
+        goals: Goals that each agent has to reach.
         finished: An agent that has reached them all will ``leave`` the scene, ``continue`` to later goals
             until all agents have, or ``stand``.
         later: Goals after the first that are drawn ahead for each agent, and used in turn.
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
-        script: Says who is played back and who comes when; None where everybody is there from the beginning.
+        script: Plays people back and lets them come and go; None where all are there from the beginning.
         unknown: What unknown cells of the floor plans count as.
         bank: The floor plans; there after `prepare`.
         planner: Ways to goals; there after `prepare`.
@@ -115,11 +115,11 @@ class Scenario(ABC):
 
         Args:
             people: At most.
-            speed: Mean of everybody's preferred speed, m/s.
+            speed: Mean of the preferred speeds, m/s.
             speed_std: Its standard deviation; speeds farther than three of it from the mean are cut off.
 
         Raises:
-            UserError: Nobody, or a speed that is too slow.
+            UserError: No people, or a speed that is too slow.
         """
         if people < 1:
             raise UserError(f"people {people}: expected at least 1")
@@ -154,7 +154,7 @@ class Scenario(ABC):
 
         Args:
             draws: One entry per person: that of their scene.
-            agent: Who they are in it (P,) long.
+            agent: Their slots in it (P,) long.
             number: How many goals they have reached (P,) long.
             last: The goal just reached (P,) long.
         """
@@ -170,7 +170,7 @@ class Scenario(ABC):
     def adopt(self, other: Scenario) -> bool:
         """Take floor plans and ways from a prepared scenario that has the same; return whether it has.
 
-        Whoever walks through several scenarios on one floor plan prepares it once.
+        Several scenarios on one floor plan are prepared once.
         """
         return False
 
@@ -185,6 +185,6 @@ class Scenario(ABC):
         self.planner = Planner(self.bank, clearance)
 
     def speeds(self, draws: Draws) -> Tensor:
-        """Return everybody's preferred speed (B, A), m/s."""
+        """Return the preferred speeds (B, A), m/s."""
         deviation = draws.normal("speed", self.people).clamp(-3, 3) * self.speed_std
         return (self.speed + deviation).clamp_min(SLOWEST)

@@ -67,7 +67,7 @@ class Variants:
         """
         number = torch.zeros_like(draws.key)
         for name, values in self.values.items():
-            number = number * len(values) + draws.whole(name, len(values))
+            number = number * len(values) + draws.integers(name, len(values))
         return number
 
     def of(self, setting: str, draws: Draws) -> Tensor:

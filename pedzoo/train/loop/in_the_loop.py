@@ -134,7 +134,7 @@ class LoopModule(ForecastModule):
         noise = self.walker.noise_of(seen)
         segment = unrolled(active.env, self.walker, seen, self.steps)
         active.end(segment.done)
-        for name in ("touched", "grazed"):
+        for name in ("agent_contact", "wall_contact"):
             self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
         terms = self.walking(segment, active.env.bank, noise, self.firmness())
         for name, (function, weight) in self.losses.items():

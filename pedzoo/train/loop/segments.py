@@ -30,8 +30,8 @@ class Segment(NamedTuple):
         goal: Their short-term goals (T, B, A, 2), metres.
         present: Who is there when a decision is made (T, B, A) bool.
         moved: Whom the policy moves then (T, B, A) bool.
-        touched: Who touches a person in the step (T, B, A) bool.
-        grazed: Who touches a wall in it (T, B, A) bool.
+        agent_contact: Which agents touch another in the step (T, B, A) bool.
+        wall_contact: Which agents touch a wall in it (T, B, A) bool.
         done: Scenes that are over at the end (B,) bool.
         map_id: Floor plans (B,) long.
         pose: Scene poses (B, 4).
@@ -47,8 +47,8 @@ class Segment(NamedTuple):
     goal: Tensor
     present: Tensor
     moved: Tensor
-    touched: Tensor
-    grazed: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
     done: Tensor
     map_id: Tensor
     pose: Tensor
@@ -74,10 +74,10 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         before = agents["history"][:, :, -1:]
         after = env.step(policy(seen))["next"]
         info = after["agents", "info"]
-        touched, grazed = info["agent_contact"].any(-1), info["wall_contact"].any(-1)
+        agent_contact, wall_contact = info["agent_contact"].any(-1), info["wall_contact"].any(-1)
         moved = there & agents["controlled"]
         reward = after["agents", "reward"][..., 0]
-        progress = torch.where(moved, reward + CONTACT_COST * (touched | grazed), 0.0)
+        progress = torch.where(moved, reward + CONTACT_COST * (agent_contact | wall_contact), 0.0)
         result.append(
             (
                 torch.cat((before, info["trace"]), 2),
@@ -90,8 +90,8 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
                 agents["goal"],
                 there,
                 moved,
-                touched & moved,
-                grazed & moved,
+                agent_contact & moved,
+                wall_contact & moved,
             )
         )
         over = over | after["done"][:, 0]

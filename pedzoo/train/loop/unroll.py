@@ -119,18 +119,21 @@ class _Windows(NamedTuple):
         path = torch.lerp(state.position.unsqueeze(2), end.unsqueeze(2), part.view(-1, 1).to(end))
         return path.unflatten(2, (points, substeps))
 
-    def cue(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
+    def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
         """Take away people who are not seen in the next step."""
         steps = self.there.shape[2:]
         still = self.there.gather(2, self._step(after.clock, steps))[..., 0]
         mask = after.mask & still
-        known = (after.known + points).clamp_max(PAST_LEN)
+        seen = (after.observed_points + points).clamp_max(PAST_LEN)
         after = after._replace(
-            mask=mask, controlled=after.controlled & mask, person=after.person.where(mask, -1), known=known
+            mask=mask,
+            controlled=after.controlled & mask,
+            person=after.person.where(mask, -1),
+            observed_points=seen,
         )
         return after, torch.zeros_like(mask)
 
-    def over(self, state: State) -> Tensor:
+    def ended(self, state: State) -> Tensor:
         """Return the scenes that have ended (B,) bool: none before the windows do."""
         return torch.zeros_like(state.failed)
 

@@ -73,7 +73,7 @@ class Critic(TensorDictModuleBase):
         history, speed = crowd.pack(agents["history"]), crowd.pack(agents["pref_speed"])
         position, moved = history[:, -1], history.diff(dim=1)
         goal = crowd.pack(agents["goal"]) - position
-        way = crowd.pack(agents["info", "way"]).unsqueeze(-1)
+        way = crowd.pack(agents["info", "remaining_path"]).unsqueeze(-1)
         frame = frames.heading(moved, goal)
         vectors = torch.stack(
             (crowd.pack(agents["velocity"]), crowd.pack(agents["desired_velocity"]), goal / 4.0), 1

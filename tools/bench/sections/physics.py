@@ -16,7 +16,7 @@ from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.dynamics import integrate
 from pedzoo.sim.engine import base
-from pedzoo.sim.engine.base import People
+from pedzoo.sim.engine.base import Bodies
 from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.physics.torch import Torch
@@ -54,13 +54,13 @@ class Physics(Section):
                 where = {"size": str(size), "map": grid.name}
                 yield Row("physics", name, where, self._measure(kind(bank), crowds))
 
-    def _measure(self, physics: base.Physics, crowds: list[People]) -> dict[str, Measured]:
+    def _measure(self, physics: base.Physics, crowds: list[Bodies]) -> dict[str, Measured]:
         """Time each question over several crowds of the same size."""
         now = self.settings.clock
         first = seconds_of(lambda: everything(physics, crowds[0]), now)
         paths = iter([walks(physics, people) for people in crowds])
         beams = iter([lidar(people) for people in crowds])
-        questions: dict[str, Callable[[People], object]] = {
+        questions: dict[str, Callable[[Bodies], object]] = {
             "contacts": lambda people: physics.contacts(next(paths), people),
             "distances": physics.distances,
             "rays": lambda people: physics.rays(people, *next(beams)),
@@ -76,15 +76,15 @@ class Physics(Section):
         return found | {"first_use_s": Measured.of([first])}
 
 
-def draw(grid: OccupancyGrid, free: Tensor, size: Size, seed: int) -> People:
+def draw(grid: OccupancyGrid, free: Tensor, size: Size, seed: int) -> Bodies:
     """Return people at random free places."""
     generator = torch.Generator().manual_seed(seed)
     places = free[torch.randint(len(free), tuple(size), generator=generator)]
     mask = torch.ones(tuple(size), dtype=torch.bool)
-    return People(places, mask, torch.full((size.scenes, 1), grid.map_id), identity_pose(size.scenes))
+    return Bodies(places, mask, torch.full((size.scenes, 1), grid.map_id), identity_pose(size.scenes))
 
 
-def walks(physics: base.Physics, people: People) -> Tensor:
+def walks(physics: base.Physics, people: Bodies) -> Tensor:
     """Return where they go in a decision (B, A, S, M, 2)."""
     angle = torch.rand(people.mask.shape, generator=torch.Generator().manual_seed(0)) * 2 * math.pi
     velocity = SPEED * torch.stack((angle.cos(), angle.sin()), dim=-1)
@@ -96,7 +96,7 @@ def walks(physics: base.Physics, people: People) -> Tensor:
     return path.permute(2, 3, 1, 0).unflatten(2, (TRACE, STEPS))
 
 
-def lidar(people: People) -> tuple[Tensor, Tensor]:
+def lidar(people: Bodies) -> tuple[Tensor, Tensor]:
     """Return origins and directions (B, A * 128, 2) of a full turn around every agent."""
     angle = torch.arange(RAYS) * (2 * math.pi / RAYS)
     scenes, slots = people.mask.shape
@@ -104,7 +104,7 @@ def lidar(people: People) -> tuple[Tensor, Tensor]:
     return people.position.repeat_interleave(RAYS, dim=1), direction
 
 
-def everything(physics: base.Physics, people: People) -> None:
+def everything(physics: base.Physics, people: Bodies) -> None:
     """Ask each question once: builds what the physics builds at first use."""
     physics.contacts(walks(physics, people), people)
     physics.distances(people)

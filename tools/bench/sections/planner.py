@@ -90,8 +90,8 @@ class Planner(Section):
         which = torch.from_numpy(draws.integers(0, len(goals), QUERIES))
         points = torch.from_numpy(graph.xy[people]).float()
         about = ids[which], torch.full((QUERIES,), grid.map_id), identity_pose(QUERIES)
-        ours.look(points, *about)
-        look = [seconds_of(lambda: ours.look(points, *about), now) for _ in range(50)]
+        ours.next_waypoints(points, *about)
+        look = [seconds_of(lambda: ours.next_waypoints(points, *about), now) for _ in range(50)]
         scaled = [second * QUERIES for second in sample]  # theirs of iGibson's heuristic, for as many queries
         row = Row("planner", f"{QUERIES} queries", where, versus(look, scaled, "networkx"))
         note = "networkx scaled up from the first queries"
@@ -121,7 +121,7 @@ class Planner(Section):
         xy = ours.graph(0).xy
         ids = ids[[int(np.flatnonzero(goals == end)[0]) for end in ends]]
         about = ids, torch.full((len(ids),), ours.bank.grids[0].map_id), identity_pose(len(ids))
-        field = ours.look(torch.from_numpy(xy[starts]).float(), *about).distance.numpy()
+        field = ours.next_waypoints(torch.from_numpy(xy[starts]).float(), *about).distance.numpy()
         pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
         ways = [np.vstack((xy[a], ours.path(xy[a], xy[b], 0))) for a, b in pairs]
         path = np.array([np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in ways])

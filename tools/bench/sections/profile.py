@@ -142,8 +142,8 @@ def parts_timed(split: Split, env: PedestrianEnv) -> Iterator[None]:
     """Time the parts of an environment's steps within the block."""
     planner = env.scenario.planner
     calls = (
-        (PLANNER, planner, "guide_scenes"),
-        (PLANNER, planner, "look"),
+        (PLANNER, planner, "guidance"),
+        (PLANNER, planner, "next_waypoints"),
         (WALKING, env.physics, "advance"),
         (RESETS, env, "_reset"),
     )

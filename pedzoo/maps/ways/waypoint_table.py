@@ -1,4 +1,4 @@
-"""The planner's look-up tables: fields of all goals on all floor plans as flat tensors, read by gathers."""
+"""The planner's look-up table: fields of all goals on all floor plans as flat tensors, read by gathers."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Goal(NamedTuple):
     """Number of the open cell that it is in, -1 without a map."""
 
 
-class Found(NamedTuple):
-    """What the tables say about P people, in the map's frame; x and y are rows."""
+class WaypointLookup(NamedTuple):
+    """Where the ways of P people lead, in the map's frame; x and y are rows."""
 
     waypoint: Tensor
     """The next waypoint (2, P)."""
@@ -45,7 +45,7 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
+class WaypointTable:
     """All fields, goals and cells. Maps are rows 1 to R, goals rows 1 to G; row 0 is "none" of both.
 
     A field is a run of one entry per open cell of its map and a last one of the goal itself.
@@ -73,19 +73,19 @@ class Tables:
     length: Tensor
 
     @classmethod
-    def build(cls, maps: Sequence[OpenGraph | None], clearance: float) -> Tables:
-        """Return the tables of maps without goals.
+    def build(cls, maps: Sequence[OpenGraph | None], clearance: float) -> WaypointTable:
+        """Return the table of maps without goals.
 
         Args:
-            maps: Open cells of each map of the bank; None where nobody has a goal.
+            maps: Open cells of each map of the bank; None for maps without goals.
             clearance: Metres that ways keep from walls.
         """
-        # "no map" is a single cell that everybody is in
+        # "no map" is a single cell
         to_cell, begin = [np.zeros(9)], [(1, 0, 0)]
         nearest, places, cells, opens = [np.zeros(1, np.int32)], [np.zeros((1, 2))], 1, 1
         for graph in maps:
             begin.append((graph.shape[1] if graph else 1, cells, opens))
-            if graph is None:  # nobody has a goal there: like no map
+            if graph is None:  # without goals: like no map
                 to_cell.append(to_cell[0])
                 begin[-1] = begin[0]
                 continue
@@ -107,8 +107,10 @@ class Tables:
             length=torch.zeros(1),
         )
 
-    def with_goals(self, goals: Sequence[Goal], fields: Sequence[Fields], which: Sequence[int]) -> Tables:
-        """Return the tables with more goals.
+    def with_goals(
+        self, goals: Sequence[Goal], fields: Sequence[Fields], which: Sequence[int]
+    ) -> WaypointTable:
+        """Return the table with more goals.
 
         Args:
             goals: The goals.
@@ -133,10 +135,10 @@ class Tables:
             length=torch.cat((self.length, *lengths)),
         )
 
-    def with_maps(self, maps: Sequence[OpenGraph | None], clearance: float) -> Tables:
-        """Return the tables with these maps and the same goals."""
+    def with_maps(self, maps: Sequence[OpenGraph | None], clearance: float) -> WaypointTable:
+        """Return the table with these maps and the same goals."""
         count = self.goal.shape[1] - 1
-        built = Tables.build(maps, clearance).to(self.waypoint.device)
+        built = WaypointTable.build(maps, clearance).to(self.waypoint.device)
         return replace(
             built,
             x=torch.cat((built.x, self.x[len(self.x) - count :])),
@@ -146,18 +148,18 @@ class Tables:
             length=self.length,
         )
 
-    def to(self, device: torch.device) -> Tables:
-        """Return the tables on a device: themselves where they are there already."""
+    def to(self, device: torch.device) -> WaypointTable:
+        """Return the table on a device: itself where it is there already."""
         if self.waypoint.device == device:
             return self
-        return Tables(**{part.name: getattr(self, part.name).to(device) for part in fields(self)})
+        return WaypointTable(**{part.name: getattr(self, part.name).to(device) for part in fields(self)})
 
     @cached_property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """All parts as arrays, for compiled loops."""
         return tuple(getattr(self, part.name).numpy() for part in fields(self))
 
-    def look(self, points: Tensor, goal: Tensor, row: Tensor) -> Found:
+    def lookup(self, points: Tensor, goal: Tensor, row: Tensor) -> WaypointLookup:
         """Return where the ways of people at map-frame ``points`` lead.
 
         Args:
@@ -168,7 +170,7 @@ class Tables:
         """
         # index_select is several times faster than indexing with a tensor
         start, count, of_map = self.goal.index_select(1, goal + 1)
-        someone = goal >= 0
+        has_goal = goal >= 0
         number = row + 1
         width, cells, opens = self.begin.index_select(1, number)
         a, b, c, d, e, f, last_column, last_row, reach = self.to_cell.index_select(1, number)
@@ -179,7 +181,7 @@ class Tables:
         cell = self.nearest.index_select(0, line * width + column + cells)
 
         # without a goal there is a single entry, whatever the cell
-        first = self.waypoint.index_select(0, start + cell * someone)
+        first = self.waypoint.index_select(0, start + cell * has_goal)
         entry = start + first
         second, onward = self.waypoint.index_select(0, entry), self.length.index_select(0, entry)
         is_first, is_last = first == count, second == count
@@ -199,7 +201,7 @@ class Tables:
         is_last = torch.where(away, is_first, is_last)
         after = torch.where(away, waypoint, after)
         waypoint = torch.where(away, nearest, waypoint)
-        return Found(waypoint, after, end, onward, is_last)
+        return WaypointLookup(waypoint, after, end, onward, is_last)
 
     def check(self, goal: Tensor, row: Tensor) -> None:
         """Check that goals (P,) are of the maps ``row`` (P,) of the agents that have them.

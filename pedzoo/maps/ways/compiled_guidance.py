@@ -8,12 +8,12 @@ from torch import Tensor
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.ways.carrot import BODY_CLEARANCE
 from pedzoo.maps.ways.guidance import EPSILON, Guidance
-from pedzoo.maps.ways.tables import Tables
+from pedzoo.maps.ways.waypoint_table import WaypointTable
 
 
-def guide_compiled(
+def guidance_compiled(
     bank: MapBank,
-    tables: Tables,
+    table: WaypointTable,
     points: Tensor,
     goal_id: Tensor,
     row: Tensor,
@@ -21,17 +21,17 @@ def guide_compiled(
     pref_speed: Tensor,
     seconds: float,
 ) -> Guidance:
-    """Return what `Planner.guide_scenes` does."""
-    from pedzoo.maps.walls.compiled import guide
+    """Return what `Planner.guidance` does."""
+    from pedzoo.maps.walls.compiled import guidance_loop
 
     carrot, desired, waypoint, goal = (torch.empty(*goal_id.shape, 2) for _ in range(4))
     made = Guidance(carrot, desired, waypoint, goal, torch.empty(goal_id.shape))
     given = (points.float(), goal_id, row, pose.float(), pref_speed.float())
-    guide(
+    guidance_loop(
         *(value.detach().numpy() for value in given),
         seconds,
         BODY_CLEARANCE,
-        *tables.arrays,
+        *table.arrays,
         *bank.walls.map_arrays,
         *(value.numpy() for value in made),
     )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pedzoo.maps.walls.boxes import merge_cells
 
-CONTENDERS = 4
+CANDIDATES = 4
 """Boxes that are compared. More than these contend in a few places of a million: the nearest are kept."""
 
 FAR = 1e9
@@ -30,12 +30,12 @@ FAR = 1e9
 _CHUNK = 1 << 16
 
 
-class Contenders(NamedTuple):
+class NearestBoxes(NamedTuple):
     """What a map's cells (H, W) come to.
 
     Attributes:
         box: Boxes of wall and of free space (M, 4) float64: x0, y0, x1, y1 in cells.
-        sets: Boxes that contend with one another (S, CONTENDERS), repeated where they are fewer.
+        sets: Boxes that contend with one another (S, CANDIDATES), repeated where they are fewer.
         choice: For each quarter of a cell (2H, 2W) a box, or M plus a set; boxes are walls for free places
             and free space for walls.
         sign: Plus one for each box of wall and minus one for each of free space (M,).
@@ -50,7 +50,7 @@ class Contenders(NamedTuple):
     least: NDArray[np.float32]
 
 
-def contenders(walls: NDArray[np.bool_]) -> Contenders:
+def nearest_boxes(walls: NDArray[np.bool_]) -> NearestBoxes:
     """Return the boxes of walls and free space, and which can be the nearest of the other kind where."""
     parts, choices, sets = [], np.zeros([2 * size for size in walls.shape], dtype=np.int64), []
     mixed_places, signs, least = [], [], np.empty(choices.shape, dtype=np.float32)
@@ -75,9 +75,9 @@ def contenders(walls: NDArray[np.bool_]) -> Contenders:
         count += len(parts[-1])
     row, column = (np.concatenate(axis) for axis in zip(*mixed_places, strict=True))
     choices[row, column] = count + np.arange(len(row))
-    return Contenders(
+    return NearestBoxes(
         np.concatenate(parts).astype(np.float64),
-        np.concatenate([np.zeros((0, CONTENDERS), dtype=np.int64), *sets]),
+        np.concatenate([np.zeros((0, CANDIDATES), dtype=np.int64), *sets]),
         choices,
         np.concatenate(signs),
         least,
@@ -109,8 +109,8 @@ def _gaps(label: NDArray[np.int64], box: NDArray[np.float64]) -> NDArray[np.floa
 def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
     """Return the least signed distance in each quarter of those at its corners.
 
-    Distances to boxes are least at a corner. How deep somebody is inside a wall is not: nobody is deeper
-    than at the deepest corner and half a quarter's diagonal.
+    Distances to boxes are least at a corner. Depths inside walls are not: a place is at
+    most half a quarter's diagonal deeper than its deepest corner.
     """
     corners = np.stack((gap[:-1, :-1], gap[:-1, 1:], gap[1:, :-1], gap[1:, 1:]))
     return corners.min(0) if sign > 0 else -corners.max(0) - np.float32(math.sqrt(0.125))
@@ -119,12 +119,12 @@ def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
 def _unbeaten(
     near: NDArray[np.int64], box: NDArray[np.int64], row: NDArray[np.int64], column: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return the boxes (N, CONTENDERS) among ``near`` (N, 16) that no other beats all over each place."""
+    """Return the boxes (N, CANDIDATES) among ``near`` (N, 16) that no other beats all over each place."""
     near = np.sort(near, axis=1)
     again = np.diff(near, axis=1, prepend=-1) == 0
     near = np.take_along_axis(near, np.argsort(again, axis=1, kind="stable"), axis=1)
     number = near.shape[1] - again.sum(axis=1)
-    result = np.empty((len(near), CONTENDERS), dtype=np.int64)
+    result = np.empty((len(near), CANDIDATES), dtype=np.int64)
     done = 0
     for width in (2, 4, 8, 16):  # most places have few different boxes around: no work for sixteen there
         rows = np.nonzero((number > done) & (number <= width))[0]
@@ -146,9 +146,9 @@ def _unbeaten(
             # of equal boxes the first stays
             keep &= ~(as_near & (~equal | (best[:, None] < np.arange(width))))
         order = np.argsort(np.where(keep, corner.sum(axis=2), np.iinfo(np.int64).max), axis=1)
-        order = order[:, :CONTENDERS]
+        order = order[:, :CANDIDATES]
         kept = np.take_along_axis(keep, order, axis=1)
         chosen = np.take_along_axis(some, order, axis=1)
         chosen = np.where(kept, chosen, chosen[:, :1])
-        result[rows] = chosen[:, np.minimum(np.arange(CONTENDERS), width - 1)]
+        result[rows] = chosen[:, np.minimum(np.arange(CANDIDATES), width - 1)]
     return result
