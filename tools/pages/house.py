@@ -69,9 +69,8 @@ def main(argv: list[str] | None = None) -> int:
     if options.check:
         drawn = json.loads(PAGE.read_text()) if PAGE.is_file() else {}
         wrong = differences(drawn, house)
-        for line in wrong:
-            print(line)
         if wrong:
+            print(*wrong, sep="\n")
             print("docs/architecture.png is out of date: run python tools/pages/house.py, and commit docs/")
         return 1 if wrong else 0
     PAGE.parent.mkdir(exist_ok=True)
@@ -120,12 +119,10 @@ def imported(file: Path) -> set[str]:
     """Return the packages of pedzoo that a file imports when it runs, wherever in it the import stands."""
     found = set()
     for node in _running(ast.parse(file.read_text())):
-        modules = []
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            modules = [f"{node.module}.{alias.name}" for alias in node.names]
-        parts = [module.split(".") for module in modules]
+        parts = []
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            before = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            parts = [f"{before}{alias.name}".split(".") for alias in node.names]
         found |= {part[1] for part in parts if part[0] == "pedzoo" and len(part) > 1}
     return found
 
@@ -166,7 +163,7 @@ def differences(drawn: dict[str, Any], now: dict[str, Any]) -> list[str]:
         return ["there is no docs/architecture.json"]
     old, new = drawn["packages"], now["packages"]
     lines = [] if list(old) == list(new) else [f"packages: drawn {list(old)}, now {list(new)}"]
-    for name in old.keys() & new.keys():
+    for name in (name for name in new if name in old):
         was, said = old[name]["files"], new[name]["files"]
         if abs(said - was) > max(FEW, was // 5):
             lines.append(f"{name}: drawn with {was} files, now {said}")
@@ -199,10 +196,9 @@ def picture(house: dict[str, Any]) -> bytes:
     _roof(axes, bottom - GAP)
     for importer, used in house["arrows"]:
         _arrow(axes, places[importer], places[used])
-    stairs = {(numbers[a], numbers[b]) for a, b in house["arrows"]} == {
-        (number + 1, number) for number in range(1, len(numbers))
-    }
-    left = f"What is left is one stair from {len(numbers)} to 1: a" if stairs else "A"
+    stairs = sorted(numbers[a] for a, b in house["arrows"] if numbers[a] == numbers[b] + 1)
+    alone = stairs == list(range(2, len(numbers) + 1)) and len(stairs) == len(house["arrows"])
+    left = f"What is left is one stair from {len(numbers)} to 1: a" if alone else "A"
     caption = (
         "An arrow points to what a package imports. Arrows that others imply are left out (transitive "
         f"reduction).\n{left} package may import every package with a smaller number."
