@@ -1,1 +1,1 @@
-"""Tables and pictures of models on data."""
+"""Tables of models and policies: forecasts, rollouts, suites of cases, intervals, pages."""

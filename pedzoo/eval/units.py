@@ -18,7 +18,7 @@ from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd import parts
 
 _MATTER = (".py", ".csv", ".yaml", ".png")
-_NO_MATTER = ("cli", "train", "configs")
+_NO_MATTER = ("cli", "train", "viz", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 

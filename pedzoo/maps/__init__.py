@@ -1,1 +1,1 @@
-"""Floor plans: occupancy grids, distance fields and the bank that models and worlds share."""
+"""Floor plans: files, occupancy grids, procedural plans, walls, and the planner of ways to goals."""

@@ -1,1 +1,1 @@
-"""Forecasters: shared blocks, one file per architecture, and the zoo that loads them by name."""
+"""Forecasters: shared blocks, one file per architecture, the zoo that loads them by name, and export."""

@@ -1,1 +1,1 @@
-"""Everything that turns a scene into velocities."""
+"""Everything that turns a scene into velocities: forecasters that walk, ORCA, social force, mixed crowds."""

@@ -1,1 +1,1 @@
-"""The environment and the controller: kernel, physics, scenarios, policies and teams."""
+"""The environment in which policies walk: kernel, physics backends, scenarios, replay of recorded people."""

@@ -1,1 +1,1 @@
-"""LightningModules and callbacks: how the models of the zoo are trained."""
+"""How models are trained: LightningModules, losses in the loop, PPO, validation in the loop."""

@@ -1,1 +1,1 @@
-"""Plots, trajectories, videos."""
+"""Pictures: plots, trajectories, videos, floor plans."""
