@@ -47,7 +47,7 @@ COLUMNS = {
     "orca:radius=0.3": ["orca:radius=0.3"],
     "social_force:preset=indoor": ["social_force:preset=indoor"],
 }
-"""Columns of the README, and those of LOOP.md of which they show the least and the most."""
+"""Columns of the README, and those of LOOP.md of which they show the least and the most, if any."""
 
 INTRODUCTION = """
 zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many trainings ±
@@ -97,13 +97,15 @@ def in_the_loop() -> str:
     page = (ROOT / "checkpoints" / "results" / "LOOP.md").read_text()
     lines = page.partition("## Targets\n")[2].partition("\n## ")[0].strip().splitlines()
     head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    columns = {column: [name for name in names if name in head] for column, names in COLUMNS.items()}
+    columns = {column: names for column, names in columns.items() if names}
     told = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
     seen = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
-    text = f"\n| | {' | '.join(f'`{name}`' for name in COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}\n"
+    text = f"\n| | {' | '.join(f'`{name}`' for name in columns)} |\n|---|{'---|' * len(columns)}\n"
     for key, label in SHOWN.items():
         recorded = key[0].startswith("replay")
         cells = []
-        for names in COLUMNS.values():
+        for names in columns.values():
             fresh = [name for name in names if name not in seen] if recorded else names
             cells.append(_span([told[key][name] for name in fresh or names]) + "*" * (not fresh))
         text += f"| {label} | {' | '.join(cells)} |\n"
