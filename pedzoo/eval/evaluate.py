@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core import renamed
+from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.results import Shown
@@ -19,7 +20,6 @@ from pedzoo.eval.workers.journal import Journal, Rows
 from pedzoo.eval.workers.pool import Backend, finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter
 from pedzoo.policies.load import load_policy
-from pedzoo.sim.env import usable
 from pedzoo.sim.make import physics_class
 
 SUITE_NAMES = ("door", "goals", "encounters", "replay")

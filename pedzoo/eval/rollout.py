@@ -11,13 +11,14 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from pedzoo.core import renamed
+from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
-from pedzoo.sim.env import PedestrianEnv, usable
+from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenes.scenario import Scenario

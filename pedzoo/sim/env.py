@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from pedzoo.core.batch import agents_of
+from pedzoo.core.devices import usable
 from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
@@ -51,23 +52,6 @@ class _Scenes(NamedTuple):
         pairs = zip(self.guidance, other.guidance, strict=True)
         guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
         return _Scenes(self.state.with_scenes(index, other.state), guidance)
-
-
-def usable(device: torch.device | str) -> torch.device:
-    """Return the device.
-
-    Raises:
-        UserError: There is no such device here.
-    """
-    try:
-        device = torch.device(device)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as error:  # torch without CUDA asserts
-        reason = str(error).partition("\n")[0]
-        raise UserError(
-            f"device {str(device)!r} cannot be used here ({reason}): expected cpu, cuda, cuda:1, ..."
-        ) from error
-    return device
 
 
 class PedestrianEnv(EnvBase):
