@@ -153,7 +153,7 @@ def test_lists_need_no_brackets(typed, wanted):
         ("data: {batchsize: 4}", "unknown option --data.batchsize: did you mean --data.batch_size?"),
         ("model: {init_args: {generator: {init_args: {goal_dims: 3}}}}", "--model.generator.goal_dim?"),
         ("data: {batch_size: many}", "--data.batch_size: expected int, not 'many'"),
-        ("data: [", "Problems parsing config"),
+        ("data: [", "config 'own.yaml' is no YAML: while parsing"),
     ],
 )
 def test_misspelt_keys_in_a_config_are_refused(yaml, expected, capsys, elsewhere):

@@ -344,7 +344,7 @@ def test_alexnet_of_another_size_is_not_read_to_its_end(
 
 def test_a_shipped_model_is_there_already(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["download", "sgan_goal.zara1"]) == 0
-    assert capsys.readouterr().out.endswith("sgan_goal.zara1.safetensors\n")
+    assert capsys.readouterr().out.endswith("sgan_goal.zara1/weights.safetensors\n")
     assert not site.asked
 
 

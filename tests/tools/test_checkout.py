@@ -10,6 +10,7 @@ from pedzoo.cli import checkout
 from pedzoo.cli.main import main, overview
 from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.core.registry import SUITES, Registry, folder_of
+from pedzoo.core.renamed import new_keys
 from pedzoo.eval.card_reports import about
 from pedzoo.models.zoo.card import read_card
 
@@ -41,5 +42,5 @@ def test_cards_name_no_suite_of_a_checkout() -> None:
     package = {path.stem for path in folder_of("pedzoo.eval.suites").glob("*.py")}
     for name in weight_files():
         for report in read_card(shipped("checkpoints") / name / CARD).evaluations:
-            suites = report["protocol"].get("suites", [])
+            suites = new_keys(report["protocol"]).get("suites", [])
             assert package >= set(suites), f"{name}: {about(report['protocol'])}"
