@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,6 @@ from answering import Case, Step, serve  # pyright: ignore[reportMissingImports]
 import pedzoo
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.library import load_plan
-from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env
 
 SCENARIO = "goals:map=apartment.7,people={people}"
@@ -56,6 +54,10 @@ OBSERVED, CALLS = 8, 20
 """Calls that fill the controller's histories, and calls that are timed before people are put back."""
 
 KERNELS = ("pedzoo.kernel", "pedzoo.sim.kernel")
+POLICIES = ("pedzoo.policies.load", "pedzoo.sim.policy")
+REGISTRIES = ("pedzoo.core.registry", "pedzoo.registry")
+"""Where a module is in one checkout or the other."""
+
 UNBATCHED = ("base", "bullet")
 
 
@@ -88,7 +90,7 @@ def variants() -> tuple[str, ...]:
     """Return the physics that the bare environment is measured with in this checkout."""
     if "physics" not in inspect.signature(make_env).parameters:
         return ("grid",)
-    registry = getattr(import_module("pedzoo.core.registry"), "PHYSICS", None)
+    registry = getattr(one_of(REGISTRIES), "PHYSICS", None)
     names = registry.names() if registry is not None else ("torch", "compiled")
     plain = ("kernel.step",) if kernel() else ()
     return (*(name for name in names if name not in UNBATCHED), *plain)
@@ -96,8 +98,20 @@ def variants() -> tuple[str, ...]:
 
 def kernel() -> Any:
     """Return the module of `kernel.step`; None where there is none."""
-    found = [name for name in KERNELS if find_spec(name)]
-    return import_module(found[0]) if found else None
+    return one_of(KERNELS)
+
+
+def one_of(names: Sequence[str]) -> Any:
+    """Return the first of these modules that this checkout has; None if it has none."""
+    for name in names:
+        try:
+            return import_module(name)
+        except ModuleNotFoundError:
+            continue
+    return None
+
+
+load_policy = one_of(POLICIES).load_policy
 
 
 class Walk:
