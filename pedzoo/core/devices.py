@@ -1,8 +1,9 @@
-"""Devices by name."""
+"""Devices by name, and what compiled loops take."""
 
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from pedzoo.core.errors import UserError
 
@@ -22,3 +23,8 @@ def usable(device: torch.device | str) -> torch.device:
             f"device {str(device)!r} cannot be used here ({reason}): expected cpu, cuda, cuda:1, ..."
         ) from error
     return device
+
+
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether compiled loops may take these: float32 on the CPU."""
+    return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)

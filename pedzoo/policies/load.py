@@ -31,9 +31,8 @@ def load_policy(name: str) -> Policy | Walker:
     if is_crowd(name):
         return Teams(crowd_of(name))
     spec = parse(name)
-    if spec.name in POLICIES.names():
-        return build(POLICIES, name, Policy)
-    if ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy):
+    own = ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy)
+    if own or spec.name in POLICIES.names():
         return build(POLICIES, name, Policy)
     if not (is_file(spec.name) or spec.name in MODELS.names() or find(spec.name)):
         raise unknown("policy", spec.name, list_policies())

@@ -176,9 +176,7 @@ class PedestrianEnv(EnvBase):
         after = self._step(tensordict)
         ended = after["done"]
         if bool(ended.any()):
-            now = self._reset(TensorDict({"_reset": ended}, self.batch_size, device=self.device))
-            for name in ("done", "terminated", "truncated"):
-                now.set(name, torch.zeros_like(ended))
+            now = self.reset(TensorDict({"_reset": ended}, self.batch_size, device=self.device))
         else:
             now = after.copy()
             agents_of(now).pop("reward")

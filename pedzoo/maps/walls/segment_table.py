@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.walls.constants import BUCKET, ROUNDED
 from pedzoo.maps.walls.outlines import outlines, without_hollows
@@ -161,7 +162,7 @@ class SegmentTable:
             The numbers of the segments (K, N) long, and which of the K there are (K, N), 1 or 0; the others
             are `NOWHERE`.
         """
-        if place.device.type == "cpu" and place.dtype == torch.float32:
+        if compiles(place):
             from pedzoo.maps.walls.compiled_walls import nearest
 
             number = torch.full((self.most, len(row)), self.segments.shape[1] - 1)

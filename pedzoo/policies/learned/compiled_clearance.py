@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.learned.clearance import MARGIN, NARROW, ROUNDING, ROUNDS, SHOULDERS, ProposedSteps
@@ -17,16 +18,11 @@ _NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
 _NO_RECORD = np.zeros((0, 0, 0, 7))
 
 
-def compiles(steps: ProposedSteps) -> bool:
-    """Return whether the compiled loops may take these: float32 on the CPU.
-
-    Top speeds and radii have gradients in torch only.
-    """
+def loops_take(steps: ProposedSteps) -> bool:
+    """Return whether the compiled loops may take these: top speeds and radii have gradients in torch only."""
     numbers = [part for part in steps if part is not None and part.is_floating_point()]
     constants = torch.is_grad_enabled() and (steps.longest.requires_grad or steps.radius.requires_grad)
-    return not constants and all(
-        part.device.type == "cpu" and part.dtype == torch.float32 for part in numbers
-    )
+    return not constants and compiles(*numbers)
 
 
 def kept_clear_compiled(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:

@@ -19,7 +19,7 @@ from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.learned.clearance import NARROW, ROUNDS, PairConstraints, ProposedSteps, WallConstraints
-from pedzoo.policies.learned.compiled_clearance import compiles, kept_clear_compiled
+from pedzoo.policies.learned.compiled_clearance import kept_clear_compiled, loops_take
 from pedzoo.policies.learned.yielding import yielding
 
 WAITED = 0.4
@@ -41,7 +41,7 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
         steps: What is asked for.
         walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
     """
-    return kept_clear_compiled(steps, walls) if compiles(steps) else kept_clear_in_torch(steps, walls)
+    return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
 
 
 def safe(batch: TensorDictBase, step: Tensor) -> Tensor:

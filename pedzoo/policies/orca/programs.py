@@ -18,6 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.policies.orca.vectors import above, at_least, at_most, pick
 
 EPSILON = 1e-5
@@ -39,8 +40,7 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
         preferred: Preferred velocities (2, N), m/s.
         max_speed: Top speeds (N,), m/s.
     """
-    given = lines, preferred, max_speed
-    if all(part.device.type == "cpu" and part.dtype == torch.float32 for part in given):
+    if compiles(lines, preferred, max_speed):
         from pedzoo.policies.orca.compiled_programs import compiled_solve
 
         result = torch.empty_like(preferred)

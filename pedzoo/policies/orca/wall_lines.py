@@ -13,6 +13,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.maps.walls.segments import Segments
 from pedzoo.policies.orca.programs import EPSILON
 from pedzoo.policies.orca.settings import OrcaSettings
@@ -37,7 +38,7 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
         settings: Horizon and how many segments are heeded.
     """
     walls = walls.nearest(settings.max_obstacles)
-    if velocity.device.type == "cpu" and velocity.dtype == torch.float32:
+    if compiles(velocity):
         from pedzoo.policies.orca.compiled_lines import compiled_lines
 
         lines = torch.zeros(4, *walls.along.shape)

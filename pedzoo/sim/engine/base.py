@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
 from pedzoo.core.types import BODY_RADIUS
@@ -18,7 +19,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.engine.camera import Camera
-from pedzoo.sim.engine.compiled import advance_compiled, compiles
+from pedzoo.sim.engine.compiled import advance_compiled
 from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
 from pedzoo.sim.state import State
 

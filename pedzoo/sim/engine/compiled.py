@@ -16,12 +16,7 @@ from pedzoo.sim.state import State
 
 _NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
 _NO_SLOPES = np.zeros((0, 0, 0, 8), np.float32)
-NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
-
-
-def compiles(*tensors: Tensor) -> bool:
-    """Return whether the compiled loops may take these: float32 on the CPU."""
-    return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
+_NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
 
 
 def advance_compiled(bank: MapBank, state: State, inputs: MotionInput, paths: Tensor | None = None) -> Motion:
@@ -103,12 +98,23 @@ def _run(
         value.detach().numpy()
         for value in (position, velocity, radius, present, moving, played, goal, wanted)
     ]
-    frames, places = (part.numpy() for part in walls) if bank.grids else NO_FRAMES
     advance(
-        *arrays, GOAL_RADIUS**2, substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
-        frames, places, *bank.walls.arrays,
+        *arrays, *integration(bank, walls, substeps),
         trace.numpy(), agent.numpy(), wall.numpy(), reached.numpy(),
         _NO_PATHS if paths is None else paths.numpy(),
         _NO_SLOPES if slopes is None else slopes.numpy(),
     )  # fmt: skip
     return Motion(trace, agent, wall, reached)
+
+
+def integration(bank: MapBank, walls: tuple[Tensor, Tensor], substeps: int) -> tuple[Any, ...]:
+    """Return what loops need to integrate paths: numbers, the walls as scenes see them, and their tables.
+
+    Args:
+        bank: The floor plans.
+        walls: Frames (B, 7) and places (B, 3) of `LocalWalls`, in rows.
+        substeps: M, sub-steps of every 0.1 s.
+    """
+    frames, places = (part.numpy() for part in walls) if bank.grids else _NO_FRAMES
+    numbers = substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS
+    return GOAL_RADIUS**2, *numbers, frames, places, *bank.walls.arrays

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.core.kinematics import TURNS_FROM
-from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.ways.guidance import Guidance
 from pedzoo.sim.arrival import LEAST_SECONDS, WAYS
-from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
-from pedzoo.sim.engine.compiled import NO_FRAMES, compiles
+from pedzoo.sim.engine.compiled import integration
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.state import State
 
@@ -46,19 +46,17 @@ def step_compiled(
     lengths = torch.empty(4, scenes, agents)
     heading, clock = torch.empty_like(state.heading), torch.empty_like(state.clock)
     failed, ends = torch.empty_like(state.failed), torch.empty(2, scenes, dtype=torch.bool)
-    outputs = tuple(value.numpy() for value in (events, clock, failed, flags, counts))
+    happened, now, bad, marks, numbers = (value.numpy() for value in (events, clock, failed, flags, counts))
     given = (
         commands, state.failed, state.mask, state.controlled, state.goal_id, state.later_goals, state.person,
         state.drawn, state.reached, state.past, state.velocity, state.heading, state.top_speed, state.radius,
         state.goal_point, state.clock, state.deadline, state.stands, state.overdue,
     )  # fmt: skip
-    walls = (state.wall_frame.numpy(), state.wall_place.numpy()) if bank.grids else NO_FRAMES
-    steps = rules.substeps
+    walls = state.wall_frame, state.wall_place
     move(
         *(value.detach().numpy() for value in given), ticks, rules.goals, rules.leave, rules.keep_goal,
-        CLOCK_ROUNDING, TURNS_FROM, GOAL_RADIUS**2,
-        steps, max(1, steps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS,
-        *walls, *bank.walls.arrays, past.numpy(), *outputs, velocity.numpy(), heading.numpy(),
+        CLOCK_ROUNDING, TURNS_FROM, *integration(bank, walls, rules.substeps),
+        past.numpy(), happened, now, bad, marks, numbers, velocity.numpy(), heading.numpy(),
     )  # fmt: skip
     mask, controlled, overdue, *_ = flags.unbind()
     person, goal_id, drawn, count = counts.unbind()
@@ -70,7 +68,7 @@ def step_compiled(
     inputs = guidance.distance, state.remaining_path, state.planned, state.deadline, state.pref_speed
     settle(
         *(value.detach().numpy() for value in inputs),
-        outputs[1], outputs[2], state.mask.numpy(), outputs[0], *outputs[3:],
+        now, bad, state.mask.numpy(), happened, marks, numbers,
         rules.goals, WAYS, LEAST_SECONDS, GOAL_RADIUS, CONTACT_COST,
         lengths.numpy(), ends.numpy(), state.reached.numpy(), reached.numpy(),
     )  # fmt: skip

@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pedzoo.core.devices import compiles
 from pedzoo.sim.engine.base import Bodies
-from pedzoo.sim.engine.compiled import advance_compiled, compiles, contacts_compiled
+from pedzoo.sim.engine.compiled import advance_compiled, contacts_compiled
 from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.state import State
