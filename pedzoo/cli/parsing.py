@@ -14,8 +14,7 @@ from difflib import get_close_matches
 from pydoc import locate
 from typing import Any, get_args, get_origin
 
-import yaml
-from jsonargparse import ArgumentParser, Namespace, get_loader, set_loader
+from jsonargparse import ArgumentParser, Namespace
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
@@ -25,18 +24,6 @@ from pedzoo.core.spec import split, unquoted
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
 
-
-_load_yaml = get_loader("yaml")
-
-
-def _load(text: str) -> Any:
-    """Return what YAML says; a configuration of an earlier version gets today's names of options."""
-    value = _load_yaml(text)
-    is_config = isinstance(value, dict) and not value.keys().isdisjoint(("model", "data"))
-    return renamed.new_config(value, tell=True) if is_config else value
-
-
-set_loader("yaml", _load, (yaml.YAMLError,))
 
 _TRUTH = ("true", "false", "yes", "no", "on", "off")
 

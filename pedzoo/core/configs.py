@@ -10,6 +10,7 @@ import yaml
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
+from pedzoo.core.renamed import new_config
 from pedzoo.core.spec import spelled
 
 BASE = "base"
@@ -20,7 +21,7 @@ _OF_COURSE = ("scenario", "scenes", "share")
 
 
 def load_config(name: str | Path) -> dict[str, Any]:
-    """Return the settings of a config with those of its bases.
+    """Return the settings of a config with those of its bases; options have the names of today.
 
     Args:
         name: A shipped config's name or a file. A base is one of these, or a file beside the config.
@@ -60,6 +61,7 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         raise UserError(
             f"config {str(path)!r}: expected a mapping such as 'model: ...', not {settings!r:.60}"
         )
+    settings = new_config(settings, say_so=True)
     if (base := settings.pop(BASE, None)) is None:
         return settings
     if not isinstance(base, str):

@@ -136,12 +136,12 @@ def new_options(argv: list[str]) -> list[str]:
     return words
 
 
-def new_config(config: Any, tell: bool = False, place: str = "") -> Any:
+def new_config(config: Any, say_so: bool = False, place: str = "") -> Any:
     """Return the configuration of a training with the names of options as they are now.
 
     Args:
         config: Its values, of any kind; what is no mapping is returned as it is.
-        tell: Whether each new name is told.
+        say_so: Whether to say each new name on stderr.
         place: Where these values stand, as keys of `OLD_OPTIONS`.
     """
     if not isinstance(config, dict):
@@ -150,7 +150,7 @@ def new_config(config: Any, tell: bool = False, place: str = "") -> Any:
     for key, value in config.items():
         inner = place if key == "init_args" else f"{place}.{key}".removeprefix(".")
         new = OLD_OPTIONS.get(inner, key) if inner != place else key
-        if new != key and tell:
+        if new != key and say_so:
             say(inner, f"{place}.{new}")
-        values[new] = new_config(value, tell, inner)
+        values[new] = new_config(value, say_so, inner)
     return values

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
@@ -92,7 +91,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
         weights: What `pedzoo.load` accepts.
         config: Name or file.
     """
-    settings = renamed.new_config(load_config(config))
+    settings = load_config(config)
     if not settings.get("weights"):
         return []
     generator = settings["model"]["init_args"]["generator"].get("init_args", {})

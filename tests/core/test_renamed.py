@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 import yaml
-from jsonargparse import get_loader
 
 import pedzoo
 import pedzoo.cli.parsing
 from pedzoo.cli.main import main
 from pedzoo.core import renamed
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
 from pedzoo.eval.card_numbers import compare
@@ -127,7 +127,7 @@ def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str])
     assert len(told) == 3 and told[1] == "pedzoo: --model.keep is now --model.max_segments"
 
 
-def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[str]) -> None:
+def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     old = text = find_config("closed_loop/sgan_goal").read_text()
     for new, before in (
         ("max_segments", "keep"),
@@ -141,5 +141,8 @@ def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[
         old = old.replace(f" {new}:", f" {before}:")
     assert renamed.new_config(yaml.safe_load(old)) == yaml.safe_load(text)
     assert not capsys.readouterr().err
-    assert get_loader("yaml")(old) == get_loader("yaml")(text)
+    (tmp_path / "old.yaml").write_text(old)
+    assert load_config(tmp_path / "old.yaml") == load_config("closed_loop/sgan_goal")
     assert "pedzoo: model.walking.trait is now model.walking.assertiveness\n" in capsys.readouterr().err
+    (tmp_path / "mine.yaml").write_text("base: old.yaml\nmodel: {init_args: {keep: 9}}\n")
+    assert load_config(tmp_path / "mine.yaml")["model"]["init_args"]["max_segments"] == 9
