@@ -36,3 +36,10 @@ def alexnet(shared: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     weights = shared / "weights" / "alexnet_imagenet_features_fp16.safetensors"
     monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
     return weights
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory: an empty folder, so that each test writes runs and files of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -30,11 +30,7 @@ QUICK = [
 QUIET = ["--trainer.enable_progress_bar", "false", "--model.samples", "2", "--model.generator.best_k", "2"]
 
 
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch):
-    """Run every test in an empty directory: configs are found by name and nothing is written but runs."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def refused(capsys, *argv: str) -> str:

@@ -29,10 +29,7 @@ from tools.paper.table2 import Table2, in_steps, steps_per_goal_at_most
 VERSIONS = {"pedzoo": "1", "torch": "2", "commit": "abc"}
 
 
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from typing import Any, cast
 import lightning as L
 import pytest
 import torch
+from helpers.lightning_marks import LIGHTNING_MARKS
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch import Tensor, nn
 
@@ -41,17 +42,9 @@ SUCCESS = "rollout/door/success"
 BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
-    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+    pytest.mark.usefixtures("elsewhere"),
+    *LIGHTNING_MARKS,
 ]
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Every test writes its runs into a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def measured(run: Path, name: str = SUCCESS) -> list[dict[str, str]]:

@@ -25,11 +25,7 @@ STILL = ["--model.lr", "0"]
 """Nothing is learnt: what a training ends with is what it began with."""
 
 
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Every test writes its runs into a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def fit(*options: str) -> Path:

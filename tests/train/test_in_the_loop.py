@@ -14,6 +14,7 @@ import lightning as L
 import pytest
 import torch
 import yaml
+from helpers.lightning_marks import LIGHTNING_MARKS
 from helpers.loop_training import MEETING, module, small, train
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
@@ -39,17 +40,9 @@ QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_b
 STILL = ["--rollout.scenarios", "null", "--monitor", "val/ade", "--monitor_mode", "min"]
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
-    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+    pytest.mark.usefixtures("elsewhere"),
+    *LIGHTNING_MARKS,
 ]
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Every test writes its runs into a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def fit(weights: str, *options: str, epochs: int = 1) -> Path:

@@ -10,6 +10,7 @@ from typing import Any, cast
 import lightning as L
 import pytest
 import torch
+from helpers.lightning_marks import LIGHTNING_MARKS
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal
@@ -34,9 +35,7 @@ from pedzoo.train.rl.rewards import Reward
 CPU = torch.device("cpu")
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
-    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
+    *LIGHTNING_MARKS,
     pytest.mark.filterwarnings("ignore:.*is smaller than the logging interval"),
 ]
 

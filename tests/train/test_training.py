@@ -29,6 +29,7 @@ from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.modules.plain import PlainModule
 
 pytestmark = [
+    pytest.mark.usefixtures("elsewhere"),
     pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
     pytest.mark.filterwarnings("ignore:.*does not have many workers"),
     pytest.mark.filterwarnings("ignore:.*no pre-optimization state was saved"),  # which nobody here wants
@@ -41,13 +42,6 @@ QUICK += ["--model.generator.best_k", "3", "--trainer.limit_train_batches", "3"]
 QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.limit_val_batches", "1"]
 QUICK += ["--trainer.enable_progress_bar", "false"]
 CONSTANT = ["--model.warmup", "1", "--model.final_lr", "1"]
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Every test writes its runs into a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def make_module(kind: str, **options: Any) -> ForecastModule:
