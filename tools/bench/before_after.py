@@ -125,9 +125,9 @@ def measured(options: Namespace, asked: Sequence[Scenes]) -> dict[str, Any]:
                 raise UserError(
                     f"{name}: imported pedzoo from {sides[name].versions['tree']}, not from {where}"
                 )
-        told = states(asked) if options.peer else []
+        moments = states(asked) if options.peer else []
         peers = [start(script, options.peer_python, {}) for script in options.peer]
-        cases += [(case.peer, case) for peer in peers for case in known(peer, told, peer.script.stem)]
+        cases += [(case.peer, case) for peer in peers for case in known(peer, moments, peer.script.stem)]
         timed, failed = measure(cases, options.turns, options.seconds, tell)
         versions = {name: each for peer in (sides["after"], *peers) for name, each in peer.versions.items()}
     changed = " with changes" if git("status", "--porcelain", "--untracked-files=no") else ""

@@ -1,4 +1,4 @@
-"""Checks of what was read from somebody's file: its typed form, and plain values."""
+"""Checks of what was read from a file: its typed form, and plain values."""
 
 from __future__ import annotations
 

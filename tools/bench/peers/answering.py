@@ -42,6 +42,37 @@ class Case:
     every: int = 1
 
 
+def loop_cases(
+    asked: list[dict[str, Any]],
+    most: int,
+    kinds: dict[str, tuple[Any, str]],
+    note: str,
+    build: Callable[[int, int, Any], tuple[Step, Step | None]],
+) -> list[Case]:
+    """Return the cases of a simulator with steps of 0.1 s, each kind at every size of the section ``loop``.
+
+    Args:
+        asked: The sizes that are asked about.
+        most: More people than this are left out.
+        kinds: By name, what ``build`` takes and what the reader is told about it.
+        note: What is included; ``{about}`` stands for what is said of the kind.
+        build: Takes scenes, people and the kind's value.
+    """
+    return [
+        Case(
+            kind,
+            size["scenes"],
+            size["people"],
+            0.1,
+            note.format(about=about),
+            lambda size=size, value=value: build(size["scenes"], size["people"], value),
+        )
+        for size in asked
+        if size["section"] == "loop" and size["people"] <= most
+        for kind, (value, about) in kinds.items()
+    ]
+
+
 def serve(
     name: str, versions: dict[str, str], cases: Callable[[list[dict[str, Any]], int], list[Case]]
 ) -> None:

@@ -18,7 +18,7 @@ import os
 from importlib.metadata import version
 from typing import Any
 
-from answering import Case, Step, serve
+from answering import Case, Step, loop_cases, serve
 
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 STARTS = 64
@@ -35,19 +35,8 @@ def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
     if threads == 1:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    return [
-        Case(
-            kind,
-            size["scenes"],
-            size["people"],
-            0.1,
-            f"JaxNav, {about}, random actions, scenes that end go on from starts drawn beforehand",
-            lambda size=size, rays=rays: built(size["scenes"], size["people"], rays),
-        )
-        for size in asked
-        if size["section"] == "loop" and size["people"] <= MOST
-        for kind, (rays, about) in KINDS.items()
-    ]
+    note = "JaxNav, {about}, random actions, scenes that end go on from starts drawn beforehand"
+    return loop_cases(asked, MOST, KINDS, note, built)
 
 
 def built(scenes: int, people: int, rays: int) -> tuple[Step, None]:

@@ -17,7 +17,7 @@ from importlib.metadata import version
 from typing import Any
 
 import torch
-from answering import Case, Step, serve
+from answering import Case, Step, loop_cases, serve
 from vmas import make_env  # pyright: ignore[reportMissingImports]
 
 STEPS, DRAWS = 100, 16
@@ -30,19 +30,8 @@ KINDS = {"lidar": (True, "12 rays each and collisions"), "no lidar": (False, "ne
 def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
     """Return the scenario with and without lidar for every size that is asked about."""
     torch.set_num_threads(threads)
-    return [
-        Case(
-            kind,
-            size["scenes"],
-            size["people"],
-            0.1,
-            f"navigation, {about}, random actions, all scenes reset at once after {STEPS} steps",
-            lambda size=size, collisions=collisions: built(size["scenes"], size["people"], collisions),
-        )
-        for size in asked
-        if size["section"] == "loop" and size["people"] <= MOST
-        for kind, (collisions, about) in KINDS.items()
-    ]
+    note = f"navigation, {{about}}, random actions, all scenes reset at once after {STEPS} steps"
+    return loop_cases(asked, MOST, KINDS, note, built)
 
 
 def built(scenes: int, people: int, collisions: bool) -> tuple[Step, None]:
