@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pedzoo.core.spec import Spec
 from pedzoo.sim.make import CLEARANCE, make_scenario
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 KEPT = 6
 """Scenarios that a process keeps; more than the cases that share a floor plan."""

@@ -21,7 +21,7 @@ from pedzoo.policies.teams import Teams
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
 from pedzoo.sim.traces import rollout_of
 

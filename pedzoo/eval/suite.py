@@ -14,7 +14,7 @@ from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 QUICK = 10
 """A quick run has one in so many episodes."""

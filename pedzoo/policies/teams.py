@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from pedzoo.core import draws
+from pedzoo.core import randomness
 from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import limit_speed
@@ -76,7 +76,7 @@ class Team(nn.Module):
         """Return the running plans' velocities (B, A, 2), of new plans where agents have to decide."""
         agents, person = agents_of(scenes), ids_of(scenes)
         now = cast("Tensor", scenes["time"])[:, 0]
-        key = draws.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
+        key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
         velocity = cast("Tensor", agents["velocity"])
         blank = velocity.unsqueeze(2).expand(-1, -1, self.every, -1)
         plans = self._memory.recall(Plans.none(key, now, person, blank), person)
@@ -186,7 +186,9 @@ class Teams(Policy):
 
     def assigned(self, scenes: TensorDictBase) -> list[Tensor]:
         """Return which agents are of each team (B, A) bool; every agent is of exactly one."""
-        draw = draws.uniform(draws.join(cast("Tensor", scenes["scene_key"]), "team", ids_of(scenes)))
+        draw = randomness.uniform(
+            randomness.join(cast("Tensor", scenes["scene_key"]), "team", ids_of(scenes))
+        )
         kind = cast("Tensor", agents_of(scenes)["kind"])
         return [team.of(draw, kind) for team in cast("list[Team]", list(self.teams))]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.sim.motion import MotionInput
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 LEAST_SECONDS = 20.0
 """Seconds that every agent has for a goal, at least."""

@@ -12,18 +12,18 @@ from torchrl.envs import EnvBase
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.devices import usable
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel, specs
 from pedzoo.sim.dynamics import substeps
-from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import observed
-from pedzoo.sim.scenes.scenario import WARM_SECONDS, Scenario
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
 

@@ -7,19 +7,19 @@ from typing import get_args
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import heading_of, identity_pose
 from pedzoo.core.kinematics import TURNS_FROM
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.walls.segments import WallSegments
-from pedzoo.maps.ways.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
-from pedzoo.sim.engine.base import Physics
+from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Opening
-from pedzoo.sim.scenes.scenario import LEAST_WAY, Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, Scenario
 from pedzoo.sim.state import HOLONOMIC, PAST_LEN, State
 
 TRIES = 8

@@ -18,13 +18,13 @@ from torch import Tensor
 from pedzoo.core.geometry import heading_of
 from pedzoo.core.kinematics import TURNS_FROM, blended, limited
 from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
-from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.dynamics import driven
-from pedzoo.sim.engine.base import Physics
-from pedzoo.sim.engine.compiled_step import step_compiled, step_compiles
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics_parts.compiled_step import step_compiled, step_compiles
+from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import HOLONOMIC, State
 
 

@@ -9,9 +9,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from pedzoo.core.batch import agents_of, maps_of, scene_batch
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 

@@ -7,18 +7,18 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.kinematics import passes
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
-from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
-from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Script
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.traces import rollout_of
 

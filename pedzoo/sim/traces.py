@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
+from pedzoo.core.randomness import Draws
 from pedzoo.sim.rollout import OVER_TIME, Rollout
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
 
 

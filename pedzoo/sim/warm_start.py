@@ -15,9 +15,9 @@ from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.sim import kernel
-from pedzoo.sim.engine.base import Physics
 from pedzoo.sim.observation import dense
-from pedzoo.sim.scenes.scenario import Layout
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.scenario_parts.scenario import Layout
 from pedzoo.sim.state import HOLONOMIC, PAST_LEN, TRACE_PER_STEP, State
 
 WarmStart = Literal["orca", "static", "recorded"]

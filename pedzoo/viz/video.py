@@ -18,8 +18,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.sim.engine.base import Bodies
-from pedzoo.sim.engine.camera import Camera, person_color
+from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.camera import Camera, person_color
 
 CODECS = {".webm": "VP90", ".mp4": "vp09"}
 """VP9 is the one that OpenCV's wheels can write and every browser can show."""

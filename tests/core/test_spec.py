@@ -13,7 +13,7 @@ from pedzoo.core.spec import Spec, build, parse, split
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.rule_based.orca import Orca
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 
 def test_parts() -> None:

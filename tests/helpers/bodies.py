@@ -7,13 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
+from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
 from pedzoo.sim.scenarios.goals import Goals
-from pedzoo.sim.scenes.scenario import Layout, Scenario
 from pedzoo.sim.state import State
 
 BACKENDS = ("torch", "compiled", "bullet")

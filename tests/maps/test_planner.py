@@ -18,11 +18,11 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.maps.ways import corners
-from pedzoo.maps.ways.fields import build_fields
-from pedzoo.maps.ways.graph import OpenGraph
-from pedzoo.maps.ways.guidance import Guidance, NextWaypoints
-from pedzoo.maps.ways.planner import Planner
+from pedzoo.maps.planning import corners
+from pedzoo.maps.planning.fields import build_fields
+from pedzoo.maps.planning.graph import OpenGraph
+from pedzoo.maps.planning.guidance import Guidance, NextWaypoints
+from pedzoo.maps.planning.planner import Planner
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:

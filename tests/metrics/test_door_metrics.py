@@ -10,7 +10,7 @@ import torch
 from helpers.walks import made
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
+from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics import door

@@ -14,8 +14,8 @@ from pedzoo.policies import neighbors
 from pedzoo.policies.neighbors import nearest
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
-from pedzoo.sim.engine.base import Bodies
 from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.physics_parts.base import Bodies
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
 

@@ -17,12 +17,12 @@ from pedzoo.core.kinematics import blended, limited
 from pedzoo.core.registry import PHYSICS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.engine.base import Bodies, Physics
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_physics
 from pedzoo.sim.motion import Motion
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.physics_parts.base import Bodies, Physics
 from pedzoo.sim.state import State
 
 WIDTHS = (0.15, 0.5)

@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.scenario_parts.ranges import Drawn
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout
 from pedzoo.sim.scenarios.door import ABREAST, SPACING, Door
-from pedzoo.sim.scenes.ranges import Drawn
-from pedzoo.sim.scenes.scenario import WARM_SECONDS, Layout
 
 SCENES = 200
 

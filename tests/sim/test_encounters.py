@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import prepare, walk
@@ -19,8 +19,8 @@ from pedzoo.metrics.navigation import finish_seconds, success
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenes.encounter import MEET, Encounter
-from pedzoo.sim.scenes.lanes import ABREAST, SPACING
+from pedzoo.sim.scenario_parts.encounter import MEET, Encounter
+from pedzoo.sim.scenario_parts.lanes import ABREAST, SPACING
 
 ENCOUNTERS = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
 EVERY = pytest.mark.parametrize("name", ENCOUNTERS)

@@ -17,8 +17,8 @@ from torch import Tensor
 from torchrl.envs import EnvBase, check_env_specs
 from torchrl.envs.utils import step_mdp
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS, TOP_SPEED_RATIO
 from pedzoo.eval.rollout import rollout
 from pedzoo.policies.load import load_policy
@@ -26,8 +26,8 @@ from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.scenario_parts.scenario import Layout
 from pedzoo.sim.scenarios.door import BEFORE, Door
-from pedzoo.sim.scenes.scenario import Layout
 
 SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")
 

@@ -19,11 +19,11 @@ from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.engine.base import Bodies, Physics
-from pedzoo.sim.engine.camera import FLOOR, WALL, Camera, person_color
 from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.physics_parts.base import Bodies, Physics
+from pedzoo.sim.physics_parts.camera import FLOOR, WALL, Camera, person_color
 
 RADIUS = 0.15
 
@@ -390,7 +390,8 @@ def test_backends_can_be_pickled_before_and_after_their_use() -> None:
 def test_pybullet_prints_nothing() -> None:
     pytest.importorskip("pybullet")
     code = (
-        "import torch; from pedzoo.maps.bank import MapBank; from pedzoo.sim.engine.base import Bodies; "
+        "import torch; from pedzoo.maps.bank import MapBank; "
+        "from pedzoo.sim.physics_parts.base import Bodies; "
         "from pedzoo.core.geometry import identity_pose; from pedzoo.sim.physics.bullet import Bullet; "
         "mask, map_id = torch.ones(1, 2).bool(), torch.full((1, 1), -1); "
         "people = Bodies(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "

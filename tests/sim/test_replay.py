@@ -11,15 +11,15 @@ import torch
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.eval.realism import replay_row
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.rollout import run as walk_all
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.ways.planner import Planner
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.crowds import crowd
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.policies.learned.walker import Walker

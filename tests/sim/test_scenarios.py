@@ -22,8 +22,8 @@ from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env
+from pedzoo.sim.scenario_parts.scenario import LEAST_WAY
 from pedzoo.sim.scenarios.goals import Goals
-from pedzoo.sim.scenes.scenario import LEAST_WAY
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
 EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models("*.eth_ucy")])

@@ -8,13 +8,13 @@ import pytest
 import torch
 from torchrl.envs import step_mdp
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.scenario_parts.scenario import Layout
 from pedzoo.sim.scenarios.standing import Standing
-from pedzoo.sim.scenes.scenario import Layout
 
 STANDS = "standing:people=3,at=0,seconds=2.1,speed_std=0,jitter=0"
 

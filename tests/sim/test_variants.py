@@ -6,16 +6,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.sim.scenes.encounter import Encounter
-from pedzoo.sim.scenes.variants import Variants
+from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.variants import Variants
 
 EXACT = "speed_std=0,jitter=0,aside=0,delay=0"
 

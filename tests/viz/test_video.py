@@ -14,7 +14,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import rollout
-from pedzoo.sim.engine.camera import person_color
+from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
 
 SIZE = (160, 120)

@@ -16,8 +16,8 @@ from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.make import CLEARANCE
+from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.scenarios.goals import SPACING, Goals
-from pedzoo.sim.scenes.scenario import Scenario
 from tools.bench.peer import Scenes
 from tools.bench.section import Settings
 

@@ -30,10 +30,10 @@ from pedzoo.core.spec import parse
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.outlines import outlines
-from pedzoo.sim.engine.camera import person_color
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.sim.physics_parts.camera import person_color
+from pedzoo.sim.scenario_parts.encounter import Encounter
 from pedzoo.viz.plots import draw_floor_plan
 
 WINDOW = (14.6, 10.8)

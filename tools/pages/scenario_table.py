@@ -40,8 +40,8 @@ from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.intervals import wilson
 from pedzoo.metrics.navigation import deadlocked, success
+from pedzoo.sim.scenario_parts.encounter import Encounter
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.sim.scenes.encounter import Encounter
 from pedzoo.viz.trajectories import draw_episode
 
 POLICIES = ("orca:radius=0.3", "social_force", "social_force:preset=indoor")

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
-from pedzoo.sim.scenes.encounter import Encounter
+from pedzoo.sim.scenario_parts.encounter import Encounter
 
 EPISODES = 20
 

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from pedzoo.core import draws
+from pedzoo.core import randomness
 from pedzoo.core.batch import ids_of
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
@@ -129,17 +129,17 @@ class Walker(TensorDictModuleBase):
             return None
         agent = ids_of(tensordict)
         who = torch.zeros_like(agent) if self.noise == "scene" else agent
-        key = draws.join(tensordict["scene_key"], "noise", who)
+        key = randomness.join(tensordict["scene_key"], "noise", who)
         if self.noise_seed:
-            key = draws.join(key, self.noise_seed)
-        now = draws.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
+            key = randomness.join(key, self.noise_seed)
+        now = randomness.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
         dims = torch.arange(self.model.noise_dim, device=agent.device)
         key, now = key.unsqueeze(-1), now.unsqueeze(-1)
         if self.noise == "step":
             key = now
         elif self.noise == "mixed":
             key = torch.where(dims < lasting(self.model.noise_dim), key, now)
-        return draws.normal(draws.join(key, dims))
+        return randomness.normal(randomness.join(key, dims))
 
 
 def lasting(noise_dim: int) -> int:

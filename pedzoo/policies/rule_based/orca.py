@@ -7,7 +7,7 @@ from typing import Any, Literal
 import torch
 from tensordict import TensorDictBase
 
-from pedzoo.core import draws
+from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, ids_of, maps_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
@@ -79,9 +79,9 @@ class Orca(Policy):
         wanted = agents["desired_velocity"]
         if self.jitter:
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
-            key = draws.join(tensordict["scene_key"], "orca", step, ids_of(tensordict))
-            key = draws.join(key.unsqueeze(-1), torch.arange(2, device=key.device))
-            wanted = wanted + self.jitter * draws.normal(key)
+            key = randomness.join(tensordict["scene_key"], "orca", step, ids_of(tensordict))
+            key = randomness.join(key.unsqueeze(-1), torch.arange(2, device=key.device))
+            wanted = wanted + self.jitter * randomness.normal(key)
         walls = None
         body, controlled = agents["radius"][..., 0], agents["controlled"]
         radius = self.settings.radii(body, agents["kind"] == ROBOT, controlled)

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from pedzoo.core import draws
+from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of, usual_body
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map, turn_to_scene
@@ -89,14 +89,14 @@ class SocialForce(Policy):
         """Write everybody's velocity."""
         agents: Any = tensordict["agents"]
         mask, ids = agents["mask"], ids_of(tensordict)
-        identity = draws.join(tensordict["scene_key"], "social_force", ids)
+        identity = randomness.join(tensordict["scene_key"], "social_force", ids)
         fluctuation = None
         if self.settings.fluctuation:
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
-            key = draws.join(identity, step).unsqueeze(-1)
-            key = draws.join(key, torch.arange(2, device=key.device))
+            key = randomness.join(identity, step).unsqueeze(-1)
+            key = randomness.join(key, torch.arange(2, device=key.device))
             # in the floor plan's frame: a turned and mirrored scene is walked alike
-            noise = self.settings.fluctuation * draws.normal(key)
+            noise = self.settings.fluctuation * randomness.normal(key)
             fluctuation = turn_to_scene(noise, cast("Tensor", tensordict["scene_pose"]))
         tensordict["agents", "action"] = social_force_velocity(
             agents["history"][:, :, -1],

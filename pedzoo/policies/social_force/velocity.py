@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from pedzoo.core import draws
+from pedzoo.core import randomness
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.policies.neighbors import Neighbors, nearest
 from pedzoo.policies.social_force.forces import (
@@ -134,8 +134,8 @@ def _apart(
     other, own = together.nonzero(as_tuple=True)
     theirs = identity[index[other, own]]
     mine = identity[own if rows is None else rows[own]]
-    key = draws.join(torch.minimum(mine, theirs), "apart", torch.maximum(mine, theirs))
-    angle = 2 * math.pi * draws.uniform(key)
+    key = randomness.join(torch.minimum(mine, theirs), "apart", torch.maximum(mine, theirs))
+    angle = 2 * math.pi * randomness.uniform(key)
     way = CLOSEST * torch.stack((angle.cos(), angle.sin())) * torch.where(mine < theirs, 1, -1)
     offset = torch.zeros(2, *together.shape, dtype=dtype, device=together.device)
     offset[:, other, own] = way.to(dtype)

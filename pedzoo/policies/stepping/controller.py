@@ -14,16 +14,16 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.batch import PERSON, ROBOT, scene_batch
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import heading_of, identity_pose, limit_speed
 from pedzoo.core.kinematics import TURNS_FROM, blended
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
-from pedzoo.maps.ways.guidance import Guidance
-from pedzoo.maps.ways.planner import Planner
+from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.policies.stepping.called_with import PREF_SPEED, as_discs, as_points
 from pedzoo.policies.stepping.caller_clock import CallerClock, times
 from pedzoo.policies.stepping.online_goals import OnlineGoals

@@ -11,8 +11,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import AHEAD_SECONDS
-from pedzoo.maps.ways.guidance import Guidance
-from pedzoo.maps.ways.planner import Planner
+from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.policies.stepping.called_with import as_points
 from pedzoo.policies.stepping.roster import Roster
 

@@ -1,1 +1,1 @@
-"""Physics backends: one file each, found by the registry. What they share is in `pedzoo.sim.engine`."""
+"""Physics backends: one file each. What they share is in `pedzoo.sim.physics_parts`."""

@@ -14,12 +14,12 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
-from pedzoo.sim.engine.bullet_scene import BulletScene
-from pedzoo.sim.engine.camera import Camera
-from pedzoo.sim.engine.frames import Affine, scene_to_grid
-from pedzoo.sim.engine.pybullet_client import load_pybullet
 from pedzoo.sim.motion import Contacts
+from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
+from pedzoo.sim.physics_parts.bullet_scene import BulletScene
+from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.frames import Affine, scene_to_grid
+from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.devices import compiles
-from pedzoo.sim.engine.base import Bodies
-from pedzoo.sim.engine.compiled import advance_compiled, contacts_compiled
 from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.compiled import advance_compiled, contacts_compiled
 from pedzoo.sim.state import State
 
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.engine.base import REACH, Bodies, Distances, Physics
-from pedzoo.sim.engine.camera import Camera
-from pedzoo.sim.engine.near import agent_contacts
-from pedzoo.sim.engine.top_view import draw_top_view
 from pedzoo.sim.motion import Contacts, Motion, MotionInput
+from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
+from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.near import agent_contacts
+from pedzoo.sim.physics_parts.top_view import draw_top_view
 from pedzoo.sim.state import State
 
 _CHUNK = 4_000_000

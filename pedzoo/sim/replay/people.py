@@ -13,8 +13,8 @@ from torch import Tensor
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
-from pedzoo.maps.ways.planner import Planner
-from pedzoo.sim.scenes.scenario import SLOWEST
+from pedzoo.maps.planning.planner import Planner
+from pedzoo.sim.scenario_parts.scenario import SLOWEST
 
 LONGEST = 2
 """People are taken out after so many times as long as they really took."""

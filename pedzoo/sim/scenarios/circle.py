@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.scenes.encounter import Encounter
-from pedzoo.sim.scenes.lanes import APART, Lane
-from pedzoo.sim.scenes.variants import Numbers, Variant
+from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.lanes import APART, Lane
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
 CHORD = 1.0
 """Metres between neighbours, at least."""

@@ -8,13 +8,13 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.sim.scenes.ranges import Drawn, Range
-from pedzoo.sim.scenes.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario, door_at_origin
-from pedzoo.sim.scenes.variants import Numbers, Variant, Variants
+from pedzoo.sim.scenario_parts.ranges import Drawn, Range
+from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario, door_at_origin
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant, Variants
 
 BEFORE = 2.5
 """Metres from the wall at which the first ones are when the warm start ends, unless ``away`` is given."""

@@ -7,13 +7,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
-from pedzoo.sim.scenes.scenario import LEAST_WAY, Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, Scenario
 
 SPACING = 0.8
 """Metres between any two starts."""

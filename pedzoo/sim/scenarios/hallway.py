@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.plain import Rectangle, room
-from pedzoo.sim.scenes.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
-from pedzoo.sim.scenes.lanes import BEYOND, FREE, Lane, abreast, beside, lanes_in
-from pedzoo.sim.scenes.variants import Numbers, Variant
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.lanes import BEYOND, FREE, Lane, abreast, beside, lanes_in
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
 
 class Hallway(Encounter):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.plain import Rectangle, room
-from pedzoo.sim.scenes.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
-from pedzoo.sim.scenes.lanes import SPACING, Lane, abreast, beside, lanes_in
-from pedzoo.sim.scenes.variants import Numbers, Variant
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.lanes import SPACING, Lane, abreast, beside, lanes_in
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
 AHEAD = 8.0
 """Metres of the goals behind the place at which the slow are caught up with."""

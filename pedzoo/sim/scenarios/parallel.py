@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.scenes.encounter import Encounter
-from pedzoo.sim.scenes.lanes import ABREAST, APART, Lane, abreast, block
-from pedzoo.sim.scenes.variants import Numbers, Variant
+from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.lanes import ABREAST, APART, Lane, abreast, block
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
 BEYOND = 6.0
 """Metres of the goals behind the line on which those in front are at the same time."""

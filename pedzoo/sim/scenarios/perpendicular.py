@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pedzoo.sim.scenes.encounter import Encounter
-from pedzoo.sim.scenes.lanes import ABREAST, BEYOND, Lane, abreast, block
-from pedzoo.sim.scenes.variants import Variant
+from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.lanes import ABREAST, BEYOND, Lane, abreast, block
+from pedzoo.sim.scenario_parts.variants import Variant
 
 
 class Perpendicular(Encounter):

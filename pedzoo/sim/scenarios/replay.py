@@ -8,21 +8,21 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import Dataset, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
-from pedzoo.maps.ways.planner import Planner
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.real import real_parts
 from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of
 from pedzoo.sim.replay.script import Scenes, Script
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenes.scenario import Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
 
 Simulated = Literal["all", "one"]
 

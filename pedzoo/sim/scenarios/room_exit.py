@@ -6,13 +6,13 @@ import math
 
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.plain import Rectangle, room, wall
-from pedzoo.sim.scenes.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
-from pedzoo.sim.scenes.lanes import BEYOND, Lane, abreast, beside, lanes_in
-from pedzoo.sim.scenes.scenario import door_at_origin
-from pedzoo.sim.scenes.variants import Numbers, Variant
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
+from pedzoo.sim.scenario_parts.scenario import door_at_origin
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
 THICKNESS = 0.1
 """Metres of the wall with the door."""

@@ -7,12 +7,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
+from pedzoo.sim.scenario_parts.ranges import Drawn, Range
+from pedzoo.sim.scenario_parts.scenario import Layout
+from pedzoo.sim.scenario_parts.variants import Numbers
 from pedzoo.sim.scenarios.door import BEFORE, NEAREST, Door
-from pedzoo.sim.scenes.ranges import Drawn, Range
-from pedzoo.sim.scenes.scenario import Layout
-from pedzoo.sim.scenes.variants import Numbers
 
 ROOM = 0.2
 """Metres between the person in the door and its sides, at least."""

@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.core.draws import join, uniform
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import join, uniform
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 

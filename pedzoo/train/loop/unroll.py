@@ -16,12 +16,12 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.kinematics import passes
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
-from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.open_floor import OpenFloor
-from pedzoo.sim.scenes.scenario import SLOWEST
+from pedzoo.sim.scenario_parts.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 Walk = Callable[[TensorDict], Tensor]

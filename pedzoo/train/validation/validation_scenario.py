@@ -14,7 +14,7 @@ from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import joined
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 
 class ValidationScenario:

@@ -14,7 +14,7 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenes.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import Scenario
 from tools.bench.figures import Measured, Row, Verdict
 from tools.bench.peer import Scenes, running
 from tools.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario, sizes

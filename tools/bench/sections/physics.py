@@ -15,11 +15,11 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.dynamics import integrate
-from pedzoo.sim.engine import base
-from pedzoo.sim.engine.base import Bodies
-from pedzoo.sim.engine.camera import Camera
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.physics_parts import base
+from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.camera import Camera
 from pedzoo.sim.scenarios.goals import Goals
 from tools.bench.figures import Measured, Row
 from tools.bench.scenes import LARGEST, Size

@@ -19,7 +19,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.maps.ways import planner
+from pedzoo.maps.planning import planner
 from tools.bench.figures import Measured, Row
 from tools.bench.section import Section
 from tools.bench.turns import seconds_of, versus

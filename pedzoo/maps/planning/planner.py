@@ -11,14 +11,14 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.ways.carrot import seen_beyond
-from pedzoo.maps.ways.compiled_guidance import guidance_compiled
-from pedzoo.maps.ways.corners import CornerGraph
-from pedzoo.maps.ways.fields import Fields, build_fields
-from pedzoo.maps.ways.graph import OpenGraph, as_points, format_point
-from pedzoo.maps.ways.guidance import Guidance, NextWaypoints, heading, segments
-from pedzoo.maps.ways.planar import Frame
-from pedzoo.maps.ways.waypoint_table import Goal, WaypointLookup, WaypointTable
+from pedzoo.maps.planning.carrot import seen_beyond
+from pedzoo.maps.planning.compiled_guidance import guidance_compiled
+from pedzoo.maps.planning.corners import CornerGraph
+from pedzoo.maps.planning.fields import Fields, build_fields
+from pedzoo.maps.planning.graph import OpenGraph, as_points, format_point
+from pedzoo.maps.planning.guidance import Guidance, NextWaypoints, heading, segments
+from pedzoo.maps.planning.planar import Frame
+from pedzoo.maps.planning.waypoint_table import Goal, WaypointLookup, WaypointTable
 
 
 class Planner:

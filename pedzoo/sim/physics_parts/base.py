@@ -18,9 +18,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.engine.camera import Camera
-from pedzoo.sim.engine.compiled import advance_compiled
 from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
+from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.state import State
 
 REACH = 5.0

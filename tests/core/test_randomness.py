@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from pedzoo.core.draws import Draws, join, mix, normal, uniform
+from pedzoo.core.randomness import Draws, join, mix, normal, uniform
 
 
 def test_a_scene_draws_the_same_in_every_batch() -> None:

@@ -11,10 +11,10 @@ from pedzoo.core.devices import compiles
 from pedzoo.core.kinematics import TURNS_FROM
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.ways.guidance import Guidance
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.arrival import LEAST_SECONDS, WAYS
-from pedzoo.sim.engine.compiled import integration
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
+from pedzoo.sim.physics_parts.compiled import integration
 from pedzoo.sim.state import State
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def step_compiled(
     state: State, commands: Tensor, bank: MapBank, rules: Rules
 ) -> tuple[State, Guidance, Events]:
     """Return what `pedzoo.sim.kernel.step` does, but for the last bit of roots and angles."""
-    from pedzoo.sim.engine.compiled_step_loops import move, settle
+    from pedzoo.sim.physics_parts.compiled_step_loops import move, settle
 
     (scenes, agents), ticks = state.mask.shape, rules.ticks
     past, velocity = torch.empty_like(state.past), torch.empty_like(state.velocity)

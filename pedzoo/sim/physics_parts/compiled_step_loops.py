@@ -1,4 +1,4 @@
-"""The loops of `pedzoo.sim.engine.compiled_step`: what `kernel.step` does before and after the planner.
+"""The loops of `.compiled_step`: what `kernel.step` does before and after the planner.
 
 Every operation is that of the kernel, in its order and in single precision.
 """
@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from pedzoo.maps.walls.compiled import compiled, jit
-from pedzoo.sim.engine.compiled_loops import advance
+from pedzoo.sim.physics_parts.compiled_loops import advance
 
 _0, _1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _TINY, _MOST = np.float32(1e-12), np.float32(1e6)
@@ -64,7 +64,7 @@ def move(
     """Write what a decision makes of the scenes, all but what the planner says.
 
     Args, in this order: commands (B, A, 2) and fields of `State`; numbers of the rules; numbers of
-    `pedzoo.sim.engine.compiled_loops.advance`; the walls; the results:
+    `pedzoo.sim.physics_parts.compiled_loops.advance`; the walls; the results:
 
     * the past with the trace at its end (B, A, 29, 2);
     * events (3, B, A, S): contacts with agents, with walls, goals reached;

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.sim.engine.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
-from pedzoo.sim.engine.frames import after, inverse, map_to_scene
+from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
+from pedzoo.sim.physics_parts.frames import after, inverse, map_to_scene
 
 _FINE = 4
 """cv2 draws at whole pixels, or at sixteenths of them with this shift."""

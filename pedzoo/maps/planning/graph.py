@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.ways.sight import Sight
+from pedzoo.maps.planning.sight import Sight
 
 STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight neighbours of a cell: rows and columns away."""

@@ -18,13 +18,13 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import Rectangle, rectangles
-from pedzoo.sim.scenes.lanes import ABREAST, APART, SPACING, Lane, Places
-from pedzoo.sim.scenes.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario
-from pedzoo.sim.scenes.variants import Numbers, Variant, Variants
+from pedzoo.sim.scenario_parts.lanes import ABREAST, APART, SPACING, Lane, Places
+from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario
+from pedzoo.sim.scenario_parts.variants import Numbers, Variant, Variants
 
 MEET = 2.5
 """Seconds after the warm start at which those in front meet if they are in time and nothing holds them up."""

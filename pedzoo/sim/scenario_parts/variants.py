@@ -9,8 +9,8 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 from pedzoo.maps.plain import check_lengths
 
 Numbers = float | Sequence[float]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from pedzoo.maps.ways.graph import OpenGraph
+from pedzoo.maps.planning.graph import OpenGraph
 
 _AT_ONCE = 250_000
 """Lines of sight that are followed together: bounds the memory that building takes."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.walls.boxes import boxes
-from pedzoo.sim.engine.bullet_looks import (
+from pedzoo.sim.physics_parts.bullet_looks import (
     AWAY,
     BODY_HEIGHT,
     SHAPES,
@@ -19,7 +19,7 @@ from pedzoo.sim.engine.bullet_looks import (
     half_extents,
     middles,
 )
-from pedzoo.sim.engine.pybullet_client import check_connected, connect
+from pedzoo.sim.physics_parts.pybullet_client import check_connected, connect
 
 WALL_HEIGHT = 2.5
 """Metres."""

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.sim.engine.camera import FLOOR, WALL, person_color
-from pedzoo.sim.engine.pybullet_client import connect, egl_plugin, load_egl
+from pedzoo.sim.physics_parts.camera import FLOOR, WALL, person_color
+from pedzoo.sim.physics_parts.pybullet_client import connect, egl_plugin, load_egl
 
 _CUT_HEIGHT = 1.0
 """Metres at which walls are cut off in pictures, so that people behind them are seen."""

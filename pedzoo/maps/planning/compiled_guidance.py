@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.ways.carrot import BODY_CLEARANCE
-from pedzoo.maps.ways.guidance import EPSILON, Guidance
-from pedzoo.maps.ways.waypoint_table import WaypointTable
+from pedzoo.maps.planning.carrot import BODY_CLEARANCE
+from pedzoo.maps.planning.guidance import EPSILON, Guidance
+from pedzoo.maps.planning.waypoint_table import WaypointTable
 
 
 def guidance_compiled(

@@ -6,8 +6,8 @@ import math
 
 from torch import Tensor
 
-from pedzoo.core.draws import Draws
 from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
 
 Range = float | tuple[float, float]
 """A number, or the least and the most of what is drawn evenly: ``door:away=[2.5,4]``."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.maps.ways.planar import Frame
-from pedzoo.maps.ways.waypoint_table import WaypointLookup
+from pedzoo.maps.planning.planar import Frame
+from pedzoo.maps.planning.waypoint_table import WaypointLookup
 
 EPSILON = 1e-6
 """Metres: an agent so near to a point is on it."""

@@ -89,7 +89,7 @@ def _run(
     played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, walls: tuple[Tensor, Tensor],
     paths: Tensor | None = None, slopes: Tensor | None = None,
 ) -> Motion:  # fmt: skip
-    from pedzoo.sim.engine.compiled_loops import advance
+    from pedzoo.sim.physics_parts.compiled_loops import advance
 
     shape = *moving.shape, velocity.shape[1]
     trace = torch.empty(*shape, 2)

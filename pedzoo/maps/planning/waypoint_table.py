@@ -14,8 +14,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.ways.fields import Fields
-from pedzoo.maps.ways.graph import OpenGraph
+from pedzoo.maps.planning.fields import Fields
+from pedzoo.maps.planning.graph import OpenGraph
 
 
 class Goal(NamedTuple):

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 from tqdm import tqdm
 
-from pedzoo.maps.ways.graph import STEPS, OpenGraph
+from pedzoo.maps.planning.graph import STEPS, OpenGraph
 
 _AT_ONCE = 8_000_000
 """Cells of the floor plans of all fields that are built together: bounds the memory that building takes."""
