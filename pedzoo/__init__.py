@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pedzoo.models.zoo.loading import load as load
     from pedzoo.policies.load import list_policies as list_policies
     from pedzoo.sim.make import make_env as make_env
+    from pedzoo.sim.robot_parts.make import make_robot_env as make_robot_env
 
 __version__ = "0.1.0"
 
@@ -25,6 +26,7 @@ _HOME = {
     "list_models": "pedzoo.models.zoo.loading",
     "list_policies": "pedzoo.policies.load",
     "make_env": "pedzoo.sim.make",
+    "make_robot_env": "pedzoo.sim.robot_parts.make",
     "rollout": "pedzoo.eval.rollout",
 }
 

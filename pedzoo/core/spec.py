@@ -96,7 +96,7 @@ def _as_text(where: str, value: Any) -> str:
     raise UserError(f"{where}: expected a number, a text or a list of these, not {value!r:.60}")
 
 
-def build(registry: Registry, what: str | Spec, base: type, **given: Any) -> Any:
+def build(registry: Registry, what: str | Spec | Written, base: type, **given: Any) -> Any:
     """Return an instance of what is named, every setting checked for its type.
 
     Args:

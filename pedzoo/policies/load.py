@@ -7,13 +7,14 @@ from typing import cast
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import unknown
-from pedzoo.core.registry import MODELS, POLICIES
+from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES
 from pedzoo.core.spec import build, make, parse
 from pedzoo.models.zoo.loading import baselines, list_models, load
 from pedzoo.models.zoo.store import find, is_file
 from pedzoo.policies.crowd import is_crowd, members
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.policy import Policy
+from pedzoo.policies.robot_policy import AsPedestrian, RobotPolicy
 from pedzoo.policies.teams import Crowd, Teams
 
 
@@ -65,3 +66,20 @@ def crowd_of(name: str) -> Crowd:
         name: Such as ``orca:share=0.5+sgan_goal_map.indoor``, see `pedzoo.policies.crowd`.
     """
     return [(load_policy(one.policy), one.share) for one in members(name)]
+
+
+def load_robot_policy(name: str) -> RobotPolicy:
+    """Return a policy of robots by its name with settings, or a policy of people that moves robots.
+
+    Args:
+        name: ``stop``, ``straight``, ``file.py:Class``, or whatever `load_policy` takes: ``orca``,
+            ``social_force:preset=indoor``. Robots on wheels track the velocities of the latter.
+
+    Raises:
+        UserError: Unknown name or setting, with the nearest spelling in the message.
+    """
+    spec = parse(name)
+    own = ".py:" in spec.name and issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy)
+    if own or spec.name in ROBOT_POLICIES.names():
+        return build(ROBOT_POLICIES, name, RobotPolicy)
+    return AsPedestrian(load_policy(name))

@@ -11,9 +11,10 @@ import math
 import torch
 from torch import Tensor
 
+from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.sim.state import DIFF_DRIVE, HOLONOMIC, State
+from pedzoo.sim.state import State
 
 SKIN = 0.01
 """Metres by which a body gives at a wall: an agent that presses against one touches it in every backend."""

@@ -7,6 +7,7 @@ from typing import get_args
 import torch
 from torch import Tensor
 
+from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import heading_of, identity_pose
 from pedzoo.core.kinematics import TURNS_FROM
@@ -20,7 +21,7 @@ from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Opening
 from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, Scenario
-from pedzoo.sim.state import HOLONOMIC, PAST_LEN, State
+from pedzoo.sim.state import PAST_LEN, State
 
 TRIES = 8
 """Goals that are drawn at most for a person who begins near one."""

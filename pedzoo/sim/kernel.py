@@ -15,6 +15,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.geometry import heading_of
 from pedzoo.core.kinematics import TURNS_FROM, blended, limited
 from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
@@ -25,7 +26,7 @@ from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.compiled_step import step_compiled, step_compiles
 from pedzoo.sim.scenario_parts.scenario import Scenario
-from pedzoo.sim.state import HOLONOMIC, State
+from pedzoo.sim.state import State
 
 
 class Playback(Protocol):

@@ -15,9 +15,6 @@ TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 PAST_LEN = (OBS_LEN - 1) * TRACE_PER_STEP + 1
 """Trace points that 8 observed steps span."""
 
-HOLONOMIC, UNICYCLE, DIFF_DRIVE = range(3)
-"""How a body moves: in any direction, along its heading, or on two wheels; see `pedzoo.sim.dynamics`."""
-
 
 class State(NamedTuple):
     """B scenes of A agents. Never written in place: what a rollout was given stays as it was.

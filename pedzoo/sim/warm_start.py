@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
+from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.maps.walls.segments import WallSegments
@@ -18,7 +19,7 @@ from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.scenario_parts.scenario import Layout
-from pedzoo.sim.state import HOLONOMIC, PAST_LEN, TRACE_PER_STEP, State
+from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 WarmStart = Literal["orca", "static", "recorded"]
 
@@ -30,8 +31,8 @@ ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS, max_obstacles=8)
 def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegments) -> State:
     """Return the state after 7 steps with ORCA of people who begin to walk; goals that they pass are renewed.
 
-    Agents with wheels stand meanwhile: ORCA's velocities are not what wheels do. So do agents that stand
-    where they start; their time does not run yet.
+    Robots and agents with wheels stand meanwhile. So do agents that stand where they start; their time does
+    not run yet.
 
     Args:
         state: All agents where they start.
@@ -42,7 +43,7 @@ def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegme
     rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None)
     agents = state.mask.shape[1]
     controlled, stands = state.controlled, state.stands
-    walks = controlled & (state.drive == HOLONOMIC)
+    walks = controlled & (state.drive == HOLONOMIC) & (state.kind != ROBOT)
     state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
     guidance = rules.guidance(state)

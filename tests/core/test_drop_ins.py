@@ -13,10 +13,10 @@ from helpers.loop_training import module, train
 
 import pedzoo
 from pedzoo.cli.main import main
+from pedzoo.core.bodies import UNICYCLE
 from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.state import UNICYCLE
 
 ROBOT = '''
     """A unicycle that turns to its short-term goal, and drives there as fast as it looks that way."""
@@ -27,7 +27,7 @@ ROBOT = '''
     from pedzoo.core.geometry import heading_of
     from pedzoo.policies.policy import Policy
     from pedzoo.sim.scenarios.circle import Circle
-    from pedzoo.sim.state import UNICYCLE
+    from pedzoo.core.bodies import UNICYCLE
 
 
     class Drives(Policy):

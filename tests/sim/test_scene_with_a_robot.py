@@ -24,7 +24,7 @@ import torch
 from pedzoo.core.batch import ROBOT
 from pedzoo.sim.make import make_scenario
 from pedzoo.sim.scenario_parts.scenario import Scenario
-from pedzoo.sim.state import HOLONOMIC, UNICYCLE
+from pedzoo.core.bodies import HOLONOMIC, UNICYCLE
 
 
 class WithRobot(Scenario):

@@ -10,11 +10,11 @@ import torch
 from helpers.bodies import BACKENDS, Yard, yard
 from torch import Tensor
 
+from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC, UNICYCLE
 from pedzoo.core.errors import UserError
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.state import DIFF_DRIVE, HOLONOMIC, UNICYCLE
 
 pytestmark = pytest.mark.parametrize("physics", BACKENDS)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -46,8 +46,8 @@ class Layout(NamedTuple):
         radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
             `Scenario.smallest_radius`.
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
-        drive: How bodies move (B, A) long: `pedzoo.sim.state.HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE`; None for
-            holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
+        drive: How bodies move (B, A) long: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` of `pedzoo.core.bodies`;
+            None for holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
         acceleration: Greatest change of speed (B, A), m/s^2; None for any.
         turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
         track: Distance between the wheels (B, A), metres; None for 1.
@@ -99,7 +99,7 @@ class Scenario(ABC):
         planner: Ways to goals; there after `prepare`.
     """
 
-    unknown: ClassVar[Unknown] = "wall"
+    unknown: Unknown = "wall"
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False
     smallest_radius: float | None = None

@@ -1,0 +1,1 @@
+"""Policies of robots by name: one file each, found by the registry."""

@@ -1,0 +1,1 @@
+"""What robots among people are made of: bodies, scenes with robots, sensors' view, the environment."""

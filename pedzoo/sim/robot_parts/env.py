@@ -1,0 +1,233 @@
+"""Robots among people as a TorchRL environment: a policy moves the robots, people walk inside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, cast
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.data.tensor_specs import TensorSpec
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.policy import Policy
+from pedzoo.policies.teams import Crowd, Teams
+from pedzoo.sim import kernel, specs
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.motion import Events
+from pedzoo.sim.observation import observed
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.robot_parts.outcome import EndsAt, Outcome, check_ends_at, outcome_of
+from pedzoo.sim.robot_parts.readings import Readings
+from pedzoo.sim.robot_parts.reward import WeightedSum
+from pedzoo.sim.robot_parts.scenes import RobotScenes
+from pedzoo.sim.robot_parts.sensor import Sensor
+from pedzoo.sim.robot_parts.view import RobotView
+from pedzoo.sim.state import State
+
+INFO = ("success", "person_contact", "robot_contact", "wall_contact", "timeout", "failed")
+"""What ``robots/info`` says of a decision, beside ``active``; see `Outcome`."""
+
+
+class RobotEnv(PedestrianEnv):
+    """A policy moves R robots; people are walked by another policy, which sees the robots as bodies.
+
+    Keys under ``robots``, each (B, R, ...): ``action``, see `pedzoo.core.bodies.RobotBody`;
+    ``observation``, whatever the sensors say; ``reward``; ``done``, ``terminated`` and ``truncated``;
+    ``info`` with `Outcome`. The scene batch stands beside them, ``agents`` and so on, for policies that may
+    see everything. ``agents/info/trace`` has the positions of all agents every 0.1 s of the last decision.
+
+    A robot whose episode is over stands where it is. A scene is over when all of its robots are.
+
+    Attributes:
+        robots: R; the last R agents.
+        scenes: What is walked in.
+    """
+
+    policy_name: ClassVar[str] = "the robot's policy"
+
+    def __init__(
+        self,
+        scenes: RobotScenes,
+        physics: Physics,
+        people: Policy | Walker | Crowd,
+        sensors: Sequence[Sensor],
+        reward: WeightedSum,
+        num_envs: int = 1,
+        decision_dt: float = 0.2,
+        ends_at: EndsAt = "any",
+        time_limit: float | None = None,
+        **settings: Any,
+    ) -> None:
+        """Take the parts; `pedzoo.make_robot_env` makes them from their names.
+
+        Args:
+            scenes: People and robots.
+            physics: Moves them.
+            people: Moves the people.
+            sensors: What robots observe.
+            reward: Of the robots.
+            num_envs: B.
+            decision_dt: Seconds between two decisions of the robots.
+            ends_at: Which contacts end a robot's episode: ``any``, with an ``agent``, ``none``.
+            time_limit: Seconds that robots have; None: as people, 20 s per goal or four times as long as the
+                way to it takes at top speed.
+            settings: As of `PedestrianEnv`: ``seed``, ``warm_start``, ``device``, ...
+
+        Raises:
+            UserError: A setting is out of range, or the intervals of people and robots do not fit.
+        """
+        check_ends_at(ends_at)
+        if time_limit is not None and not time_limit > 0:
+            raise UserError(f"time_limit {time_limit}: expected seconds above 0")
+        self.robots, self.scenes = scenes.robots, scenes
+        crowd = people if isinstance(people, list) else [(people, 1.0)]
+        part = min(decision_dt, *(policy.decision_dt for policy, _ in crowd))
+        self._parts = round(decision_dt / part)
+        if abs(self._parts * part - decision_dt) > 1e-6:
+            raise UserError(
+                f"robots decide every {decision_dt:g} s and people every {part:g} s: expected a multiple"
+            )
+        super().__init__(scenes, physics, num_envs, decision_dt=part, **settings)
+        self.decision_dt = decision_dt
+        self.group_map = {"robots": [f"robot_{number}" for number in range(self.robots)]}
+        self.fleet = scenes.fleet.to(self.device)
+        self._people = Teams(people, _Commanded(part)).to(self.device)
+        self._ends_at, self._time_limit, self._reward = ends_at, time_limit, reward
+        self._readings = Readings(sensors, decision_dt)
+        self._set_specs(num_envs, sensors)
+
+    def _set_specs(self, scenes: int, sensors: Sequence[Sensor]) -> None:
+        shape, agents = (scenes, self.robots), self.scenario.people
+        points = round(self.decision_dt / TRACE_SECONDS)
+        full = specs.observation(scenes, agents, points, self.bank)
+        info = Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape)
+        seen = Composite(self._readings.spec(shape), shape=shape)
+        self._body = TensorDict(self.fleet._asdict(), (self.robots,), device=self.device).expand(shape)
+        body = Composite(
+            {name: _like(value) for name, value in self.fleet._asdict().items()}, shape=shape[1:]
+        )
+        body = body.expand(shape)
+        full["robots"] = Composite(observation=seen, body=body, info=info, shape=shape)
+        low, high = torch.tensor([body.limits for body in self.scenes.bodies]).unbind(-1)
+        action = Bounded(low.expand(*shape, 2).clone(), high.expand(*shape, 2).clone(), (*shape, 2))
+
+        def group(**entries: Any) -> Composite:
+            return Composite(robots=Composite(entries, shape=shape), shape=shape[:1])
+
+        ends = {name: specs.flag(*shape, 1) for name in ("done", "terminated", "truncated")}
+        self.observation_spec = full.to(self.device)
+        self.action_spec = group(action=action).to(self.device)
+        self.reward_spec = group(reward=specs.real(*shape, 1)).to(self.device)
+        done = specs.done(scenes)
+        done["robots"] = Composite(ends, shape=shape)
+        self.done_spec = done.to(self.device)
+
+    def view(self, state: State, guidance: Guidance) -> RobotView:
+        """Return what sensors look at."""
+        return RobotView(state, guidance, self.physics, self.robots)
+
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """See `EnvBase.step_and_maybe_reset`."""
+        return EnvBase.step_and_maybe_reset(self, tensordict)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        flags = None if tensordict is None else tensordict.get("_reset", None)
+        self._begun = None if flags is None or self._scenes is None else flags.view(-1)
+        return super()._reset(tensordict, **kwargs)
+
+    @torch.no_grad()
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        scenes = self._scenes
+        assert scenes is not None
+        before, guidance = scenes.state, scenes.guidance
+        first = self.view(before, guidance)
+        action = cast("Tensor", tensordict["robots", "action"])
+        command = self.fleet.commands(action, first.heading)
+        state, outcome, happened = before, None, []
+        for _ in range(self._parts):
+            seen = observed(state, guidance, self.bank)
+            agents_of(seen)["command"] = torch.nn.functional.pad(
+                command, (0, 0, self.scenario.people - self.robots, 0)
+            )
+            # how the robots' policy explores is no matter of people's
+            with set_exploration_type(ExplorationType.RANDOM):
+                velocity = cast("Tensor", self._people(seen)["agents", "action"])
+            after, guidance, events = kernel.step(state, velocity, self.physics, self.rules)
+            result = outcome_of(
+                state, after, events, self.robots, self.scenes.robot_goals, self._time_limit, self._ends_at
+            )
+            people = torch.zeros_like(after.mask[:, : -self.robots])
+            after = after._replace(controlled=after.controlled & ~torch.cat((people, result.ended), 1))
+            outcome = result if outcome is None else outcome.then(result)
+            happened.append(events)
+            state = after
+        assert outcome is not None
+        if bool((state.failed & ~before.failed).any()):
+            self._warn(velocity, before, state)
+        self._scenes = scenes._replace(state=state, guidance=guidance)
+        together = Events(
+            *(torch.cat(parts, 2) for parts in list(zip(*happened, strict=True))[:4]), *happened[-1][4:]
+        )
+        observation = self._observation(state, guidance, together, outcome)
+        reward = self._reward(first, self.view(state, guidance), together.trace, outcome)
+        over = ~state.controlled[:, -self.robots :]
+        late = outcome.timeout | outcome.failed | (over & state.overdue[:, -self.robots :])
+        robots = cast("TensorDict", observation["robots"])
+        robots["reward"] = reward.unsqueeze(-1)
+        ends = {"done": over, "terminated": over & ~late, "truncated": over & late}
+        ended = over.all(1)
+        cut = ended & late.any(1)
+        for (name, value), whole in zip(ends.items(), (ended, ended & ~cut, cut), strict=True):
+            robots[name] = value.unsqueeze(-1)
+            observation[name] = whole.unsqueeze(-1)
+        return observation
+
+    def _observation(
+        self, state: State, guidance: Guidance, happened: Events | None = None, outcome: Outcome | None = None
+    ) -> TensorDict:
+        scenes, agents = state.mask.shape
+        robots = (scenes, self.robots)
+        points = round(self.decision_dt / TRACE_SECONDS)
+        if happened is None:
+            nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
+            reached = state.reached.unsqueeze(-1).repeat(1, 1, points)
+            values = state.past[:, :, -points:], nothing, nothing, reached
+        else:
+            values = happened[:4]
+        info = dict(zip(("trace", "agent_contact", "wall_contact", "reached"), values, strict=True))
+        info |= {"overdue": state.overdue, "remaining_path": state.remaining_path}
+        batch = observed(state, guidance, self.bank)
+        batch["agents", "info"] = TensorDict(info, (scenes, agents), device=self.device)
+        batch["failed"] = state.failed.unsqueeze(1)
+        seen = self._readings(self.view(state, guidance), None if happened is None else False, self._begun)
+        outcome = outcome or Outcome.none(state.controlled[:, -self.robots :])
+        flags = {name: getattr(outcome, name) for name in ("active", *INFO)}
+        group = {
+            "observation": TensorDict(seen, robots, device=self.device),
+            "info": TensorDict(flags, robots, device=self.device),
+            "body": self._body,
+        }
+        batch["robots"] = TensorDict(group, robots, device=self.device)
+        return batch
+
+
+def _like(value: Tensor) -> TensorSpec:
+    return Unbounded(shape=value.shape, dtype=value.dtype)
+
+
+class _Commanded(Policy):
+    """Moves agents as ``agents/command`` (B, A, 2) says."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the commands as actions."""
+        tensordict["agents", "action"] = agents_of(tensordict)["command"]
+        return tensordict

@@ -1,0 +1,61 @@
+"""What a robot is rewarded for: a weighted sum of terms."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.registry import ROBOT_REWARDS
+from pedzoo.core.spec import build
+from pedzoo.sim.robot_parts.outcome import Outcome
+from pedzoo.sim.robot_parts.view import RobotView
+
+
+class RobotReward(ABC):
+    """A term of the reward: one file in `pedzoo.sim.robot_rewards`, or ``file.py:Class``."""
+
+    @abstractmethod
+    def __call__(self, before: RobotView, after: RobotView, trace: Tensor, outcome: Outcome) -> Tensor:
+        """Return the term (B, R) for one decision; what it says of robots that had ended does not count.
+
+        Args:
+            before: The scenes when the decision began.
+            after: And when it ended.
+            trace: Where all agents were every 0.1 s between (B, A, S, 2), metres.
+            outcome: What became of the robots.
+        """
+
+
+USUAL: Mapping[str, float] = {
+    "progress": 1.0,
+    "success": 5.0,
+    "collision": 5.0,
+    "discomfort": 1.0,
+    "time": 0.1,
+}
+"""Terms and weights where nothing else is said."""
+
+
+class WeightedSum:
+    """The reward of a decision: terms by name, each times its weight."""
+
+    def __init__(self, weights: Mapping[str, float] | None = None) -> None:
+        """Take weights by name with settings, ``{"progress": 1, "discomfort:distance=0.4": 2}``.
+
+        Raises:
+            UserError: An unknown name or setting.
+        """
+        given = USUAL if weights is None else weights
+        self.terms = [
+            (build(ROBOT_REWARDS, name, RobotReward), float(weight)) for name, weight in given.items()
+        ]
+
+    def __call__(self, before: RobotView, after: RobotView, trace: Tensor, outcome: Outcome) -> Tensor:
+        """Return the reward (B, R); 0 for robots that had ended."""
+        total = torch.zeros_like(after.heading)
+        for term, weight in self.terms:
+            total = total + weight * term(before, after, trace, outcome)
+        return torch.where(outcome.active, total, 0.0)

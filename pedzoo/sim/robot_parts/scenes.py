@@ -1,0 +1,171 @@
+"""Scenes of any scenario in which robots take the places of its last people."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import yaml
+from torch import Tensor
+
+from pedzoo.core.batch import ROBOT
+from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
+from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
+from pedzoo.core.registry import SCENARIOS
+from pedzoo.core.spec import Spec, build, parse
+from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
+
+
+class RobotScenes(Scenario):
+    """A scenario of N people and R robots: the scenario of N + R people, whose last R are robots.
+
+    So a robot starts where a person would, and goes where a person would go. Slots 0 to N - 1 are people,
+    the last R are robots. Without robots (``present=False``) the same people are in the same scenes.
+
+    Attributes:
+        robots: R.
+        bodies: Of the robots.
+        robot_goals: Goals that each robot has to reach.
+    """
+
+    def __init__(
+        self, inner: Scenario, bodies: Sequence[RobotBody], robot_goals: int = 1, present: bool = True
+    ) -> None:
+        """Take the scenario of N + R people; `with_robots` makes it.
+
+        Raises:
+            UserError: There is no robot, no goal for it, or the scenario plays people back.
+        """
+        if not bodies or robot_goals < 1:
+            raise UserError(f"{len(bodies)} robots, robot_goals {robot_goals}: expected at least 1 of each")
+        self.inner, self.bodies, self.robots = inner, list(bodies), len(bodies)
+        self.fleet, self.robot_goals, self.present = Fleet.of(self.bodies), robot_goals, present
+        self.people, self.speed, self.speed_std = inner.people, inner.speed, inner.speed_std
+        self.goals, self.later, self.finished = inner.goals, inner.later, inner.finished
+        self.unknown = inner.unknown
+        self.wheels = inner.wheels or any(_needs_limits(body) for body in self.bodies)
+        self.smallest_radius = min(
+            inner.smallest_radius or BODY_RADIUS, *(body.radius for body in self.bodies)
+        )
+
+    @property
+    def fastest(self) -> float:
+        """The largest preferred speed of any agent, m/s."""
+        return max(self.inner.fastest, *(body.top_speed for body in self.bodies))
+
+    @property
+    def fastest_agent(self) -> float:
+        """The largest top speed of any agent, m/s."""
+        return max(self.inner.fastest_agent, *(body.top_speed for body in self.bodies))
+
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans of the scenario."""
+        return self.inner.plans()
+
+    def prepare(self, clearance: float) -> None:
+        """Find the ways of people and robots, all of which keep ``clearance`` metres from walls."""
+        self.inner.ready(clearance)
+        self.bank, self.planner = self.inner.bank, self.inner.planner
+
+    def gate(self, draws: Draws) -> Tensor | None:
+        """Return the door of the scenario."""
+        return self.inner.gate(draws)
+
+    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+        """Return the next goals of agents; robots have as many as they have to reach."""
+        goal = self.inner.next_goal(draws, agent, number, last)
+        finished = (agent >= self.people - self.robots) & (number >= self.robot_goals)
+        return torch.where(finished, -1, goal)
+
+    def layout(self, draws: Draws) -> Layout:
+        """Return people as the scenario has them, and robots in the last places."""
+        layout, fleet = self.inner.layout(draws), self.fleet.to(draws.key.device)
+        people, scenes = self.people - self.robots, len(draws.key)
+
+        def joined(values: Tensor, robots: Tensor) -> Tensor:
+            theirs = robots.to(values).expand(scenes, self.robots)
+            return torch.cat((values[:, :people], theirs), 1)
+
+        usual = torch.full_like(layout.pref_speed, BODY_RADIUS)
+        endless = torch.full_like(usual, torch.inf)
+        whole = torch.zeros_like(layout.goal)
+        top_speed = _or(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
+        # a scene of fewer people leaves out the last ones, which are robots here
+        mask = layout.mask if people == 0 or self.inner.script else layout.mask.roll(-self.robots, 1)
+        layout = layout._replace(
+            mask=joined(mask, torch.tensor(self.present)),
+            pref_speed=joined(layout.pref_speed, fleet.top_speed),
+            top_speed=joined(top_speed, fleet.top_speed),
+            radius=joined(usual if layout.radius is None else layout.radius, fleet.radius),
+            kind=joined(whole if layout.kind is None else layout.kind, torch.tensor(ROBOT)),
+        )
+        if not self.wheels:
+            return layout
+        return layout._replace(
+            drive=joined(whole + HOLONOMIC if layout.drive is None else layout.drive, fleet.drive),
+            acceleration=joined(_or(layout.acceleration, endless), fleet.acceleration),
+            turn_acceleration=joined(_or(layout.turn_acceleration, endless), fleet.turn_acceleration),
+            track=joined(_or(layout.track, torch.ones_like(usual)), fleet.track),
+        )
+
+
+def with_robots(
+    scenario: str | Spec, bodies: Sequence[RobotBody], robot_goals: int = 1, present: bool = True
+) -> RobotScenes:
+    """Return the scenes of a scenario, by its name with settings, with robots beside its people.
+
+    Args:
+        scenario: Such as ``goals:map=plan.yaml,people=6``: six people, and the robots. In
+            ``replay:simulated=one`` a robot takes the place of one recorded person.
+        bodies: Of the robots.
+        robot_goals: Goals that each robot has to reach.
+        present: Without it the robots are missing: the same people, in the same scenes.
+
+    Raises:
+        UserError: An unknown name or setting, or a scenario without places for so many robots.
+    """
+    spec = parse(scenario) if isinstance(scenario, str) else scenario
+    settings = dict(spec.settings)
+    parameter = inspect.signature(SCENARIOS.get(spec.name)).parameters.get("people")
+    if spec.name == "replay":
+        if len(bodies) > 1 or settings.setdefault("simulated", "one") != "one":
+            raise UserError(
+                f"replay with {len(bodies)} robots, simulated={settings['simulated']}: expected one robot "
+                "in the place of one person, simulated=one"
+            )
+    elif parameter is None:
+        raise UserError(
+            f"{spec.name}: robots take the places of people, and this scenario has no setting people: "
+            "expected goals, door, hallway, circle or another one that has"
+        )
+    else:
+        settings["people"] = _more(settings.get("people", parameter.default), len(bodies))
+    inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
+    return RobotScenes(inner, bodies, robot_goals, present)
+
+
+def _more(people: Any, robots: int) -> Any:
+    """Return a number of people, or the least and largest one, with robots; texts stay texts."""
+    if isinstance(people, str):
+        value = yaml.safe_load(people)
+        return people if not _counts(value) else str(_more(value, robots))
+    return people + robots if isinstance(people, int) else [one + robots for one in people]
+
+
+def _counts(value: object) -> bool:
+    values = value if isinstance(value, list) else [value]
+    return all(isinstance(one, int) for one in values)
+
+
+def _needs_limits(body: RobotBody) -> bool:
+    return body.drive != "holonomic" or math.isfinite(body.acceleration)
+
+
+def _or(value: Tensor | None, default: Tensor) -> Tensor:
+    return default if value is None else value

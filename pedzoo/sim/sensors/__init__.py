@@ -1,0 +1,1 @@
+"""Sensors of robots by name: one file each, found by the registry."""

@@ -1,0 +1,229 @@
+"""Robots among people: bodies, actions, outcomes, sensors, and people who are the same without the robot."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torchrl.envs.utils import check_env_specs
+
+import pedzoo
+from pedzoo.core.bodies import Fleet
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import ROBOT_REWARDS, ROBOTS, SENSORS
+from pedzoo.core.spec import build
+from pedzoo.policies.load import load_robot_policy
+from pedzoo.sim.robot_parts.env import RobotEnv
+
+OPEN = "circle:people=4"
+CROWDED = "perpendicular:people=15"
+FLAT = "goals:map=apartment.7,people=3"
+
+
+def made(scenario: str = FLAT, **settings: Any) -> RobotEnv:
+    return pedzoo.make_robot_env(scenario, **{"people": "go_to_goal", "num_envs": 4} | settings)
+
+
+def driven(env: RobotEnv, action: Tensor, decisions: int = 1) -> Any:
+    seen = env.reset(seed=0)
+    for _ in range(decisions):
+        seen["robots", "action"] = action.expand_as(env.action_spec["robots", "action"].zero())
+        seen = env.step(seen)["next"]
+    return seen
+
+
+@pytest.mark.parametrize("robot", sorted(ROBOTS.names()))
+def test_every_robot_passes_torchrls_checks_and_stays_within_its_limits(robot: str) -> None:
+    env = made(OPEN, robot=robot, sensors=["goal", "odometry"], ends_at="none")
+    check_env_specs(env)
+    body = env.scenes.bodies[0]
+    seen = env.reset(seed=1)
+    speeds, turns = [], []
+    for _ in range(10):
+        seen = env.rand_action(seen)
+        seen["robots", "action"] = 10 * seen["robots", "action"]
+        seen = env.step(seen)["next"]
+        speeds.append(env.state.velocity[:, -1].norm(dim=-1))
+        turns.append(env.state.turn_rate[:, -1].abs())
+    assert torch.stack(speeds).max() <= body.top_speed + 1e-4
+    if body.drive != "holonomic":
+        assert torch.stack(turns).max() <= body.top_turn + 1e-4
+    assert torch.equal(env.state.radius[:, -1], torch.full((4,), body.radius))
+
+
+@pytest.mark.parametrize("name", sorted(SENSORS.names()))
+def test_every_sensor_stays_within_its_spec(name: str) -> None:
+    physics = "bullet" if name == "camera" else "compiled"
+    env = made(sensors=[name], num_envs=2, physics=physics)
+    check_env_specs(env)
+
+
+@pytest.mark.parametrize("name", sorted(ROBOT_REWARDS.names()))
+def test_every_reward_is_a_number_for_every_robot(name: str) -> None:
+    env = made(robot=["disc", "unicycle"], reward={name: 2.0}, sensors=["goal"])
+    once = made(robot=["disc", "unicycle"], reward={name: 1.0}, sensors=["goal"])
+    twice, one = (driven(each, torch.tensor([0.5, 0.1]), 5)["robots", "reward"] for each in (env, once))
+    assert twice.shape == (4, 2, 1)
+    torch.testing.assert_close(twice, 2 * one)
+
+
+def test_actions_are_what_each_drive_says() -> None:
+    """Hand-computed: a disc that faces north goes forward; wheels of 0.2 and 0.4 m/s turn by 0.5 rad/s."""
+    disc, car, pair = (build(ROBOTS, name, object) for name in ("disc", "unicycle", "diff_drive"))
+    fleet = Fleet.of([disc, car, pair])
+    action = torch.tensor([[[0.5, 0.0], [0.5, 9.0], [0.2, 0.4]]])
+    heading = torch.full((1, 3), math.pi / 2)
+    expected = torch.tensor([[[0.0, 0.5], [0.5, 2.0], [0.2, 0.4]]])
+    torch.testing.assert_close(fleet.commands(action, heading), expected, atol=1e-6, rtol=0)
+    nan = fleet.commands(torch.full((1, 3, 2), torch.nan), heading)
+    assert nan.isnan().any(-1).all()
+
+
+def test_a_robot_that_goes_straight_to_its_goal_arrives_in_the_time_that_it_takes() -> None:
+    env = made("goals:map=flat,people=0", robot="disc", sensors=["goal"], reward={"success": 1.0})
+    seen = env.reset(seed=3)
+    way = env.state.remaining_path[:, -1]
+    policy = load_robot_policy("straight")
+    for decision in range(1, 1000):  # noqa: B007
+        seen = env.step(policy(seen))["next"]
+        info = seen["robots", "info"]
+        if bool(info["success"][0, 0]):
+            break
+        assert not seen["done"][0]
+    seconds = decision * env.decision_dt
+    assert seen["done"][0] and seen["terminated"][0] and seen["robots", "reward"][0, 0] == 1
+    assert seconds == pytest.approx(float(way[0]) - 0.3, abs=0.5)  # at 1 m/s
+
+
+def test_a_robot_that_stands_runs_out_of_time() -> None:
+    env = made("goals:map=flat,people=0", robot="disc", sensors=["goal"], time_limit=1.0)
+    seen = driven(env, torch.zeros(2), 5)
+    assert seen["robots", "info", "timeout"].all() and seen["truncated"].all()
+    assert not seen["terminated"].any()
+
+
+def test_contacts_end_episodes_as_asked() -> None:
+    """A wide robot goes straight among twelve people who all walk as if they were alone."""
+    for ends_at, ends in (("any", True), ("agent", True), ("none", False)):
+        env = made(CROWDED, robot="disc:radius=0.6", ends_at=ends_at, sensors=["goal"])
+        seen, touched, ended = env.reset(seed=0), torch.zeros(4, 1).bool(), torch.zeros(4, 1).bool()
+        for _ in range(60):
+            seen = env.step(load_robot_policy("straight")(seen))["next"]
+            touched |= seen["robots", "info", "person_contact"]
+            ended |= seen["robots", "info", "person_contact"] & seen["done"]
+        assert touched.any()
+        assert bool(ended.any()) == ends
+
+
+def test_people_do_not_change_where_the_robot_is_missing() -> None:
+    """The same seed, with and without robots: people begin alike, and walk alike until they meet one."""
+    joined, alone = (made(num_envs=6, seed=5, present=present, people="orca") for present in (True, False))
+    for env in (joined, alone):
+        env.reset()
+    people = alone.state.mask.shape[1] - 1
+    assert not alone.state.mask[:, -1].any() and joined.state.mask[:, -1].all()
+    for name in ("pref_speed", "goal_id", "later_goals", "mask", "radius"):
+        first, second = getattr(joined.state, name), getattr(alone.state, name)
+        assert torch.equal(first[:, :people], second[:, :people]), name
+    assert torch.equal(joined.state.past[:, :people, 0], alone.state.past[:, :people, 0])
+
+
+def test_zero_people_one_robot_and_a_number_of_people_that_varies() -> None:
+    env = made("goals:map=flat,people=[1,3]", num_envs=32)
+    env.reset()
+    counts = env.state.mask[:, :-1].sum(1)
+    assert counts.min() == 1 and counts.max() == 3 and env.state.mask[:, -1].all()
+
+
+def test_people_are_seen_in_the_robots_frame_nearest_first() -> None:
+    """Turning the robot turns what it sees; distances are those of the world."""
+    env = made(OPEN, robot="unicycle", sensors=["people:most=3,reach=50", "goal"])
+    seen = env.reset(seed=2)
+    rows, mask = (seen["robots", "observation", name][:, 0] for name in ("people", "people_mask"))
+    away = (env.state.position[:, :-1] - env.state.position[:, -1:]).norm(dim=-1).sort(-1).values
+    assert mask.all()
+    torch.testing.assert_close(rows[..., :2].norm(dim=-1), away[:, :3])
+    heading = env.state.heading[:, -1]
+    goal = env.state.goal_point[:, -1] - env.state.position[:, -1]
+    angle = torch.atan2(goal[:, 1], goal[:, 0]) - heading
+    own = seen["robots", "observation", "goal"][:, 0]
+    torch.testing.assert_close(
+        own, goal.norm(dim=-1, keepdim=True) * torch.stack((angle.cos(), angle.sin()), -1)
+    )
+
+
+def test_lidar_measures_walls_and_bodies_and_not_itself() -> None:
+    env = made("goals:map=flat,people=5", sensors=["lidar:beams=16,reach=4"], num_envs=8)
+    seen = env.reset(seed=0)["robots", "observation", "lidar"]
+    assert seen.min() > 0.0 and seen.max() <= 4.0 and (seen < 4).any()
+    alone = made(
+        "goals:map=flat,people=5", sensors=["lidar:beams=16,reach=4"], num_envs=8, people="go_to_goal"
+    )
+    alone.reset(seed=0)
+    state = alone.state
+    gone = state._replace(mask=torch.cat((torch.zeros_like(state.mask[:, :-1]), state.mask[:, -1:]), 1))
+    walls = alone._readings(alone.view(gone, alone._scenes.guidance), None, None)["lidar"]
+    assert (walls >= seen - 1e-5).all() and (walls > seen + 0.1).any()
+
+
+def test_noise_dropout_and_delay() -> None:
+    """Noise is that of the scene, not of the batch; a late sensor says what it said before."""
+    exact, noisy, late = (
+        made(sensors=[f"people:{more}most=3,reach=50"], seed=4) for more in ("", "noise=0.1,", "delay=0.4,")
+    )
+    first = [env.reset()["robots", "observation", "people"] for env in (exact, noisy, late)]
+    off = (first[1] - first[0])[first[0] != 0]
+    assert 0.03 < off.std() < 0.3
+    again = made(sensors=["people:noise=0.1,most=3,reach=50"], seed=4, num_envs=2).reset()
+    torch.testing.assert_close(again["robots", "observation", "people"], first[1][:2])
+    at_first = exact.reset(seed=0)["robots", "observation", "people"]
+    now, before = (driven(env, torch.zeros(2), 2)["robots", "observation", "people"] for env in (exact, late))
+    torch.testing.assert_close(before, at_first)
+    assert not torch.allclose(now, before)
+
+
+def test_an_action_that_is_no_number_ends_its_scene_alone() -> None:
+    one, other = made(), made()
+    seen, expected = one.reset(seed=0), other.reset(seed=0)
+    seen["robots", "action"] = torch.zeros(4, 1, 2)
+    expected["robots", "action"] = torch.zeros(4, 1, 2)
+    seen["robots", "action"][1] = torch.nan
+    with pytest.warns(UserWarning, match="scene 1"):
+        seen = one.step(seen)["next"]
+    expected = other.step(expected)["next"]
+    assert seen["truncated"][:, 0].tolist() == [False, True, False, False]
+    rest = [0, 2, 3]
+    assert torch.equal(seen["agents", "history"][rest], expected["agents", "history"][rest])
+
+
+@pytest.mark.parametrize("policy", ["stop", "straight", "orca", "social_force:preset=indoor"])
+@pytest.mark.parametrize("robot", ["disc", "turtlebot4", ["disc", "jackal"]])
+def test_policies_move_robots_of_all_drives(policy: str, robot: Any) -> None:
+    env = made(robot=robot, people="orca")
+    seen = env.rollout(20, load_robot_policy(policy))["next"]
+    moved = (
+        seen["agents", "history"][:, -1, -env.robots :, -1]
+        - seen["agents", "history"][:, 0, -env.robots :, 0]
+    )
+    assert (moved.norm(dim=-1) > 0.2).any() == (policy != "stop")
+
+
+def test_wrong_names_and_numbers_are_named() -> None:
+    for settings, message in (
+        ({"robot": "husk"}, "husky"),
+        ({"robot": "disc:radius=-1"}, "radius"),
+        ({"sensors": ["lidarr"]}, "lidar"),
+        ({"sensors": ["lidar:beams=0"]}, "beams"),
+        ({"reward": {"progres": 1}}, "progress"),
+        ({"ends_at": "wall"}, "ends_at"),
+        ({"sensors": ["goal:delay=0.3"]}, "delay"),
+    ):
+        with pytest.raises(UserError, match=message):
+            made(**settings)
+    with pytest.raises(UserError, match="fit"):
+        made("goals:map=flat,people=500")
+    with pytest.raises(UserError, match="did you mean"):
+        load_robot_policy("orcaa")
