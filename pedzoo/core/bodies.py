@@ -106,10 +106,21 @@ class Fleet(NamedTuple):
     @classmethod
     def of(cls, bodies: list[RobotBody]) -> Fleet:
         """Return the tensors of some bodies."""
-        names = ("radius", "top_speed", "top_turn", "acceleration", "turn_acceleration", "track")
-        values = [torch.tensor([float(getattr(body, name)) for body in bodies]) for name in names]
+        rows = [
+            (
+                body.radius,
+                body.top_speed,
+                body.top_turn,
+                body.acceleration,
+                body.turn_acceleration,
+                body.track,
+            )
+            for body in bodies
+        ]
+        radius, top_speed, top_turn, acceleration, turn_acceleration, track = torch.tensor(rows).unbind(1)
         slowest = torch.tensor([-body.top_speed if body.reverse else 0.0 for body in bodies])
-        return cls(torch.tensor([DRIVES[body.drive] for body in bodies]), *values, slowest)
+        drive = torch.tensor([DRIVES[body.drive] for body in bodies])
+        return cls(drive, radius, top_speed, top_turn, acceleration, turn_acceleration, track, slowest)
 
     def to(self, device: torch.device | str) -> Fleet:
         """Return the tensors on a device."""

@@ -76,6 +76,9 @@ class Episodes:
         if layout.opening is None:
             state, guidance = self._apart(state, guidance)
         remaining_path = guidance.distance
+        if bool(remaining_path.isinf().any()):  # others have squeezed an agent into a corner
+            start = state._replace(past=warm.standing(layout.start).to(state.past))
+            remaining_path = remaining_path.minimum(self._rules.guidance(start).distance)
         cut_off = ((opening.controlled | (state.stands > 0)) & remaining_path.isinf()).nonzero()
         if len(cut_off):
             raise self._no_way(state, guidance, *cut_off[0].tolist())

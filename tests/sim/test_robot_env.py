@@ -23,14 +23,14 @@ CROWDED = "perpendicular:people=15"
 FLAT = "goals:map=apartment.7,people=3"
 
 
-def made(scenario: str = FLAT, **settings: Any) -> RobotEnv:
+def made(scenario: Any = FLAT, **settings: Any) -> RobotEnv:
     return pedzoo.make_robot_env(scenario, **{"people": "go_to_goal", "num_envs": 4} | settings)
 
 
 def driven(env: RobotEnv, action: Tensor, decisions: int = 1) -> Any:
     seen = env.reset(seed=0)
     for _ in range(decisions):
-        seen["robots", "action"] = action.expand_as(env.action_spec["robots", "action"].zero())
+        seen["robots", "action"] = action.expand(*env.batch_size, env.robots, 2)
         seen = env.step(seen)["next"]
     return seen
 

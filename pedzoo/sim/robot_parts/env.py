@@ -118,7 +118,8 @@ class RobotEnv(PedestrianEnv):
         body = body.expand(shape)
         full["robots"] = Composite(observation=seen, body=body, info=info, shape=shape)
         low, high = torch.tensor([body.limits for body in self.scenes.bodies]).unbind(-1)
-        action = Bounded(low.expand(*shape, 2).clone(), high.expand(*shape, 2).clone(), (*shape, 2))
+        low, high = (limit.expand(*shape, 2).clone() for limit in (low, high))
+        action = Bounded(low, high, torch.Size((*shape, 2)))
 
         def group(**entries: Any) -> Composite:
             return Composite(robots=Composite(entries, shape=shape), shape=shape[:1])
