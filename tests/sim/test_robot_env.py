@@ -227,3 +227,18 @@ def test_wrong_names_and_numbers_are_named() -> None:
         made("goals:map=flat,people=500")
     with pytest.raises(UserError, match="did you mean"):
         load_robot_policy("orcaa")
+
+
+def test_a_patch_shows_walls_and_bodies_where_they_are_seen_from_the_robot() -> None:
+    """Every body within the square lights up the cell that its centre is in, and walls those of a lidar."""
+    env = made("goals:map=flat,people=5", sensors=["patch:cells=40,side=8", "people:most=5"], num_envs=8)
+    seen = env.reset(seed=0)["robots", "observation"]
+    patch, rows, mask = seen["patch"][:, 0], seen["people"][:, 0], seen["people_mask"][:, 0]
+    inside = mask & (rows[..., :2].abs().amax(-1) < 3.9)
+    assert inside.sum() > 5
+    for scene, person in inside.nonzero().tolist():
+        x, y = rows[scene, person, :2].tolist()
+        row, column = int((4 - x) / 0.2), int((4 - y) / 0.2)
+        assert patch[scene, 1, row, column] == 1
+    assert not patch[:, :, 19:21, 19:21].any()
+    assert 0 < patch[:, 0].mean() < 0.9
