@@ -17,6 +17,7 @@ from pedzoo.core.registry import ROBOT_REWARDS, ROBOTS, SENSORS
 from pedzoo.core.spec import build
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.sim.robot_parts.sensor import Sensor
 
 OPEN = "circle:people=4"
 CROWDED = "perpendicular:people=15"
@@ -159,13 +160,10 @@ def test_lidar_measures_walls_and_bodies_and_not_itself() -> None:
     env = made("goals:map=flat,people=5", sensors=["lidar:beams=16,reach=4"], num_envs=8)
     seen = env.reset(seed=0)["robots", "observation", "lidar"]
     assert seen.min() > 0.0 and seen.max() <= 4.0 and (seen < 4).any()
-    alone = made(
-        "goals:map=flat,people=5", sensors=["lidar:beams=16,reach=4"], num_envs=8, people="go_to_goal"
-    )
-    alone.reset(seed=0)
-    state = alone.state
+    state = env.state
     gone = state._replace(mask=torch.cat((torch.zeros_like(state.mask[:, :-1]), state.mask[:, -1:]), 1))
-    walls = alone._readings(alone.view(gone, alone._scenes.guidance), None, None)["lidar"]
+    lidar = build(SENSORS, "lidar:beams=16,reach=4", Sensor)
+    walls = lidar.read(env.view(gone, env.rules.guidance(gone)))["lidar"]
     assert (walls >= seen - 1e-5).all() and (walls > seen + 0.1).any()
 
 

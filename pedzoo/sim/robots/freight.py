@@ -13,6 +13,9 @@ class Freight(RobotBody):
     """Fetch Robotics Freight: a round base for warehouses."""
 
     drive: ClassVar[str] = "diff_drive"
+    source: ClassVar[str] = (
+        "fetch_bringup and freight_bringup (Fetch Robotics): 1 m/s, 0.75 m/s^2, track 0.37476 m; 559 mm wide"
+    )
 
     radius: float = 0.28
     top_speed: float = 1.0

@@ -13,6 +13,9 @@ class Husky(RobotBody):
     """Clearpath Husky: 0.99 m long, 0.67 m wide."""
 
     drive: ClassVar[str] = "diff_drive"
+    source: ClassVar[str] = (
+        "Clearpath's data sheet (1 m/s, 990 x 670 mm) and husky_control/config/control.yaml (accelerations)"
+    )
 
     radius: float = 0.598
     top_speed: float = 1.0

@@ -13,6 +13,9 @@ class Jackal(RobotBody):
     """Clearpath Jackal: fast, four wheels that slip."""
 
     drive: ClassVar[str] = "diff_drive"
+    source: ClassVar[str] = (
+        "jackal_control/config/control.yaml (Clearpath): speeds, accelerations; 508 x 430 mm, 376 mm track"
+    )
 
     radius: float = 0.333
     top_speed: float = 2.0

@@ -13,8 +13,11 @@ class Turtlebot3(RobotBody):
     """TurtleBot 3 Burger: slow and small."""
 
     drive: ClassVar[str] = "diff_drive"
+    source: ClassVar[str] = (
+        "ROBOTIS e-manual (0.22 m/s, 2.84 rad/s, 138 x 178 mm); accelerations as in Nav2's parameters for it"
+    )
 
-    radius: float = 0.105
+    radius: float = 0.113
     top_speed: float = 0.22
     top_turn: float = 2.84
     acceleration: float = 2.5
