@@ -31,6 +31,7 @@ class RobotBody:
     Attributes:
         drive: ``holonomic``: an action is (forward, left), m/s, in the robot's frame. ``unicycle``: (speed,
             turning rate), m/s and rad/s. ``diff_drive``: speeds of the wheels (left, right), m/s.
+        source: Where the numbers of a robot that can be bought are from.
         radius: Of the disc around its footprint, metres.
         top_speed: Greatest speed, m/s.
         top_turn: Greatest turning rate, rad/s; it does not concern holonomic robots.
@@ -41,6 +42,7 @@ class RobotBody:
     """
 
     drive: ClassVar[str] = "holonomic"
+    source: ClassVar[str] = ""
 
     radius: float = 0.3
     top_speed: float = 1.0
