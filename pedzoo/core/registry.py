@@ -101,6 +101,46 @@ class Registry:
         }
 
 
+class FunctionRegistry(Registry):
+    """The functions of a package's files that carry the decorator named like the kind, as ``@metric()``."""
+
+    def names(self) -> list[str]:
+        """Return all names: files in alphabetical order, functions as they are written; plugins last."""
+        return list(dict.fromkeys((*self._declared(), *self._plugins())))
+
+    def describe(self, name: str) -> str:
+        """Return the first line of a docstring, without importing the function."""
+        node = self._declared().get(name, (None, None))[1]
+        return (ast.get_docstring(node) or "").partition("\n")[0] if node else "plugin"
+
+    def get(self, name: str) -> Callable[..., Any]:
+        """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
+        if ".py:" in name:
+            return function_in_file(name)
+        if (plugins := self._plugins()).get(name):
+            return plugins[name].load()
+        file, _ = self._declared().get(name, (None, None))
+        if file is None:
+            raise unknown(self.kind, name, self.names())
+        return getattr(import_of_checkout(f"{self.package}.{file}"), name)
+
+    def _declared(self) -> dict[str, tuple[str, ast.FunctionDef]]:
+        return _functions(self.package, self.kind)
+
+
+@cache
+def _functions(package: str, decorator: str) -> dict[str, tuple[str, ast.FunctionDef]]:
+    """Return the file and the definition of every function that a decorator declares, by name."""
+    return {
+        node.name: (path.stem, node)
+        for path in sorted(folder_of(package).glob("[!_]*.py"))
+        if f"@{decorator}(" in path.read_text()
+        for node in _parsed(package, path.stem).body
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(one).startswith(f"{decorator}(") for one in node.decorator_list)
+    }
+
+
 def folder_of(package: str) -> Path:
     """Return where a package of this checkout or wheel lies; ``tools.*`` is nowhere in a wheel."""
     return ROOT.joinpath(*package.split("."))
@@ -168,3 +208,4 @@ SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios")
 POLICIES = Registry("policy", "pedzoo.policies.rule_based")
 SUITES = Registry("suite", "pedzoo.eval.suites", "tools.paper.suites")
 PHYSICS = Registry("physics", "pedzoo.sim.physics")
+METRICS = FunctionRegistry("metric", "pedzoo.metrics")

@@ -36,6 +36,7 @@ class EvaluationOptions(NamedTuple):
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for the suite's own number.
         device: Where scenes and policies are.
+        metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
     """
 
     episodes: int | None = None
@@ -45,6 +46,7 @@ class EvaluationOptions(NamedTuple):
     root: str | None = None
     rollouts: int | None = None
     device: str = "cpu"
+    metrics: tuple[str, ...] = ()
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -89,6 +91,7 @@ class WorkUnit(NamedTuple):
         seeds: Of the scenes.
         deterministic: Without noise.
         device: Where scenes and policy are.
+        metrics: Names of metrics, or ``path/to/file.py:f``.
     """
 
     policy: str
@@ -97,6 +100,7 @@ class WorkUnit(NamedTuple):
     seeds: tuple[int, ...]
     deterministic: bool
     device: str = "cpu"
+    metrics: tuple[str, ...] = ()
 
     @property
     def group(self) -> tuple[str, str]:
@@ -178,8 +182,8 @@ class Suite(ABC):
         """
         case = unit.case
         parts = list(walked(unit, prepared(case.scenario, case.inputs), unit.seeds, case.episodes, tell))
-        rollout, decision_dt = joined([part for part, _ in parts]), parts[0][1].decision_dt
-        result = row(unit.policy, rollout, decision_dt, self.more(rollout))
+        rollout = joined([part for part, _ in parts])
+        result = row(unit.policy, rollout, self.more(rollout), unit.metrics)
         for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]

@@ -106,6 +106,8 @@ def test_weights_and_cards_load_with_old_names_of_arguments(capsys: pytest.Captu
     assert model.walking_extend_goal and model.config["extend_goal"] is True and "pace" not in model.config
     old = {"architecture": "sgan", "init": {"pace": True, "noise_dim": 4}}
     assert renamed.new_init(old)["init"] == {"extend_goal": True, "noise_dim": 4}
+    data = renamed.new_init(old | {"protocol": {"fold": "zara1", "people": "complete"}})["protocol"]
+    assert data == {"fold": "zara1", "keep_people": "complete"}
     other = {"architecture": "mine.py:Model", "init": {"pace": True}}
     assert renamed.new_init(other) == other  # arguments of another class keep their names
     assert not capsys.readouterr().err
@@ -124,6 +126,9 @@ def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str])
         *("--model.max_segments", "3", "--data.one_recording_per_batch"),
     ]
     told = capsys.readouterr().err.splitlines()
+    words = ["--data.people=present", "--model.reward.people", "2", "--model.walking.people", "3"]
+    new = ["--data.keep_people=present", "--model.reward.person_cost", "2"]
+    assert renamed.new_options(words) == [*new, "--model.walking.person_distance", "3"]
     assert len(told) == 3 and told[1] == "pedzoo: --model.keep is now --model.max_segments"
 
 
@@ -134,6 +139,7 @@ def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[
         ("safety_correction", "corrected"),
         ("assertiveness", "trait"),
         ("passing_side", "side"),
+        ("person_distance", "people"),
         ("extend_goal", "pace"),
         ("one_recording_per_batch", "unroll_apart"),
     ):

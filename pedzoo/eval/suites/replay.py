@@ -143,12 +143,14 @@ class Replay(Suite):
         """Walk one unit; policies without noise walk once."""
         case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
-            return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
+            return [
+                row | {"people": scenario.persons.counts} for row in reference_rows(scenario, unit.metrics)
+            ]
         model = load_policy(unit.walks)
         noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
         parts = walked(unit, scenario, seeds, rounds * scenario.scenes, tell)
-        row = replay_row(unit.policy, (part for part, _ in parts), scenario, model.decision_dt)
+        row = replay_row(unit.policy, (part for part, _ in parts), scenario, model.decision_dt, unit.metrics)
         if has_seen(unit.walks, case.case["fold"]):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]
