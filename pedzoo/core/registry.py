@@ -54,13 +54,34 @@ class Registry:
         return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
 
     def constant(self, name: str, variable: str) -> Any:
-        """Return a literal module-level ``variable`` of a drop-in without importing it, or None."""
-        package = self._package_of(name)
-        for node in _parsed(package, name).body if package else ():
-            if isinstance(node, ast.Assign) and any(
-                isinstance(target, ast.Name) and target.id == variable for target in node.targets
-            ):
-                return ast.literal_eval(node.value)
+        """Return a literal constant of a drop-in's class, without importing it, or None.
+
+        Args:
+            name: As of `get`; of a class in a file the file is read.
+            variable: The constant's name.
+
+        Raises:
+            UserError: It is no literal.
+        """
+        if ".py:" in name:
+            file, _, wanted = name.rpartition(":")
+            tree = (
+                ast.parse(Path(file).expanduser().read_text()) if Path(file).expanduser().is_file() else None
+            )
+        else:
+            package, wanted = self._package_of(name), name.replace("_", "")
+            tree = _parsed(package, name) if package else None
+        classes = [node for node in tree.body if isinstance(node, ast.ClassDef)] if tree else []
+        for node in (node for one in classes if one.name.lower() == wanted.lower() for node in one.body):
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value:
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
+                    try:
+                        return ast.literal_eval(node.value)
+                    except ValueError as error:
+                        raise UserError(
+                            f"{self.kind} {name}: {variable} is no literal: write it out"
+                        ) from error
         return None
 
     def get(self, name: str) -> type:

@@ -60,7 +60,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         """Set what `setup` will read.
 
         Args:
-            fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class``.
+            fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class:fold``.
             root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.

@@ -41,6 +41,7 @@ def evaluate(
     rollouts: int | None = None,
     device: str = "cpu",
     metrics: Sequence[str] = (),
+    folds: Sequence[str] = (),
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -61,6 +62,8 @@ def evaluate(
         rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
         device: Where scenes and policies are, such as ``cuda``.
         metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
+        folds: Of recordings that ``replay`` walks, as ``zara1`` or ``file.py:Class:fold``; none for all that
+            are found.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -76,9 +79,9 @@ def evaluate(
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
     folder = None if root is None else str(root)
-    more = (metrics,) if isinstance(metrics, str) else tuple(metrics)
+    lists = ((one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds))
     options = EvaluationOptions(
-        episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device, more
+        episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device, *lists
     )
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
@@ -223,7 +226,7 @@ def _suite(name: str) -> Suite:
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
-    for key in ("episodes", "maps", "rollouts"):
+    for key in ("episodes", "maps", "rollouts", "folds"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [
                 name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())

@@ -37,6 +37,7 @@ class EvaluationOptions(NamedTuple):
         rollouts: Of a policy with noise, on recordings; None for the suite's own number.
         device: Where scenes and policies are.
         metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
+        folds: Of recordings; none for all that leave recordings out and are found.
     """
 
     episodes: int | None = None
@@ -47,6 +48,7 @@ class EvaluationOptions(NamedTuple):
     rollouts: int | None = None
     device: str = "cpu"
     metrics: tuple[str, ...] = ()
+    folds: tuple[str, ...] = ()
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -126,7 +128,7 @@ class Suite(ABC):
         columns: Metrics of the suite's own table.
     """
 
-    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts")
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts", "folds")
     warm_start: ClassVar[str] = "orca"
     counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
