@@ -13,6 +13,17 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 OLD_BACKENDS = {"grid": "compiled"}
 OLD_SUITES = {"cards": "encounters"}
+OLD_WEIGHTS = {
+    **{f"{arch}.indoor_b": f"{arch}.indoor-seed1" for arch in ("sgan_goal", "sgan_goal_map")},
+    **{f"{arch}.indoor_c": f"{arch}.indoor-seed2" for arch in ("sgan_goal", "sgan_goal_map")},
+    **{f"{arch}.eth_ucy_way": f"{arch}.controller_open" for arch in ("sgan_goal", "sgan_goal_map")},
+    **{
+        f"sgan_goal_map.{fold}_way": f"sgan_goal_map.controller_open_{fold}"
+        for fold in ("eth", "hotel", "univ", "zara1", "zara2")
+    },
+}
+"""Shipped weights."""
+
 OLD_SETTINGS = {"pace": "extend_goal"}
 """Settings of a learned policy."""
 
@@ -56,6 +67,14 @@ def suite(name: str) -> str:
     new = OLD_SUITES.get(name, name)
     if new != name:
         say(f"suite {name!r}", repr(new))
+    return new
+
+
+def weights(name: str) -> str:
+    """Return the name of shipped weights as it is now."""
+    new = OLD_WEIGHTS.get(name, name)
+    if new != name:
+        say(f"model {name!r}", repr(new))
     return new
 
 

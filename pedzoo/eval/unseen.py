@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pedzoo.core import renamed
 from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
 from pedzoo.data.recordings import find_fold
@@ -24,14 +25,15 @@ def for_fold(policy: str, fold: str) -> str:
 
 
 def _for_fold(policy: str, fold: str) -> str:
-    name, to = parse(policy).name, find_fold(fold)
-    if name not in weight_files() or not to or (held_out := find_fold(_held_out(name))) in (None, to):
+    written, to, known = parse(policy).name, find_fold(fold), weight_files()
+    name = renamed.weights(written)
+    if name not in known or not to or (held_out := find_fold(_held_out(name))) in (None, to):
         return policy
-    if held_out.whole and f"{name}_{to.name}" in weight_files():
-        return f"{name}_{to.name}{policy.removeprefix(name)}"
     architecture, _, tag = name.partition(".")
     other = f"{architecture}.{tag.replace(held_out.name, to.name, 1)}"
-    return other + policy.removeprefix(name) if other in weight_files() else policy
+    if held_out.whole and f"{name}_{to.name}" in known:
+        other = f"{name}_{to.name}"
+    return policy.replace(written, other, 1) if other in known else policy
 
 
 def has_seen(policy: str, fold: str) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import yaml
 
 import pedzoo
@@ -16,13 +17,14 @@ from pedzoo.cli.main import main
 from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import find_config
+from pedzoo.core.paths import find_config, weight_files
 from pedzoo.eval.card_numbers import compare
 from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.eval.unseen import for_fold
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.physics.compiled import Compiled
@@ -111,6 +113,18 @@ def test_weights_and_cards_load_with_old_names_of_arguments(capsys: pytest.Captu
     other = {"architecture": "mine.py:Model", "init": {"pace": True}}
     assert renamed.new_init(other) == other  # arguments of another class keep their names
     assert not capsys.readouterr().err
+
+
+def test_weights_load_by_their_old_names(capsys: pytest.CaptureFixture[str]) -> None:
+    old, new = pedzoo.load("sgan_goal_map.zara1_way"), pedzoo.load("sgan_goal_map.controller_open_zara1")
+    assert all(torch.equal(value, new.state_dict()[key]) for key, value in old.state_dict().items())
+    said = "pedzoo: model 'sgan_goal_map.zara1_way' is now 'sgan_goal_map.controller_open_zara1'\n"
+    assert capsys.readouterr().err == said
+    assert load_policy("sgan_goal.indoor_b:noise=step").decision_dt == 0.4
+    assert for_fold("sgan_goal_map.eth_ucy_way:safety=true", "hotel") == (
+        "sgan_goal_map.controller_open_hotel:safety=true"
+    )
+    assert {*renamed.OLD_WEIGHTS.values()} <= {*weight_files()}
 
 
 def test_a_policy_takes_the_old_name_of_a_setting(capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,7 +80,7 @@ class Recipe:
     @property
     def names(self) -> list[str]:
         """Zoo names of its seeds, the best one's first."""
-        return [self.name, *(f"{self.name}_{letter}" for letter in "bc" if self.all_seeds)]
+        return [self.name, *(f"{self.name}-seed{place}" for place in (1, 2) if self.all_seeds)]
 
     @property
     def options(self) -> dict[str, str]:
