@@ -54,7 +54,7 @@ class Registry:
         return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
 
     def constant(self, name: str, variable: str) -> Any:
-        """Return a literal constant of a drop-in's class, without importing it, or None.
+        """Return a literal constant of a drop-in's module or class, without importing it, or None.
 
         Args:
             name: As of `get`; of a class in a file the file is read.
@@ -63,25 +63,22 @@ class Registry:
         Raises:
             UserError: It is no literal.
         """
-        if ".py:" in name:
-            file, _, wanted = name.rpartition(":")
-            tree = (
-                ast.parse(Path(file).expanduser().read_text()) if Path(file).expanduser().is_file() else None
-            )
+        file, colon, wanted = name.rpartition(".py:")
+        path = Path(f"{file}.py").expanduser()
+        if colon:
+            tree = ast.parse(path.read_text()) if path.is_file() else None
         else:
             package, wanted = self._package_of(name), name.replace("_", "")
             tree = _parsed(package, name) if package else None
-        classes = [node for node in tree.body if isinstance(node, ast.ClassDef)] if tree else []
-        for node in (node for one in classes if one.name.lower() == wanted.lower() for node in one.body):
-            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value:
-                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
-                    try:
-                        return ast.literal_eval(node.value)
-                    except ValueError as error:
-                        raise UserError(
-                            f"{self.kind} {name}: {variable} is no literal: write it out"
-                        ) from error
+        body = tree.body if tree else []
+        classes = (one for one in body if isinstance(one, ast.ClassDef))
+        for part in (body, *(one.body for one in classes if one.name.lower() == wanted.lower())):
+            if value := _assigned(part, variable):
+                try:
+                    return ast.literal_eval(value)
+                except ValueError as error:
+                    what = f"{self.kind} {name}: {variable}"
+                    raise UserError(f"{what} is no literal: write it out") from error
         return None
 
     def get(self, name: str) -> type:
@@ -172,6 +169,15 @@ def import_of_checkout(module: str) -> ModuleType:
     if not module.startswith("pedzoo.") and "tools" not in sys.modules:
         sys.path.insert(0, str(ROOT))
     return importlib.import_module(module)
+
+
+def _assigned(body: list[ast.stmt], variable: str) -> ast.expr | None:
+    for node in body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
+                return node.value
+    return None
 
 
 def _parsed(package: str, name: str) -> ast.Module:

@@ -87,11 +87,6 @@ class Fold(NamedTuple):
         others = [names for fold, names in self.constant("FOLDS", {}).items() if fold != self.name]
         return sorted({*(name for names in others for name in names), *self.constant("ALWAYS_TRAINED", ())})
 
-    def siblings(self) -> list[str]:
-        """Return the folds of the dataset that leave recordings out, as they are written for `find_fold`."""
-        names = [fold for fold, tested in self.constant("FOLDS", {}).items() if tested] or [self.name]
-        return [f"{self.dataset}:{name}" if ".py:" in self.dataset else name for name in names]
-
 
 def find_fold(text: str | None) -> Fold | None:
     """Return the fold behind ``zara1`` or ``path/to/file.py:Class:fold``, None where there is no such fold.

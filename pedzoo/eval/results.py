@@ -53,7 +53,8 @@ _LEGEND = {
 
 def legend() -> dict[str, str]:
     """Return what each metric is: the first line of its function, or a text."""
-    return {name: METRICS.describe(name).rstrip(".") for name in METRICS.names()} | _LEGEND
+    texts = {name: METRICS.describe(name).rstrip(".") for name in METRICS.names()}
+    return {name: text[:1].lower() + text[1:] for name, text in texts.items()} | _LEGEND
 
 
 class Page(NamedTuple):

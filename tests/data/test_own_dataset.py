@@ -56,7 +56,6 @@ def test_a_class_in_a_file_says_its_folds_and_terms_and_is_not_run_for_it(malls:
     first, south, halls = (find_fold(name) for name in (malls, f"{malls}:south", f"{malls}:halls"))
     assert first and south and halls
     assert first.name == "north" and south.tested == ["hall_south"] and halls.whole and not south.whole
-    assert south.siblings() == [f"{malls}:north", f"{malls}:south"]
     assert provenance(f"{malls}:south", plans=True) == {
         "recordings": ["car_park", "hall_north"],
         "source": "a mall",

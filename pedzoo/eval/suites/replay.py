@@ -73,9 +73,8 @@ class Replay(Suite):
         """
         result = []
         usual = 1 if options.quick else ROLLOUTS
-        for fold in _folds(options):
-            inputs, known = digest_of(fold, options.root), _fold(fold)
-            shares = known.constant("REPLAY_SHARE", {})
+        for fold, known in _folds(options).items():
+            inputs, shares = digest_of(fold, options.root), known.constant("REPLAY_SHARE", {})
             for simulated in self.simulated:
                 settings: dict[str, Any] = {"fold": fold, "simulated": simulated}
                 share = shares.get(known.name, 1.0) if simulated == "one" else 1.0
@@ -110,13 +109,13 @@ class Replay(Suite):
         each = {"all": f"{rounds} x where all are simulated", "one": f"{alone} x where one is"}
         often = ", ".join(each[simulated] for simulated in self.simulated)
         result.append(f"{self.name}: models with noise walk {often}; others once")
-        if folds == [EMBEDDED]:
+        if [*folds] == [EMBEDDED]:
             missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
             return [*result, f"{self.name}: {missing}"]
         result += [
             f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
-            for fold in folds
-            if (share := _fold(fold).constant("REPLAY_SHARE", {}).get(_fold(fold).name))
+            for fold, known in folds.items()
+            if (share := known.constant("REPLAY_SHARE", {}).get(known.name))
             and "one" in self.simulated
             and not options.quick
         ]
@@ -156,18 +155,16 @@ class Replay(Suite):
         return [row | {"people": scenario.persons.counts}]
 
 
-def _folds(options: EvaluationOptions) -> list[str]:
+def _folds(options: EvaluationOptions) -> dict[str, Fold]:
     """Return the folds that were asked for, else those of which there are recordings, else the embedded one.
 
     Raises:
         UserError: An unknown fold, or the folder of recordings has none.
     """
-    if options.folds:
-        for fold in options.folds:
-            open_fold(fold, options.root, "true")
-        return list(options.folds)
-    found, missing = [], []
-    for name in DATASETS.names():
+    found, missing = dict.fromkeys(options.folds), []
+    for fold in found:
+        open_fold(fold, options.root, "true")
+    for name in () if found else DATASETS.names():
         folds = DATASETS.constant(name, "FOLDS") or {}
         for fold in (fold for fold, tested in folds.items() if tested and fold != EMBEDDED):
             try:
@@ -175,20 +172,14 @@ def _folds(options: EvaluationOptions) -> list[str]:
             except UserError as error:
                 missing.append(error)
             else:
-                found.append(fold)
+                found[fold] = None
     if options.root is not None and not found:
         raise missing[0]
-    return found or [EMBEDDED]
+    return {fold: known for fold in found or [EMBEDDED] if (known := find_fold(fold))}
 
 
 def _walked_fold(case: EvaluationCase) -> str:
     return cast(Spec, case.scenario).settings["fold"]
-
-
-def _fold(text: str) -> Fold:
-    fold = find_fold(text)
-    assert fold is not None, f"{text!r} was checked by _folds"
-    return fold
 
 
 def digest_of(fold: str, root: str | None) -> str:
