@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pedzoo.eval.evaluate import evaluate as evaluate
     from pedzoo.eval.rollout import rollout as rollout
+    from pedzoo.metrics.closed_loop import measure as measure
     from pedzoo.models.zoo.loading import list_models as list_models
     from pedzoo.models.zoo.loading import load as load
     from pedzoo.policies.load import list_policies as list_policies
@@ -25,6 +26,7 @@ _HOME = {
     "load": "pedzoo.models.zoo.loading",
     "list_models": "pedzoo.models.zoo.loading",
     "list_policies": "pedzoo.policies.load",
+    "measure": "pedzoo.metrics.closed_loop",
     "make_env": "pedzoo.sim.make",
     "make_robot_env": "pedzoo.sim.robot_parts.make",
     "rollout": "pedzoo.eval.rollout",

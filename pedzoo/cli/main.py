@@ -13,7 +13,7 @@ from pedzoo import __version__
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, weight_files
-from pedzoo.core.registry import DATASETS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
+from pedzoo.core.registry import DATASETS, METRICS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
 
@@ -65,6 +65,7 @@ def overview() -> str:
         ("scenarios", SCENARIOS.names()),
         ("physics", PHYSICS.names()),
         ("datasets", DATASETS.names()),
+        ("metrics", METRICS.names()),
         ("configs", config_names()),
     ):
         lines += ["", f"{title}:", *_columns(result)]

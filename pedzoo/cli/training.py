@@ -28,6 +28,7 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule
@@ -261,8 +262,9 @@ class TrainingCLI(LightningCLI):
         file = Path(str(files[-1])) if files else Path(config["model"]["class_path"].rpartition(".")[2])
         # a run's own configuration is called like all others: the run has the name
         name = file.parent.parent.name if (file.parent / "versions.json").is_file() else run_name(file)
-        data = (config["data"].get("files") or [config["data"]["fold"]])[0]
-        return Path(config["runs"]) / name / f"{Path(str(data)).stem}-seed{int(config['seed_everything'])}"
+        files, fold = config["data"].get("files"), config["data"]["fold"]
+        data = Path(str(files[0])).stem if files else (known.name if (known := find_fold(fold)) else fold)
+        return Path(config["runs"]) / name / f"{data}-seed{int(config['seed_everything'])}"
 
     def _plain(self) -> dict[str, Any]:
         """Return the resolved configuration as plain values, without what belongs to this call only."""

@@ -54,13 +54,31 @@ class Registry:
         return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
 
     def constant(self, name: str, variable: str) -> Any:
-        """Return a literal module-level ``variable`` of a drop-in without importing it, or None."""
-        package = self._package_of(name)
-        for node in _parsed(package, name).body if package else ():
-            if isinstance(node, ast.Assign) and any(
-                isinstance(target, ast.Name) and target.id == variable for target in node.targets
-            ):
-                return ast.literal_eval(node.value)
+        """Return a literal constant of a drop-in's module or class, without importing it, or None.
+
+        Args:
+            name: As of `get`; of a class in a file the file is read.
+            variable: The constant's name.
+
+        Raises:
+            UserError: It is no literal.
+        """
+        file, colon, wanted = name.rpartition(".py:")
+        path = Path(f"{file}.py").expanduser()
+        if colon:
+            tree = ast.parse(path.read_text()) if path.is_file() else None
+        else:
+            package, wanted = self._package_of(name), name.replace("_", "")
+            tree = _parsed(package, name) if package else None
+        body = tree.body if tree else []
+        classes = (one for one in body if isinstance(one, ast.ClassDef))
+        for part in (body, *(one.body for one in classes if one.name.lower() == wanted.lower())):
+            if value := _assigned(part, variable):
+                try:
+                    return ast.literal_eval(value)
+                except ValueError as error:
+                    what = f"{self.kind} {name}: {variable}"
+                    raise UserError(f"{what} is no literal: write it out") from error
         return None
 
     def get(self, name: str) -> type:
@@ -101,6 +119,46 @@ class Registry:
         }
 
 
+class FunctionRegistry(Registry):
+    """The functions of a package's files that carry the decorator named like the kind, as ``@metric()``."""
+
+    def names(self) -> list[str]:
+        """Return all names: files in alphabetical order, functions as they are written; plugins last."""
+        return list(dict.fromkeys((*self._declared(), *self._plugins())))
+
+    def describe(self, name: str) -> str:
+        """Return the first line of a docstring, without importing the function."""
+        node = self._declared().get(name, (None, None))[1]
+        return (ast.get_docstring(node) or "").partition("\n")[0] if node else "plugin"
+
+    def get(self, name: str) -> Callable[..., Any]:
+        """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
+        if ".py:" in name:
+            return function_in_file(name)
+        if (plugins := self._plugins()).get(name):
+            return plugins[name].load()
+        file, _ = self._declared().get(name, (None, None))
+        if file is None:
+            raise unknown(self.kind, name, self.names())
+        return getattr(import_of_checkout(f"{self.package}.{file}"), name)
+
+    def _declared(self) -> dict[str, tuple[str, ast.FunctionDef]]:
+        return _functions(self.package, self.kind)
+
+
+@cache
+def _functions(package: str, decorator: str) -> dict[str, tuple[str, ast.FunctionDef]]:
+    """Return the file and the definition of every function that a decorator declares, by name."""
+    return {
+        node.name: (path.stem, node)
+        for path in sorted(folder_of(package).glob("[!_]*.py"))
+        if f"@{decorator}(" in path.read_text()
+        for node in _parsed(package, path.stem).body
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(one).startswith(f"{decorator}(") for one in node.decorator_list)
+    }
+
+
 def folder_of(package: str) -> Path:
     """Return where a package of this checkout or wheel lies; ``tools.*`` is nowhere in a wheel."""
     return ROOT.joinpath(*package.split("."))
@@ -111,6 +169,15 @@ def import_of_checkout(module: str) -> ModuleType:
     if not module.startswith("pedzoo.") and "tools" not in sys.modules:
         sys.path.insert(0, str(ROOT))
     return importlib.import_module(module)
+
+
+def _assigned(body: list[ast.stmt], variable: str) -> ast.expr | None:
+    for node in body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
+                return node.value
+    return None
 
 
 def _parsed(package: str, name: str) -> ast.Module:
@@ -172,3 +239,4 @@ ROBOTS = Registry("robot", "pedzoo.sim.robots")
 SENSORS = Registry("sensor", "pedzoo.sim.sensors")
 ROBOT_REWARDS = Registry("robot reward", "pedzoo.sim.robot_rewards")
 ROBOT_POLICIES = Registry("robot policy", "pedzoo.policies.robots")
+METRICS = FunctionRegistry("metric", "pedzoo.metrics")

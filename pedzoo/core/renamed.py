@@ -13,16 +13,33 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 OLD_BACKENDS = {"grid": "compiled"}
 OLD_SUITES = {"cards": "encounters"}
+OLD_WEIGHTS = {
+    **{f"{arch}.indoor_b": f"{arch}.indoor-seed1" for arch in ("sgan_goal", "sgan_goal_map")},
+    **{f"{arch}.indoor_c": f"{arch}.indoor-seed2" for arch in ("sgan_goal", "sgan_goal_map")},
+    **{f"{arch}.eth_ucy_way": f"{arch}.controller_open" for arch in ("sgan_goal", "sgan_goal_map")},
+    **{
+        f"sgan_goal_map.{fold}_way": f"sgan_goal_map.controller_open_{fold}"
+        for fold in ("eth", "hotel", "univ", "zara1", "zara2")
+    },
+}
+"""Shipped weights."""
+
 OLD_SETTINGS = {"pace": "extend_goal"}
 """Settings of a learned policy."""
+
+OLD_PROTOCOL = {"people": "keep_people"}
+"""Options of the data, as weights and reports have them in their protocols."""
 
 OLD_INIT = {"sgan": {"pace": "extend_goal"}}
 """Arguments of architectures, as weights and cards have them."""
 
 OLD_OPTIONS = {
+    "data.people": "keep_people",
     "data.unroll_apart": "one_recording_per_batch",
     "model.keep": "max_segments",
     "model.lenient": "collision_ramp",
+    "model.reward.people": "person_cost",
+    "model.walking.people": "person_distance",
     "model.walking.corrected": "safety_correction",
     "model.walking.trait": "assertiveness",
     "model.walking.side": "passing_side",
@@ -50,6 +67,14 @@ def suite(name: str) -> str:
     new = OLD_SUITES.get(name, name)
     if new != name:
         say(f"suite {name!r}", repr(new))
+    return new
+
+
+def weights(name: str) -> str:
+    """Return the name of shipped weights as it is now."""
+    new = OLD_WEIGHTS.get(name, name)
+    if new != name:
+        say(f"model {name!r}", repr(new))
     return new
 
 
@@ -96,7 +121,7 @@ def new_words(argv: list[str]) -> list[str]:
 
 def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return a protocol, as a card has it, with today's names of keys, backends and suites."""
-    result = dict(protocol)
+    result = {OLD_PROTOCOL.get(key, key): value for key, value in protocol.items()}
     if "world" in result:
         world = result.pop("world")
         result["physics"] = OLD_BACKENDS.get(world, world)
@@ -106,10 +131,12 @@ def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def new_init(config: Any) -> Any:
-    """Return a model's config, as weights have it, with today's names of the architecture's arguments.
+    """Return a model's config, as weights have it, with today's names of arguments and of the protocol.
 
     Values that are no config are returned as they are: checks of their form come later.
     """
+    if isinstance(config, dict) and isinstance(protocol := config.get("protocol"), dict):
+        config = {**config, "protocol": new_keys(protocol)}
     if not isinstance(config, dict) or not isinstance(init := config.get("init"), dict):
         return config
     names = OLD_INIT.get(str(config.get("architecture")), {})

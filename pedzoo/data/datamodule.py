@@ -26,7 +26,7 @@ from pedzoo.maps.library import load_plan
 STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
 """Lightning's name for the stage that needs a split."""
 
-PROTOCOL = ("fold", "obs_len", "pred_len", "goal", "clock", "people", "min_people")
+PROTOCOL = ("fold", "obs_len", "pred_len", "goal", "clock", "keep_people", "min_people")
 """Options of the data on which every number that is made with them depends."""
 
 
@@ -46,7 +46,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         pred_len: int = 8,
         goal: GoalProtocol = "none",
         clock: TimeBase = "benchmark",
-        people: KeptPeople = "complete",
+        keep_people: KeptPeople = "complete",
         min_people: int = 2,
         batch_size: int = 64,
         max_pairs: int = 16384,
@@ -60,7 +60,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         """Set what `setup` will read.
 
         Args:
-            fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class``.
+            fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class:fold``.
             root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.
@@ -71,7 +71,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             pred_len: Predicted steps of 0.4 s.
             goal: What people's ``goal`` is; see `pedzoo.data.goals`.
             clock: ``benchmark`` takes every annotated step as 0.4 s, ``true`` resamples to real 0.4 s.
-            people: ``complete`` keeps people seen in the whole window, ``present`` also partly seen ones.
+            keep_people: ``complete``: people seen in the whole window; ``present``: also partly seen ones.
             min_people: Windows with fewer people are dropped.
             batch_size: Scenes in a batch, at most.
             max_pairs: Ordered pairs of people in a batch, at most.
@@ -138,7 +138,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank(list(self._grids.values()), unknown="free")
         for split in missing:
-            people = cast("KeptPeople", self.hparams["people"])
+            people = cast("KeptPeople", self.hparams["keep_people"])
             self.sets[split] = self._scenes(
                 recordings[split], self.pred_len, people, self.hparams["min_people"]
             )

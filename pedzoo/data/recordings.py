@@ -1,13 +1,15 @@
-"""What a dataset file gives: recordings of a split, each with its floor plan."""
+"""What a dataset file gives: recordings of a split, each with its floor plan, and what it says of itself."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 from pedzoo.core.errors import unknown
 from pedzoo.core.registry import DATASETS
+from pedzoo.core.spec import name_of
 from pedzoo.core.types import TimeBase
 from pedzoo.data.tracks import Tracks
 
@@ -23,10 +25,28 @@ class Recording:
 
 
 class Dataset(Protocol):
-    """What a file in ``pedzoo/data/datasets`` provides; its module lists its ``FOLDS``."""
+    """What a dataset's class provides. Its constants are read without importing it: they must be literals.
+
+    Attributes:
+        FOLDS: Names of folds, each with the recordings that it is tested on, which its training leaves out.
+            None of them: the fold trains on everything.
+        ALWAYS_TRAINED: Recordings that no fold leaves out.
+        SOURCE: What the recordings are, and where they are from, for cards.
+        TERMS: On whose terms they are used, likewise.
+        PLAN_TERMS: What follows the terms for models that see the floor plans.
+        CITATION: What to cite, likewise.
+        REPLAY_SHARE: Folds with so many people that the suite ``replay``, where each person has a scene,
+            simulates those of this first share of the time only.
+    """
+
+    FOLDS: ClassVar[Mapping[str, Sequence[str]]]
 
     def __init__(self, fold: str, root: str | None, clock: TimeBase) -> None:
-        """Find the fold's files below ``root``."""
+        """Find the fold's files below ``root``.
+
+        Raises:
+            UserError: There are none.
+        """
         ...
 
     def recordings(self, split: Split) -> list[Recording]:
@@ -34,18 +54,65 @@ class Dataset(Protocol):
         ...
 
 
-def folds() -> dict[str, str]:
-    """Return all folds and the dataset that each belongs to, without importing any."""
-    return {fold: name for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()}
+class Fold(NamedTuple):
+    """A fold by its dataset's name, or ``path/to/file.py:Class``, and its own name.
+
+    Attributes:
+        dataset: As `DATASETS` takes it.
+        name: One of the dataset's ``FOLDS``; that of the class where it declares none.
+    """
+
+    dataset: str
+    name: str
+
+    def constant(self, name: str, default: Any) -> Any:
+        """Return a constant of the dataset's class, see `Dataset`."""
+        value = DATASETS.constant(self.dataset, name)
+        return default if value is None else value
+
+    @property
+    def tested(self) -> list[str] | None:
+        """The recordings that the fold is tested on; None where the dataset does not say it."""
+        tested = self.constant("FOLDS", {}).get(self.name)
+        return None if tested is None else list(tested)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the fold leaves no recording out, so that there is none to test on."""
+        return self.tested == []
+
+    @property
+    def trained(self) -> list[str]:
+        """The recordings that a training on the fold sees, in alphabetical order."""
+        others = [names for fold, names in self.constant("FOLDS", {}).items() if fold != self.name]
+        return sorted({*(name for names in others for name in names), *self.constant("ALWAYS_TRAINED", ())})
+
+
+def find_fold(text: str | None) -> Fold | None:
+    """Return the fold behind ``zara1`` or ``path/to/file.py:Class:fold``, None where there is no such fold.
+
+    Without a name behind the class it is the first of its folds. Nothing is imported.
+    """
+    if text is None:
+        return None
+    if ".py:" not in text:
+        known = {fold: name for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()}
+        return Fold(known[text], text) if text in known else None
+    dataset = name_of(text)
+    folds = list(DATASETS.constant(dataset, "FOLDS") or [dataset.rpartition(":")[2]])
+    name = text.removeprefix(dataset).removeprefix(":") or folds[0]
+    return Fold(dataset, name) if name in folds else None
 
 
 def open_fold(fold: str, root: str | None, clock: TimeBase) -> Dataset:
-    """Return the dataset that has ``fold``, or the plugin ``path/to/file.py:Class``.
+    """Return the dataset that has a fold, as `find_fold` takes it.
 
     Raises:
-        UserError: No dataset has it.
+        UserError: No dataset has it, or the dataset does not find its files.
     """
-    known = folds()
-    if fold not in known and ".py:" not in fold:
-        raise unknown("fold", fold, known)
-    return DATASETS.get(known.get(fold, fold))(fold, root, clock)
+    if found := find_fold(fold):
+        return DATASETS.get(found.dataset)(found.name, root, clock)
+    dataset = name_of(fold) if ".py:" in fold else ""
+    datasets, kind = ([dataset], f"fold of {dataset}") if dataset else (DATASETS.names(), "fold")
+    known = [name for one in datasets for name in DATASETS.constant(one, "FOLDS") or ()]
+    raise unknown(kind, fold.removeprefix(dataset).removeprefix(":"), known)

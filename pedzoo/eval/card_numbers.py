@@ -10,7 +10,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.renamed import OLD_SUITES
 from pedzoo.core.types import OBS_LEN
 from pedzoo.data.datamodule import PROTOCOL
-from pedzoo.data.datasets.eth_ucy import EVERYTHING
+from pedzoo.data.recordings import find_fold
 from pedzoo.eval.card_reports import Job, Progress, Report, about, only, report_of
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load
@@ -90,7 +90,8 @@ def measure(
         raise UserError(f"{model!r} does not say on what it was trained: its numbers would have no protocol")
     own: Report = {key: trained[key] for key in PROTOCOL}
     own |= {"goal": load(model).goal_protocol or "none", "samples": SAMPLES}
-    own["split"] = "val" if own["fold"] == EVERYTHING else "test"
+    fold = find_fold(own["fold"])
+    own["split"] = "val" if fold and fold.whole else "test"
     embedded = own | {"fold": EMBEDDED, "split": "test"}
     wanted = [("forecast", own), ("forecast", embedded)][own["fold"] == EMBEDDED :]
     if own["obs_len"] == OBS_LEN:  # so many steps are seen by what walks
@@ -133,10 +134,17 @@ def again(
     for before in card.evaluations:
         job = Job(model, before["protocol"], before["seeds"], root, workers, progress)
         try:
+            _check_fold(before["protocol"])
             result.append(Again(before, report_of(str(before["command"]), job)))
         except UserError as error:
             result.append(Again(before, None, str(error)))
     return result
+
+
+def _check_fold(protocol: Report) -> None:
+    """Refuse a dataset in a file: a card never makes code of a file run."""
+    if ".py:" in (fold := str(protocol.get("fold", ""))):
+        raise UserError(f"the dataset {fold!r} is a file of code, which no card runs: use pedzoo forecast")
 
 
 def compare(before: Report, now: Report) -> list[Compared]:

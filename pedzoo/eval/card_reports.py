@@ -114,7 +114,7 @@ class _Forecast(TypedDict):
     fold: str
     goal: str
     clock: str
-    people: str
+    keep_people: str
     split: str
     obs_len: int
     pred_len: int

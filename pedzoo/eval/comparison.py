@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from pedzoo.core import renamed
 from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.metrics.closed_loop import closed_loop, time_ratio_median
-from pedzoo.metrics.navigation import finish_seconds, success
+from pedzoo.metrics.closed_loop import closed_loop, named, time_ratio_median
+from pedzoo.metrics.navigation import arrived_in_time, finish_seconds
 from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
@@ -52,6 +52,7 @@ class Comparison:
         clearance: float = CLEARANCE,
         decision_dt: float | None = None,
         device: str = "cpu",
+        metrics: Sequence[str] = (),
     ) -> None:
         """Build all policies and their environments, so that a misspelt one is found before any has walked.
 
@@ -66,11 +67,14 @@ class Comparison:
             clearance: Metres that planned ways keep from walls.
             decision_dt: Seconds; refused unless it is the policies' own.
             device: Where scenes and models are, such as ``cuda``.
+            metrics: Metrics of your own, as ``path/to/file.py:f``, beside the shipped ones.
 
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
         """
         physics = renamed.backend(physics)
+        named(metrics)
+        self._metrics = metrics
         settings = {"warm_start": warm_start, "clearance": clearance}
         settings |= {"decision_dt": decision_dt, "device": device}
         self._prepared = {}
@@ -112,12 +116,12 @@ class Comparison:
 
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds and rows of all that has walked."""
-        rows = [row(name, rollout, env.decision_dt) for name, rollout, env in self.walked]
+        rows = [row(name, rollout, metrics=self._metrics) for name, rollout, _ in self.walked]
         return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
 
 
 def row(
-    name: str, rollout: Rollout, decision_dt: float, more: Mapping[str, Ratio] | None = None
+    name: str, rollout: Rollout, more: Mapping[str, Ratio] | None = None, metrics: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
@@ -128,19 +132,19 @@ def row(
     Args:
         name: The policy as it was given.
         rollout: Its episodes.
-        decision_dt: Seconds between its decisions.
         more: Metrics of the same episodes beside those of every rollout.
+        metrics: Likewise, as ``path/to/file.py:f``.
     """
-    metrics, intervals = summarised({**closed_loop(rollout, decision_dt), **(more or {})})
+    values, intervals = summarised({**closed_loop(rollout, metrics), **(more or {})})
     if not rollout.replayed:
         middle, ends = time_ratio_median(rollout)
-        metrics, intervals = metrics | middle, intervals | ends
+        values, intervals = values | middle, intervals | ends
     return {
         "name": name,
         "case": {},
-        "decision_dt_s": decision_dt,
+        "decision_dt_s": rollout.decision_dt,
         "n": len(rollout.failed),
-        "metrics": metrics,
+        "metrics": values,
         "ci95": intervals,
         "per_agent": [] if rollout.replayed else _per_agent(rollout),
     }
@@ -148,7 +152,7 @@ def row(
 
 def _per_agent(walked: Rollout) -> list[dict[str, Any]]:
     """Return what each person did, people of one episode after the other."""
-    arrived = success(walked.reached, walked.goals, walked.overdue, walked.failed, walked.mask)
+    arrived = arrived_in_time(walked.reached, walked.goals, walked.overdue, walked.failed, walked.mask)
     seconds = finish_seconds(walked.reached, walked.goals)
     agents = contact_events(walked.agent_contact & walked.scored)
     walls = contact_events(walked.wall_contact & walked.scored)

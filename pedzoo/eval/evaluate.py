@@ -19,6 +19,7 @@ from pedzoo.eval.units import digest, work
 from pedzoo.eval.workers.journal import Journal, Rows
 from pedzoo.eval.workers.pool import Backend, finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter
+from pedzoo.metrics.closed_loop import NAMES, named
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import physics_class
 
@@ -39,6 +40,8 @@ def evaluate(
     root: str | Path | None = None,
     rollouts: int | None = None,
     device: str = "cpu",
+    metrics: Sequence[str] = (),
+    folds: Sequence[str] = (),
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -58,6 +61,9 @@ def evaluate(
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
         device: Where scenes and policies are, such as ``cuda``.
+        metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
+        folds: Of recordings that ``replay`` walks, as ``zara1`` or ``file.py:Class:fold``; none for all that
+            are found.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -73,7 +79,10 @@ def evaluate(
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
     folder = None if root is None else str(root)
-    options = EvaluationOptions(episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device)
+    lists = ((one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds))
+    options = EvaluationOptions(
+        episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device, *lists
+    )
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -129,6 +138,8 @@ class Evaluation:
             _suite(name) for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
         ]
         _check_use(self.options, self._suites)
+        asked = self.options.metrics
+        self._columns = (*(name for name in asked if name in NAMES), *named(asked))
         for policy in self._policies:
             load_policy(policy)
         self.units: list[WorkUnit] = []
@@ -136,7 +147,7 @@ class Evaluation:
             for case in suite.cases(self.options):
                 physics_class(case.physics).check()
                 units = suite.units(case, self._policies, self._seeds, deterministic)
-                self.units += [unit._replace(device=self.options.device) for unit in units]
+                self.units += [unit._replace(device=self.options.device, metrics=asked) for unit in units]
         self._digests = [digest(unit) for unit in self.units]
         self.journal = Path(resume) if resume else None
         self._journal = Journal(self.journal)
@@ -196,7 +207,11 @@ class Evaluation:
     @property
     def shown(self) -> dict[str, Shown]:
         """What tables show of each suite."""
-        return {suite.name: Shown(suite.headline, suite.columns, suite.counted) for suite in self._suites}
+        more = self._columns
+        return {
+            suite.name: Shown(suite.headline, list(dict.fromkeys((*suite.columns, *more))), suite.counted)
+            for suite in self._suites
+        }
 
 
 def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
@@ -211,7 +226,7 @@ def _suite(name: str) -> Suite:
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
-    for key in ("episodes", "maps", "rollouts"):
+    for key in ("episodes", "maps", "rollouts", "folds"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [
                 name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())

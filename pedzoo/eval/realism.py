@@ -8,7 +8,7 @@ depend on each other is left out, so intervals are somewhat too narrow.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.intervals import Interval, wilson
+from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     Crowd,
     compared,
@@ -52,7 +54,11 @@ class _Recorded(NamedTuple):
 
 
 def replay_row(
-    name: str, rollout: Rollout | Iterable[Rollout], scenario: Replay, decision_dt: float
+    name: str,
+    rollout: Rollout | Iterable[Rollout],
+    scenario: Replay,
+    decision_dt: float,
+    metrics: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the metrics of a policy in a replay with their 95 % intervals, and what each person did.
 
@@ -74,11 +80,13 @@ def replay_row(
             which only one has to be in memory at a time.
         scenario: The replay.
         decision_dt: Seconds between decisions.
+        metrics: Of one's own, as ``path/to/file.py:f``; their intervals are over scenes.
     """
     recorded, people, scenes = _recorded(scenario, scenario.script), scenario.persons, scenario.scenes
     parts = [rollout] if isinstance(rollout, Rollout) else rollout
-    walked, crowds, first = [], [], 0
+    walked, crowds, own, first = [], [], [], 0
     for part in parts:
+        own.append(own_metrics(part, metrics))
         steps = every_step(part)
         walked.append(walks_of(part, steps, first, scenes, recorded.tracks))
         crowds.append(crowd(part, steps, first, scenes, people.start, people.goal))
@@ -93,24 +101,25 @@ def replay_row(
     values = of_people(tables, once) | compared(mine, real, once, once, distances(mine, real), spread)
     distance = resampled_distances(mine, real, drawn, drawn)
     resamples = of_people(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
-    metrics = {key: float(value) for key, value in values.items() if not value.isnan()}
-    intervals = {key: result for key in metrics if (result := _interval(resamples[key]))}
+    numbers = {key: float(value) for key, value in values.items() if not value.isnan()}
+    intervals = {key: result for key in numbers if (result := _interval(resamples[key]))}
     for key in ("success", "deadlock"):
-        intervals[key] = wilson(metrics[key], int(seen.sum()))
+        intervals[key] = wilson(numbers[key], int(seen.sum()))
+    more, theirs = summarised({key: of_parts([part[key] for part in own]) for key in own[0]})
     return {
         "name": name,
         "case": {},
         "decision_dt_s": decision_dt,
         "n": int(seen.sum()),
         "rounds": len(tables.success),
-        "metrics": metrics,
-        "ci95": intervals,
+        "metrics": numbers | more,
+        "ci95": intervals | theirs,
         "per_agent": _listed(tables, people, seen),
         "density_speed": _curve(mine, real, once),
     }
 
 
-def reference_rows(scenario: Replay) -> list[dict[str, Any]]:
+def reference_rows(scenario: Replay, metrics: Sequence[str] = ()) -> list[dict[str, Any]]:
     """Return what belongs beside every policy: the real crowd, and its halves against each other.
 
     ``real`` has the recording's own rates and spreads, and distances of 0. ``real halves`` is the noise
@@ -120,6 +129,7 @@ def reference_rows(scenario: Replay) -> list[dict[str, Any]]:
 
     Args:
         scenario: The replay.
+        metrics: Of ``real``, too; as of `replay_row`.
     """
     recorded = _recorded(scenario, scenario.script)
     real, seen = recorded.crowd, recorded.tracks.scene >= 0
@@ -137,7 +147,7 @@ def reference_rows(scenario: Replay) -> list[dict[str, Any]]:
         "ci95": {key: interval for key, value in result.items() if (interval := _interval(value))},
         "per_agent": [],
     }
-    return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS), floor]
+    return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS, metrics), floor]
 
 
 @lru_cache(maxsize=1)

@@ -6,6 +6,8 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pedzoo.core.registry import METRICS
+
 
 class Shown(NamedTuple):
     """What tables show of a suite.
@@ -24,39 +26,16 @@ class Shown(NamedTuple):
 SEEN = "seen"
 """What a row's case has if the policy's weights were trained on that case."""
 
-LEGEND = {
-    "success": "share of people who reach all goals in time (max(20 s, 4 x the way's time) each); in a replay"
-    " their real exit in twice the real time",
-    "episode_success": "share of episodes in which everybody does",
-    "clean": "share of episodes in which everybody does and nobody touches anybody or any wall",
-    "contact_free": "share of episodes in which nobody touches anybody or any wall",
-    "time_s": "until everybody has reached all goals, mean of the episodes in which all do in time",
-    "seconds_per_goal": "time that people walk in these episodes, by the goals that they reach: whoever is "
-    "finished early walks on",
-    "goals_per_person": "goals reached until everybody is finished",
-    "deadlock": "share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal",
-    "failed": "share of episodes in which the policy gave no number",
-    "agent_contacts_per_min": "touches of others per minute that a person walks; one that lasts counts once",
-    "wall_contacts_per_min": "touches of walls, likewise",
-    "time_ratio": "time that all people who arrive need, divided by the time of free walking: the planner's "
-    "ways at the speeds they like",
+_LEGEND = {
+    "seconds_per_goal": "time that people walk in episodes in which all arrive, by the goals that they reach",
     "time_ratio_median": "the median over people of each one's time by that of free walking; in a replay of "
     "the time until the exit to the real one",
-    "path_ratio": "way that all people who arrive walk, divided by the planner's ways",
-    "least_distance_m": "distance between centres of an episode's nearest two",
     "outcome_blocked": "share of episodes in which not both arrive and one of them is deadlocked",
     "outcome_lost": "in which not both arrive, though nobody stands still",
     "outcome_through": "in which both arrive, but their centres come closer than 0.15 m",
     "outcome_circle": "in which both arrive and turn around each other: by 90 degrees or more within 0.6 m",
     "outcome_pass": "in which both arrive at a distance, or one after the other",
     "bearing_sweep_deg": "how far the bearing of the other turns while they are closer than 0.6 m",
-    "symmetry_index": "0: the two at the door walk as mirror images of each other; about 1: one waits until "
-    "the other is through",
-    "symmetry_m": "distance of the middle between the two from the door's centre, times two, mean until the "
-    "first arrives: 0 for mirror images",
-    "yield_delay_s": "how much later than the first the second passes the door",
-    "yielder_speed_m_per_s": "least speed of the second before the door",
-    "specific_flow_per_m_s": "people through the door per metre of its width and second",
     "realism": "mean distance of six distributions (speed, acceleration, heading rate, nearest distance, "
     "time to collision, lateral deviation) to the real ones, in real standard deviations: lower is better",
     "w1_speed": "and `w1_acceleration` to `w1_lateral_deviation`: each of these six alone",
@@ -69,6 +48,13 @@ LEGEND = {
     "agent_contact_excess_per_min": "touches of others beyond those of the real crowd",
     "wall_contact_excess_per_min": "touches of walls, likewise",
 }
+"""What metrics are that are no ratios of a rollout: of replays and of the paper's suites."""
+
+
+def legend() -> dict[str, str]:
+    """Return what each metric is: the first line of its function, or a text."""
+    texts = {name: METRICS.describe(name).rstrip(".") for name in METRICS.names()}
+    return {name: text[:1].lower() + text[1:] for name, text in texts.items()} | _LEGEND
 
 
 class Page(NamedTuple):
@@ -144,8 +130,8 @@ def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Seq
     for page in pages(report, shown):
         lines += [f"## {page.title}\n", markdown_table(page.head, page.rows)]
     known = {key for row in report["summary"] for key in row["metrics"]}
-    legend = (f"* `{key}`: {text}." for key, text in LEGEND.items() if key in known)
-    return "\n".join([*lines, "## What the numbers are\n", *legend]).rstrip() + "\n"
+    texts = (f"* `{key}`: {text}." for key, text in legend().items() if key in known)
+    return "\n".join([*lines, "## What the numbers are\n", *texts]).rstrip() + "\n"
 
 
 INTERVALS = (

@@ -133,7 +133,8 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
             ended(int((~alive).sum()))
         before, now = state, step_mdp(result)
     kept = [{key: value.cpu() for key, value in step.items()} for step in steps]
-    return rollout_of(env.scenario, start.to("cpu"), kept, overdue.cpu(), failed.cpu())
+    over = overdue.cpu(), failed.cpu()
+    return rollout_of(env.scenario, start.to("cpu"), kept, *over, env.decision_dt)
 
 
 def _kept(

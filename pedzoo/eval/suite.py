@@ -36,6 +36,8 @@ class EvaluationOptions(NamedTuple):
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         rollouts: Of a policy with noise, on recordings; None for the suite's own number.
         device: Where scenes and policies are.
+        metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
+        folds: Of recordings; none for all that leave recordings out and are found.
     """
 
     episodes: int | None = None
@@ -45,6 +47,8 @@ class EvaluationOptions(NamedTuple):
     root: str | None = None
     rollouts: int | None = None
     device: str = "cpu"
+    metrics: tuple[str, ...] = ()
+    folds: tuple[str, ...] = ()
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -89,6 +93,7 @@ class WorkUnit(NamedTuple):
         seeds: Of the scenes.
         deterministic: Without noise.
         device: Where scenes and policy are.
+        metrics: Names of metrics, or ``path/to/file.py:f``.
     """
 
     policy: str
@@ -97,6 +102,7 @@ class WorkUnit(NamedTuple):
     seeds: tuple[int, ...]
     deterministic: bool
     device: str = "cpu"
+    metrics: tuple[str, ...] = ()
 
     @property
     def group(self) -> tuple[str, str]:
@@ -122,7 +128,7 @@ class Suite(ABC):
         columns: Metrics of the suite's own table.
     """
 
-    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts")
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts", "folds")
     warm_start: ClassVar[str] = "orca"
     counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
@@ -178,8 +184,8 @@ class Suite(ABC):
         """
         case = unit.case
         parts = list(walked(unit, prepared(case.scenario, case.inputs), unit.seeds, case.episodes, tell))
-        rollout, decision_dt = joined([part for part, _ in parts]), parts[0][1].decision_dt
-        result = row(unit.policy, rollout, decision_dt, self.more(rollout))
+        rollout = joined([part for part, _ in parts])
+        result = row(unit.policy, rollout, self.more(rollout), unit.metrics)
         for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]

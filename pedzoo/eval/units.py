@@ -50,7 +50,7 @@ def digest(unit: WorkUnit) -> str:
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
     walking = [_model_sum(policy) for policy in parts(unit.walks)]
-    named = unit.case.suite, unit.case.scenario, unit.case.physics
+    named = unit.case.suite, unit.case.scenario, unit.case.physics, *unit.metrics
     files = [*walking, *map(_file_sum, named)]
     return fingerprint(known, files)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from pedzoo.core import renamed
 from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
-from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
-from pedzoo.data.provenance import TESTED
+from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.header import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find
@@ -25,29 +25,30 @@ def for_fold(policy: str, fold: str) -> str:
 
 
 def _for_fold(policy: str, fold: str) -> str:
-    name = parse(policy).name
-    if name not in weight_files() or (held_out := _held_out(name)) in (None, fold):
+    written, to, known = parse(policy).name, find_fold(fold), weight_files()
+    name = renamed.weights(written)
+    if name not in known or not to or (held_out := find_fold(_held_out(name))) in (None, to):
         return policy
-    if held_out == EVERYTHING and f"{name}_{fold}" in weight_files():
-        return f"{name}_{fold}{policy.removeprefix(name)}"
     architecture, _, tag = name.partition(".")
-    other = f"{architecture}.{tag.replace(held_out, fold, 1)}"
-    return other + policy.removeprefix(name) if other in weight_files() else policy
+    other = f"{architecture}.{tag.replace(held_out.name, to.name, 1)}"
+    if held_out.whole and f"{name}_{to.name}" in known:
+        other = f"{name}_{to.name}"
+    return policy.replace(written, other, 1) if other in known else policy
 
 
 def has_seen(policy: str, fold: str) -> bool:
-    """Return whether weights in a policy were trained on the test recordings of a fold of ETH/UCY."""
+    """Return whether weights in a policy were trained on the test recordings of a fold."""
     return any(_has_seen(part, fold) for part in parts(policy))
 
 
 def _has_seen(policy: str, fold: str) -> bool:
-    if fold not in SCENES:
+    name, to = parse(policy).name, find_fold(fold)
+    if not to or not to.tested:
         return False
-    name = parse(policy).name
     if entry := find(name):
-        return not set(TESTED[fold]).isdisjoint(entry.card.data["recordings"])
-    held_out = _held_out(name)
-    return held_out is not None and held_out != fold and held_out in (*SCENES, EVERYTHING)
+        return not set(to.tested).isdisjoint(entry.card.data["recordings"])
+    held_out = find_fold(_held_out(name))
+    return held_out is not None and held_out.dataset == to.dataset and held_out.name != to.name
 
 
 def _held_out(name: str) -> str | None:

@@ -1,4 +1,4 @@
-"""Who goes first through a door, and how many: pure functions over the 0.1 s trace of closed-loop episodes.
+"""Who goes first through a door, and how many: metrics, and pure functions over the trace of their episodes.
 
 E episodes of A people (padded), T trace points. A gate (E, 5) is the door's centre c, x and y, the unit
 normal of its wall, x and y, and its clear width: the door line goes through c along the wall, jamb to jamb.
@@ -10,10 +10,15 @@ the episode begins. Where all come from one side there is no pair.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
-from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
+from pedzoo.metrics import smoothness
+from pedzoo.metrics.ratios import Ratio, finite, mean, metric, once, ratio, share
+from pedzoo.sim.rollout import Rollout
 
 
 def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
@@ -53,7 +58,7 @@ def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     return nearest.indices, nearest.values.isfinite().all(1)
 
 
-def symmetry_index(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
+def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
     """Return how far a pair is from walking point-symmetrically (E,), and where that is known (E,) bool.
 
     The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are there. r is their mean distance from the
@@ -75,8 +80,8 @@ def symmetry_index(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> 
 def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
     """Return the mean of ``|p1 + p2 - 2c|`` as long as both are there (E,), metres, and where it is known.
 
-    What `symmetry_index` is in metres. Where somebody walks on after arriving the two are no longer about the
-    door: ``there`` that ends with the first arrival tells how they came through it.
+    What `index_of_symmetry` is in metres. After one of them arrives the two are no longer about the door:
+    ``there`` that ends with the first arrival tells how they came through it.
 
     Args:
         path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
@@ -90,7 +95,7 @@ def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[
     return off.where(both, 0.0).sum(1, dtype=torch.float64) / points.clamp_min(1), points > 0
 
 
-def yield_delay(seconds: Tensor) -> Tensor:
+def delay(seconds: Tensor) -> Tensor:
     """Return how much later than the first the second of a pair passes (E,), seconds.
 
     Infinite where not both are through.
@@ -101,7 +106,7 @@ def yield_delay(seconds: Tensor) -> Tensor:
     return torch.where(seconds.isfinite().all(1), seconds.diff(dim=1).abs().squeeze(1), torch.inf)
 
 
-def faster_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -> tuple[Tensor, Tensor]:
+def faster_is_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -> tuple[Tensor, Tensor]:
     """Return where the one who likes to walk faster passes first (E,) bool, and where that is known.
 
     Known where both are through and their preferred speeds differ by more than ``differ``.
@@ -164,3 +169,74 @@ def _from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     normal = gate[:, None, None, 2:4]
     ahead = (off * normal).sum(-1)
     return ahead, off[..., 1] * normal[..., 0] - off[..., 0] * normal[..., 1]
+
+
+class _Door(NamedTuple):
+    """What happened at the doors.
+
+    Attributes:
+        gate: The doors (E, 5).
+        passed: When people passed (E, A), seconds; see `passing_seconds`.
+        pair: Two people who meet there (E, 2) long.
+        met: Where there are two (E,) bool.
+        theirs: When these passed (E, 2), seconds.
+    """
+
+    gate: Tensor
+    passed: Tensor
+    pair: Tensor
+    met: Tensor
+    theirs: Tensor
+
+
+@once
+def _door(rollout: Rollout) -> _Door:
+    assert rollout.gate is not None
+    passed = passing_seconds(rollout.path, rollout.scored, rollout.gate)
+    two, met = pair(rollout.path[:, :, 0], rollout.mask, rollout.gate)
+    theirs = of_pair(passed, two).where(met.unsqueeze(1), torch.inf)
+    return _Door(rollout.gate, passed, two, met, theirs)
+
+
+@metric("doors")
+def symmetry_index(rollout: Rollout) -> Ratio:
+    """0: the two walk as mirror images in the door; about 1: one waits until the other is through."""
+    at = _door(rollout)
+    index, known = index_of_symmetry(rollout.path, rollout.scored, at.gate, at.pair)
+    return mean(index, known & at.met)
+
+
+@metric("doors")
+def symmetry_m(rollout: Rollout) -> Ratio:
+    """Distance of the middle of the two from the door's centre, times two, mean until the first arrives."""
+    at = _door(rollout)
+    metres, known = asymmetry(rollout.path, rollout.scored & rollout.underway, at.gate, at.pair)
+    return mean(metres, known & at.met)
+
+
+@metric("doors")
+def yield_delay_s(rollout: Rollout) -> Ratio:
+    """How much later than the first the second passes."""
+    return finite(delay(_door(rollout).theirs))
+
+
+@metric("doors")
+def faster_first(rollout: Rollout) -> Ratio:
+    """Share of episodes in which the person who prefers the higher speed passes first."""
+    at = _door(rollout)
+    return share(*faster_is_first(at.theirs, of_pair(rollout.pref_speed, at.pair)))
+
+
+@metric("doors")
+def yielder_speed_m_per_s(rollout: Rollout) -> Ratio:
+    """Least speed of the second before the door."""
+    at = _door(rollout)
+    velocity, known = (of_pair(value, at.pair) for value in smoothness.moves(rollout))
+    return finite(yielder_speed(velocity, known, at.theirs, STEP_SECONDS))
+
+
+@metric("doors")
+def specific_flow_per_m_s(rollout: Rollout) -> Ratio:
+    """All people who get through, divided by width of the door and time."""
+    at = _door(rollout)
+    return ratio(*flow(at.passed, at.gate))

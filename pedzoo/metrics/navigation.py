@@ -15,7 +15,7 @@ STILL_POINTS, STILL_METRES, AWAY = round(5.0 / TRACE_SECONDS), 0.1, 0.5
 """Trace points (5 s), metres in them, and metres to the goal: who moves less, farther away, is deadlocked."""
 
 
-def success(reached: Tensor, goals: int, late: Tensor, failed: Tensor, mask: Tensor) -> Tensor:
+def arrived_in_time(reached: Tensor, goals: int, late: Tensor, failed: Tensor, mask: Tensor) -> Tensor:
     """Return who has reached all goals in time (E, A) bool; nobody has in an episode that failed.
 
     Args:

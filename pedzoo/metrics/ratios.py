@@ -1,14 +1,27 @@
-"""Metrics as ratios of two sums over episodes: what can be added over rollouts, seeds and processes."""
+"""Closed-loop metrics as ratios of two sums over episodes, which add up over rollouts, seeds and processes.
+
+A metric is a function of a rollout with the decorator `metric`, in any file of this folder: the registry
+finds it, and its name is the metric's. Its docstring is the legend of pages.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from typing import Literal, NamedTuple, TypeVar
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
 from pedzoo.metrics.intervals import Interval, bootstrap, wilson
+from pedzoo.sim.rollout import Rollout
+
+T = TypeVar("T")
+Function = TypeVar("Function", bound=Callable[[Rollout], tuple[Tensor, Tensor] | tuple[Tensor, Tensor, bool]])
+
+Scenes = Literal["all", "ordinary", "doors"]
+"""Of which rollouts a metric is: ``ordinary`` are all but replays, ``doors`` those of them with a gate."""
 
 
 class Ratio(NamedTuple):
@@ -23,6 +36,33 @@ class Ratio(NamedTuple):
     above: Tensor
     below: Tensor
     share: bool = False
+
+
+def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
+    """Declare a function of a rollout as a metric; it returns a `Ratio`, or two sums per episode (E,) each.
+
+    Args:
+        scenes: Of which rollouts it is; it is not called with others.
+    """
+
+    def declare(function: Function) -> Function:
+        setattr(function, "scenes", scenes)  # noqa: B010 - functions have no such field for type checkers
+        return function
+
+    return declare
+
+
+def once(function: Callable[[Rollout], T]) -> Callable[[Rollout], T]:
+    """Keep what several metrics need of a rollout for as long as that rollout is there."""
+    known: WeakKeyDictionary[Rollout, T] = WeakKeyDictionary()
+
+    @wraps(function)
+    def call(rollout: Rollout) -> T:
+        if rollout not in known:
+            known[rollout] = function(rollout)
+        return known[rollout]
+
+    return call
 
 
 def ratio(above: Tensor, below: Tensor | None = None) -> Ratio:
@@ -51,6 +91,12 @@ def of_sums(above: Tensor, below: Tensor, known: Tensor) -> Ratio:
 def finite(value: Tensor) -> Ratio:
     """Return the mean of the finite values (E, ...)."""
     return mean(value, value.isfinite())
+
+
+def of_parts(parts: Sequence[Ratio]) -> Ratio:
+    """Return a metric of all episodes, given that of some episodes after the other."""
+    above, below, shares = zip(*parts, strict=True)
+    return Ratio(torch.cat(above), torch.cat(below), shares[0])
 
 
 def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str, Interval]]:

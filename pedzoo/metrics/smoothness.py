@@ -1,4 +1,4 @@
-"""How people move: pure functions over the 0.1 s trace of closed-loop episodes.
+"""How people move: metrics, and pure functions over the 0.1 s trace of their closed-loop episodes.
 
 E episodes of A people (padded), T trace points. Speeds and what follows from them are taken over windows of
 0.4 s: between two decisions a learned model's people walk straight on, so that all of a change of velocity
@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
+from pedzoo.metrics.ratios import Ratio, mean, metric, once, ratio
+from pedzoo.sim.rollout import Rollout
 
 WINDOW = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in a window."""
@@ -97,3 +99,40 @@ def _headings(velocity: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
 def _wrapped(angle: Tensor) -> Tensor:
     """Return the amount of differences of angles, 0 to pi."""
     return torch.remainder(angle + math.pi, 2 * math.pi).sub(math.pi).abs()
+
+
+@once
+def moves(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Return the velocities of scored people; see `velocities`."""
+    return velocities(rollout.path, rollout.scored)
+
+
+@metric()
+def speed_m_per_s(rollout: Rollout) -> Ratio:
+    """Speed, mean over people and 0.4 s windows."""
+    velocity, known = moves(rollout)
+    return mean(velocity.norm(dim=-1), known)
+
+
+@metric()
+def acceleration_m_per_s2(rollout: Rollout) -> Ratio:
+    """Amount of acceleration, likewise."""
+    return mean(*acceleration(*moves(rollout)))
+
+
+@metric()
+def jerk_m_per_s3(rollout: Rollout) -> Ratio:
+    """Amount of jerk, likewise."""
+    return mean(*jerk(*moves(rollout)))
+
+
+@metric()
+def heading_rate_rad_per_s(rollout: Rollout) -> Ratio:
+    """How fast headings turn, left or right, likewise."""
+    return mean(*heading_rate(*moves(rollout)))
+
+
+@metric()
+def path_irregularity_rad_per_m(rollout: Rollout) -> Ratio:
+    """All turning divided by all way."""
+    return ratio(turning(*moves(rollout)), length(*moves(rollout)))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 
 OVER_TIME = (
     *("trace", "goal", "present", "controlled", "person", "planned"),
@@ -52,6 +53,7 @@ class Rollout:
         goals: Goals that each agent had to reach.
         gate: The scene's door (E, 5): centre x and y, unit normal x and y of its wall, clear width; metres.
             None where the scenario has none.
+        decision_dt: Seconds between two decisions of the policy.
     """
 
     trace: Tensor
@@ -75,6 +77,7 @@ class Rollout:
     pose: Tensor
     goals: int
     gate: Tensor | None = None
+    decision_dt: float = STEP_SECONDS
 
     @property
     def length(self) -> Tensor:
@@ -86,7 +89,7 @@ class Rollout:
         """Positions from where the episode begins (E, A, 1 + T, 2), metres: the trace with its start."""
         return torch.cat((self.past[:, :, -1:], self.trace), dim=2)
 
-    @property
+    @cached_property
     def scored(self) -> Tensor:
         """Which agents are scored (E, A, T) bool: controlled, and in the slot already at the point before.
 
@@ -121,7 +124,7 @@ class Rollout:
         before = torch.cat((self.person[..., :1], self.person[..., :-1]), dim=2)
         return there & (self.person == before)
 
-    @property
+    @cached_property
     def replayed(self) -> bool:
         """Whether people are played back, come later or take others' slots, as in recorded scenes.
 

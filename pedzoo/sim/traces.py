@@ -8,13 +8,19 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.sim.rollout import OVER_TIME, Rollout
 from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
 
 
 def rollout_of(
-    scenario: Scenario, start: State, steps: Sequence[Mapping[str, Tensor]], overdue: Tensor, failed: Tensor
+    scenario: Scenario,
+    start: State,
+    steps: Sequence[Mapping[str, Tensor]],
+    overdue: Tensor,
+    failed: Tensor,
+    decision_dt: float = STEP_SECONDS,
 ) -> Rollout:
     """Return the rollout of scenes that began in a state.
 
@@ -24,6 +30,7 @@ def rollout_of(
         steps: What has a value for every trace point, piece by piece (E, A, S, ...).
         overdue: Which agents did not reach a goal in time (E, A) bool.
         failed: In which the policy gave no number (E,) bool.
+        decision_dt: Seconds between two decisions.
     """
     return Rollout(
         **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
@@ -39,4 +46,5 @@ def rollout_of(
         pose=start.pose,
         goals=scenario.goals,
         gate=scenario.gate(Draws(start.key)),
+        decision_dt=decision_dt,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import yaml
 
 import pedzoo
@@ -16,13 +17,14 @@ from pedzoo.cli.main import main
 from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import find_config
+from pedzoo.core.paths import find_config, weight_files
 from pedzoo.eval.card_numbers import compare
 from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.eval.unseen import for_fold
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.physics.compiled import Compiled
@@ -106,9 +108,23 @@ def test_weights_and_cards_load_with_old_names_of_arguments(capsys: pytest.Captu
     assert model.walking_extend_goal and model.config["extend_goal"] is True and "pace" not in model.config
     old = {"architecture": "sgan", "init": {"pace": True, "noise_dim": 4}}
     assert renamed.new_init(old)["init"] == {"extend_goal": True, "noise_dim": 4}
+    data = renamed.new_init(old | {"protocol": {"fold": "zara1", "people": "complete"}})["protocol"]
+    assert data == {"fold": "zara1", "keep_people": "complete"}
     other = {"architecture": "mine.py:Model", "init": {"pace": True}}
     assert renamed.new_init(other) == other  # arguments of another class keep their names
     assert not capsys.readouterr().err
+
+
+def test_weights_load_by_their_old_names(capsys: pytest.CaptureFixture[str]) -> None:
+    old, new = pedzoo.load("sgan_goal_map.zara1_way"), pedzoo.load("sgan_goal_map.controller_open_zara1")
+    assert all(torch.equal(value, new.state_dict()[key]) for key, value in old.state_dict().items())
+    said = "pedzoo: model 'sgan_goal_map.zara1_way' is now 'sgan_goal_map.controller_open_zara1'\n"
+    assert capsys.readouterr().err == said
+    assert load_policy("sgan_goal.indoor_b:noise=step").decision_dt == 0.4
+    assert for_fold("sgan_goal_map.eth_ucy_way:safety=true", "hotel") == (
+        "sgan_goal_map.controller_open_hotel:safety=true"
+    )
+    assert {*renamed.OLD_WEIGHTS.values()} <= {*weight_files()}
 
 
 def test_a_policy_takes_the_old_name_of_a_setting(capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,6 +140,9 @@ def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str])
         *("--model.max_segments", "3", "--data.one_recording_per_batch"),
     ]
     told = capsys.readouterr().err.splitlines()
+    words = ["--data.people=present", "--model.reward.people", "2", "--model.walking.people", "3"]
+    new = ["--data.keep_people=present", "--model.reward.person_cost", "2"]
+    assert renamed.new_options(words) == [*new, "--model.walking.person_distance", "3"]
     assert len(told) == 3 and told[1] == "pedzoo: --model.keep is now --model.max_segments"
 
 
@@ -134,6 +153,7 @@ def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[
         ("safety_correction", "corrected"),
         ("assertiveness", "trait"),
         ("passing_side", "side"),
+        ("person_distance", "people"),
         ("extend_goal", "pace"),
         ("one_recording_per_batch", "unroll_apart"),
     ):

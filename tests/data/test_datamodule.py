@@ -214,7 +214,9 @@ def test_stages_read_what_they_need_once(shared: Path, capsys: pytest.CaptureFix
 
 
 def test_present_people_and_protocol_options_reach_the_batches(shared: Path) -> None:
-    data = TrajectoryDataModule("zara1", str(shared / "data"), people="present", min_people=1, pred_len=12)
+    data = TrajectoryDataModule(
+        "zara1", str(shared / "data"), keep_people="present", min_people=1, pred_len=12
+    )
     data.setup("test")
     batch = next(iter(data.test_dataloader()))
     assert batch["agents", "future"].shape[2] == 12

@@ -168,7 +168,7 @@ def test_a_dataset_comes_whole_and_is_found_without_being_named(
     assert f"eth_ucy: 35 files, 5.6 MB, each with the expected sha256, in {folder}" in said
     assert "terms: ETH is public for research" in said
     assert "cite: S. Pellegrini" in said
-    assert "use: --data.fold zara1\n" in said
+    assert "use: --data.fold eth\n" in said
 
     expected = {str(path.relative_to(there)) for path in there.rglob("*") if path.is_file()}
     came = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
@@ -210,7 +210,7 @@ def test_a_second_call_mends_what_is_missing_or_damaged(
     before = len(full.asked)
     full.put(CDN.format(**second_place), missing)
     assert main(["download", "eth_ucy", "--to", str(folder)]) == 0
-    assert f"use: --data.fold zara1 --data.root {folder}" in capsys.readouterr().out
+    assert f"use: --data.fold eth --data.root {folder}" in capsys.readouterr().out
     asked = [path for path, _ in full.asked[before:]]
     mirrors = [form.format(**place) for place in (first_place, second_place) for form in (RAW, CDN)]
     assert asked[0].endswith("biwi_eth.txt")

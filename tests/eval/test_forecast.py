@@ -155,7 +155,7 @@ def test_any_split_is_counted_whole(split: str) -> None:
 
 
 def test_unknown_positions_do_not_count(weights: dict[str, str]) -> None:
-    partly = forecast([weights["plain"]], make_data(people="present", min_people=1), 3)["rows"]
+    partly = forecast([weights["plain"]], make_data(keep_people="present", min_people=1), 3)["rows"]
     complete = forecast([weights["plain"]], make_data(), 3)["rows"]
     for some, all_ in zip(partly, complete, strict=True):
         assert some["n"] > all_["n"]

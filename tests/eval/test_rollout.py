@@ -123,10 +123,10 @@ def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> Non
 
 
 def test_a_lone_person_walks_the_planned_way_in_the_time_that_it_takes() -> None:
-    walked, env = rollout("go_to_goal", "door:people=1", "compiled", 6)
+    walked, _ = rollout("go_to_goal", "door:people=1", "compiled", 6)
     assert walked.gate is not None
     assert walked.gate.tolist() == [pytest.approx([0.0, 0.0, 1.0, 0.0, 0.85])] * 6
-    metrics = row("go_to_goal", walked, env.decision_dt)["metrics"]
+    metrics = row("go_to_goal", walked)["metrics"]
     assert metrics["path_ratio"] == pytest.approx(1.0, abs=0.03)
     assert metrics["time_ratio"] == pytest.approx(1.0, abs=0.03)
     assert metrics["spl"] > 0.97 and metrics["stl"] > 0.97
@@ -152,7 +152,7 @@ def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> 
     for episode in (1, 2):
         some = slice(episode, episode + 1)
         assert_same(broken.episodes(some), whole.episodes(some))
-    metrics = row("broken", broken, 0.4)["metrics"]
+    metrics = row("broken", broken)["metrics"]
     assert metrics["failed"] == metrics["success"] / 2 == pytest.approx(1 / 3)
 
 
@@ -234,8 +234,8 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
             assert f"{value:.3f}" in shown
         for key, (low, high) in found["ci95"].items():
             assert low <= found["metrics"][key] <= high
-    walked, env = rollout(policies[1], "door", "compiled", 3, 2, True, warm_start="static")
-    again = json.loads(json.dumps(row(policies[1], walked, env.decision_dt)))
+    walked, _ = rollout(policies[1], "door", "compiled", 3, 2, True, warm_start="static")
+    again = json.loads(json.dumps(row(policies[1], walked)))
     assert again == report["rows"][1]
 
 

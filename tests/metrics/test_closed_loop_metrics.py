@@ -11,7 +11,8 @@ from helpers.walks import made, straight
 from torch import Tensor
 
 from pedzoo.eval.comparison import row
-from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop, time_ratios
+from pedzoo.metrics.arrival import time_ratios
+from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
 from pedzoo.metrics.intervals import wilson
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.runs import Runs
@@ -89,7 +90,7 @@ def turned(walked: Rollout, angle: float, shift: tuple[float, float]) -> Rollout
 
 
 def metrics(walked: Rollout) -> dict[str, float]:
-    return summarised(closed_loop(walked, 0.4))[0]
+    return summarised(closed_loop(walked))[0]
 
 
 def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
@@ -101,7 +102,7 @@ def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
 
 
 def test_row_of_two_episodes() -> None:
-    found = row("somebody", two_episodes(), 0.4)
+    found = row("somebody", two_episodes())
     minutes = (3 + 4 + 5) / 600
     second = 1.09**0.5 + 0.1 + 0.3 + 0.2  # metres that the second person walks until the goal
     assert found["metrics"] == pytest.approx(
@@ -178,13 +179,13 @@ def test_median_time_is_of_those_who_arrive_and_its_interval_is_over_episodes() 
     walked = busy()
     value, known = time_ratios(walked)
     arrived = sorted(value[known].tolist())
-    found = row("somebody", walked, 0.4)
+    found = row("somebody", walked)
     middle = found["metrics"]["time_ratio_median"]
     assert middle == pytest.approx(arrived[(len(arrived) - 1) // 2]) and 0 < len(arrived) < 15
     low, high = found["ci95"]["time_ratio_median"]
     assert low <= middle <= high and low in arrived and high in arrived
     nobody = replace(walked, overdue=~walked.overdue)
-    assert "time_ratio_median" not in row("nobody", nobody, 0.4)["metrics"]
+    assert "time_ratio_median" not in row("nobody", nobody)["metrics"]
 
 
 def test_nobody_who_fails_at_once_has_rates() -> None:
@@ -199,7 +200,7 @@ def test_nobody_who_fails_at_once_has_rates() -> None:
         wall_contact=nobody,
         reached=torch.zeros(2, 2, 5).long(),
     )
-    metrics = row("broken", walked, 0.4)["metrics"]
+    metrics = row("broken", walked)["metrics"]
     assert metrics["failed"] == 1.0 and metrics["success"] == metrics["episode_success"] == 0.0
     assert not {"time_s", "least_distance_m", "agent_contacts_per_min"} & set(metrics)
 
@@ -255,7 +256,7 @@ def test_ratios_of_times_and_ways_are_ratios_of_sums() -> None:
     found = metrics(walked)
     assert found["time_ratio"] == pytest.approx(3.1 / 2.004)
     assert found["path_ratio"] == pytest.approx(4.6 / 3.004)
-    ratios = closed_loop(joined([walked, walked]), 0.4)
+    ratios = closed_loop(joined([walked, walked]))
     assert ratios["time_ratio"].above.tolist() == pytest.approx([3.1, 3.1])
     assert ratios["time_ratio"].below.tolist() == pytest.approx([2.004, 2.004])
     assert time_ratios(walked)[0].tolist() == [pytest.approx([1.5, 25.0])]
@@ -334,22 +335,22 @@ def test_score_of_two_rollouts_is_that_of_both_together_in_one_process_or_two() 
     parts = walked.episodes(slice(2)), walked.episodes(slice(2, 5))
     together, one, other = (ClosedLoopScore() for _ in range(3))
     for part in parts:
-        together.update(part, 0.4)
-    one.update(parts[0], 0.4)
-    other.update(parts[1], 0.4)
+        together.update(part)
+    one.update(parts[0])
+    other.update(parts[1])
     expected = {key: pytest.approx(value) for key, value in metrics(walked).items()}
     assert {key: float(value) for key, value in together.compute().items()} == expected
     one.merge_state(other)  # what processes do at the end
     assert {key: float(value) for key, value in one.compute().items()} == expected
     assert tuple(together.compute()) == NAMES
     together.reset()
-    together.update(parts[0], 0.4)
+    together.update(parts[0])
     assert float(together.compute()["success"]) == pytest.approx(metrics(parts[0])["success"])
 
 
 def test_score_has_only_what_some_episode_says_something_about() -> None:
     score = ClosedLoopScore()
-    score.update(made(straight()[None, None]), 0.4)
+    score.update(made(straight()[None, None]))
     found = score.compute()
     assert found["success"] == 0.0 and found["speed_m_per_s"] == pytest.approx(1.3)
     assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(found)
@@ -363,8 +364,8 @@ def test_an_episode_may_be_shorter_than_a_window() -> None:
 
 def test_shares_have_intervals_of_as_many_trials_as_there_are() -> None:
     walked = busy()
-    values, intervals = summarised(closed_loop(walked, 0.4))
-    both_through = int((closed_loop(walked, 0.4)["faster_first"].below > 0).sum())
+    values, intervals = summarised(closed_loop(walked))
+    both_through = int((closed_loop(walked)["faster_first"].below > 0).sum())
     assert 0 < both_through < 5
     assert intervals["faster_first"] == wilson(values["faster_first"], both_through)
     assert intervals["success"] == wilson(values["success"], 5)

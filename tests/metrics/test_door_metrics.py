@@ -40,7 +40,7 @@ def passed(*paths: Tensor, gate: Tensor = GATE) -> list[float]:
 
 
 def metrics(walked: Rollout) -> dict[str, float]:
-    return summarised(closed_loop(walked, 0.4))[0]
+    return summarised(closed_loop(walked))[0]
 
 
 def test_people_pass_when_they_cross_the_line_between_the_jambs_for_good() -> None:
@@ -75,23 +75,23 @@ def test_symmetry_index_of_who_waits_until_the_other_is_through() -> None:
     waits, goes = walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))
     path = torch.stack((waits, goes)).unsqueeze(0)
     scored = torch.ones(1, 2, 50, dtype=torch.bool)
-    index, known = door.symmetry_index(path, scored, GATE, BOTH)
+    index, known = door.index_of_symmetry(path, scored, GATE, BOTH)
     # the sum of both grows by 0.1 m at each of 50 points: 2.55 m in the mean
     assert known.all() and float(index) == pytest.approx(2.55 / 2.5)
     scored[0, 0, 25:] = False
-    assert float(door.symmetry_index(path, scored, GATE, BOTH)[0]) == pytest.approx(1.3 / 2.5)
+    assert float(door.index_of_symmetry(path, scored, GATE, BOTH)[0]) == pytest.approx(1.3 / 2.5)
     metres, known = door.asymmetry(path, scored, GATE, BOTH)
     assert known.all() and float(metres) == pytest.approx(1.3)
     mirrored = torch.stack((goes, -goes)).unsqueeze(0)
-    assert float(door.symmetry_index(mirrored, scored, GATE, BOTH)[0]) == 0.0
-    assert not door.symmetry_index(path, scored & False, GATE, BOTH)[1]
+    assert float(door.index_of_symmetry(mirrored, scored, GATE, BOTH)[0]) == 0.0
+    assert not door.index_of_symmetry(path, scored & False, GATE, BOTH)[1]
 
 
 def test_yield_delay_and_whether_the_faster_goes_first() -> None:
     seconds = torch.tensor([[3.0, 4.5], [4.5, 3.0], [3.0, INF], [3.0, 4.0], [2.0, 2.0]], dtype=torch.float64)
     speeds = torch.tensor([[1.2, 1.4], [1.2, 1.4], [1.4, 1.2], [1.3, 1.34], [1.3, 1.4]])
-    assert door.yield_delay(seconds).tolist() == [1.5, 1.5, INF, 1.0, 0.0]
-    first, known = door.faster_first(seconds, speeds)
+    assert door.delay(seconds).tolist() == [1.5, 1.5, INF, 1.0, 0.0]
+    first, known = door.faster_is_first(seconds, speeds)
     assert known.tolist() == [True, True, False, False, True]
     assert first.tolist() == [False, True, False, False, False]
 

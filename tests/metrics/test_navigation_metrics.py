@@ -7,6 +7,7 @@ import torch
 
 from pedzoo.metrics.intervals import bootstrap, wilson
 from pedzoo.metrics.navigation import (
+    arrived_in_time,
     deadlocked,
     episode_seconds,
     fewest_goals,
@@ -14,7 +15,6 @@ from pedzoo.metrics.navigation import (
     most_goals,
     planned_metres,
     stuck,
-    success,
     walked_metres,
     weighted,
 )
@@ -26,7 +26,7 @@ def test_success_needs_all_goals_in_time_and_an_episode_that_did_not_fail() -> N
     reached = torch.tensor([[[1, 2], [1, 1], [2, 2], [2, 2]], [[2, 2], [2, 2], [2, 2], [2, 2]]])
     late = torch.tensor([[False, False, True, False]]).expand(2, 4)
     mask = torch.tensor([[True, True, True, False]]).expand(2, 4)
-    found = success(reached, 2, late, torch.tensor([False, True]), mask)
+    found = arrived_in_time(reached, 2, late, torch.tensor([False, True]), mask)
     assert found.tolist() == [[True, False, False, False], [False] * 4]
 
 

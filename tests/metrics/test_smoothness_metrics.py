@@ -82,7 +82,7 @@ def test_nothing_is_measured_across_a_gap() -> None:
 
 
 def scores(path: Tensor) -> dict[str, float]:
-    return summarised(closed_loop(made(path[None, None].float()), 0.4))[0]
+    return summarised(closed_loop(made(path[None, None].float())))[0]
 
 
 def test_a_teleporting_trace_scores_visibly_badly() -> None:

@@ -202,8 +202,8 @@ def test_names_say_what_was_not_seen_and_what_is_unusual(changed: dict[str, Any]
 @pytest.mark.parametrize(
     ("config", "fold", "name"),
     [
-        ("open_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.eth_ucy_way"),
-        ("open_loop/sgan_goal_map", "zara1", "sgan_goal_map.zara1_way"),
+        ("open_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.controller_open"),
+        ("open_loop/sgan_goal_map", "zara1", "sgan_goal_map.controller_open_zara1"),
         ("closed_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.indoor"),
         ("closed_loop/sgan_goal", "hotel", "sgan_goal.indoor_hotel"),
         ("ppo/sgan_goal", "eth_ucy", "sgan_goal.eth_ucy_ppo"),

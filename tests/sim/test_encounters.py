@@ -15,7 +15,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import prepare, walk
-from pedzoo.metrics.navigation import finish_seconds, success
+from pedzoo.metrics.navigation import arrived_in_time, finish_seconds
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.rollout import Rollout, joined
@@ -62,7 +62,7 @@ def touched(result: Rollout) -> float:
 
 
 def arrived(result: Rollout) -> float:
-    good = success(result.reached, result.goals, result.overdue, result.failed, result.mask)
+    good = arrived_in_time(result.reached, result.goals, result.overdue, result.failed, result.mask)
     return float(good.double().mean())
 
 

@@ -64,7 +64,7 @@ def test_a_metric_row_is_that_of_an_ordinary_scene() -> None:
         "go_to_goal", "standing:width=1.2,at=[-1,-0.8],from_right=1,speed_std=0", "compiled", 12
     )
     assert not result.replayed
-    metrics = row("go_to_goal", result, 0.4)["metrics"]
+    metrics = row("go_to_goal", result)["metrics"]
     assert metrics["success"] == metrics["episode_success"] == 1
     # standing still is no delay of theirs
     assert 0.9 < metrics["time_ratio"] < 1.1

@@ -116,7 +116,7 @@ def test_values_are_those_of_pedzoo_rollout(physics: str, scenarios: tuple[str, 
     for name, again in zip(scenarios, rows[1:], strict=True):
         first, second = measured(run, f"rollout/{name}/success")
         walked, env = rollout(last, name, physics, 2)
-        wanted = row(last, walked, env.decision_dt)["metrics"]
+        wanted = row(last, walked)["metrics"]
         env.physics.close()
         for metric in METRICS:
             key = f"rollout/{name}/{metric}"

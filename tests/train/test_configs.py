@@ -57,7 +57,7 @@ def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
     assert written["init_args"] == {key: generator["init_args"][key] for key in written["init_args"]}
     left_out = generator["init_args"].keys() - written["init_args"].keys()
     assert all(generator["init_args"][key] == SGAN().config[key] for key in left_out)
-    data = {"people": "complete", "min_people": 2} | config["data"]
+    data = {"keep_people": "complete", "min_people": 2} | config["data"]
     assert {f"--data.{key}={value}" for key, value in data.items()} >= set(told)
 
 

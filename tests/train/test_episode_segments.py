@@ -79,8 +79,10 @@ def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
         velocity = torch.tensor([[[[mine, 0.0], [theirs, 0.0]]]])
         met, plain = (least_gaps(made(velocity, start), margin) for margin in (0.3, 0.0))
         assert (plain - met)[0, 0].tolist() == pytest.approx([lacking, lacking], abs=1e-3)
-    term = LoopLosses(people=10.0, people_margin=0.2, meeting_margin=0.3)
-    assert float(term(two(0.3), MapBank([]))["people"]) == pytest.approx(10 * (0.2 + 0.04) * 2 / 3, abs=1e-3)
+    term = LoopLosses(person_distance=10.0, people_margin=0.2, meeting_margin=0.3)
+    assert float(term(two(0.3), MapBank([]))["person_distance"]) == pytest.approx(
+        10 * (0.2 + 0.04) * 2 / 3, abs=1e-3
+    )
 
 
 def test_what_a_safety_layer_changed_costs() -> None:
@@ -132,7 +134,7 @@ def test_who_arrived_early_has_the_rest_to_their_credit() -> None:
     )  # of steps 3 and 4, mean over the segment and two
 
 
-@pytest.mark.parametrize("name", ["people", "walls", "overspeed", "effort", "progress"])
+@pytest.mark.parametrize("name", ["person_distance", "walls", "overspeed", "effort", "progress"])
 def test_a_weight_of_nothing_takes_its_term_away_and_twice_the_weight_doubles_it(name: str) -> None:
     grid = rectangles(HALL + wall((-8.0, -0.3), (8.0, -0.3), 0.2), 0.05, name="beside")
     bank = MapBank([grid])
@@ -149,7 +151,7 @@ def test_a_weight_of_nothing_takes_its_term_away_and_twice_the_weight_doubles_it
 
 def test_people_cost_what_they_lack_in_distance() -> None:
     """Two of three people are 0.3 m apart, 0.2 m short of the margin: 0.2 + 0.04 each."""
-    term = LoopLosses(people=10.0, people_margin=0.2)(two(0.3), MapBank([]))["people"]
+    term = LoopLosses(person_distance=10.0, people_margin=0.2)(two(0.3), MapBank([]))["person_distance"]
     assert float(term) == pytest.approx(10 * 2 / 3 * (0.2 + 0.04), rel=1e-4)
 
 
@@ -162,7 +164,7 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
     moved = stays.moved.clone()
     moved[1:] = False
     left = stays._replace(moved=moved, present=moved)
-    found = [LoopLosses()(one, MapBank([]))["people"] for one in (stays, left)]
+    found = [LoopLosses()(one, MapBank([]))["person_distance"] for one in (stays, left)]
     assert float(found[0]) == pytest.approx(float(found[1]))
 
 

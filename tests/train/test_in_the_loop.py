@@ -275,9 +275,9 @@ def test_every_weight_is_an_option(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--model.walking.peopel", "3"], "people"),
-        (["--model.walking.people", "-1"], "people -1.0: expected at least 0"),
-        (["--model.walking.people", "much"], "walking"),
+        (["--model.walking.person_distanse", "3"], "person_distance"),
+        (["--model.walking.person_distance", "-1"], "person_distance -1.0: expected at least 0"),
+        (["--model.walking.person_distance", "much"], "walking"),
         (["--model.imitation.samples", "0"], "samples 0"),
         (["--model.imitation.features", '{"sped": 1}'], "did you mean 'speed'?"),
         (["--model.steps", "0"], "steps 0"),

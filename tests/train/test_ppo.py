@@ -96,7 +96,7 @@ def told(**info: Any) -> TensorDict:
     ("weights", "more"),
     [
         ({}, (0.0, 0.0)),
-        ({"people": 2.0}, (-2.0, 0.0)),
+        ({"person_cost": 2.0}, (-2.0, 0.0)),
         ({"walls": 3.0}, (0.0, -3.0)),
         # nearest other at 0.5 m: half of the way from 1 m to contact of centres
         ({"near": 4.0, "near_distance": 1.0}, (-2.0, -2.0)),
@@ -108,7 +108,7 @@ def told(**info: Any) -> TensorDict:
     ],
 )
 def test_reward_adds_weighted_terms_to_that_of_the_environment(
-    weights: dict[str, float], more: tuple[float, float]
+    weights: dict[str, Any], more: tuple[float, float]
 ) -> None:
     before, touching = told(), torch.zeros(1, 2, 4, dtype=torch.bool)
     before["agents", "velocity"] = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
@@ -442,7 +442,7 @@ def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
 
 
 def test_negative_weights_are_refused() -> None:
-    with pytest.raises(UserError, match="people -1"):
-        Reward(people=-1)
+    with pytest.raises(UserError, match="person_cost -1"):
+        Reward(person_cost=-1)
     with pytest.raises(UserError, match="near_distance"):
         Reward(near_distance=0)

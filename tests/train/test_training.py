@@ -378,5 +378,5 @@ def test_nobody_is_judged_by_positions_that_were_not_seen() -> None:
 @pytest.mark.parametrize("kind", ["global", "plain"])
 def test_partly_present_people_train(kind: str) -> None:
     module = make_module(kind)
-    make_trainer().fit(module, make_data(people="present", min_people=1))
+    make_trainer().fit(module, make_data(keep_people="present", min_people=1))
     assert all(value.isfinite().all() for value in module.parameters())

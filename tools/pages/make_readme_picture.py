@@ -22,7 +22,7 @@ from pedzoo.metrics.safety import begins
 from pedzoo.viz.plots import draw_floor_plan
 
 POLICIES = {
-    "sgan_goal_map.eth_ucy_way": "trained to forecast",
+    "sgan_goal_map.controller_open": "trained to forecast",
     "sgan_goal_map.indoor": "trained in the loop",
     "orca:radius=0.3": "ORCA, radius 0.3 m",
 }

@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+from pedzoo.core.renamed import OLD_WEIGHTS
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.forecast import BASELINES
 
@@ -37,11 +38,11 @@ SHOWN = {
 }
 """Rows of checkpoints/results/LOOP.md by case and metric, and what the README calls them."""
 
-SEEDS = "", "_b", "_c"
+SEEDS = "", "-seed1", "-seed2"
 COLUMNS = {
     "sgan_goal_map.indoor": [f"sgan_goal_map.indoor{seed}" for seed in SEEDS],
     "sgan_goal.indoor": [f"sgan_goal.indoor{seed}" for seed in SEEDS],
-    "sgan_goal_map.eth_ucy_way": ["sgan_goal_map.eth_ucy_way"],
+    "sgan_goal_map.controller_open": ["sgan_goal_map.controller_open"],
     "go_to_goal:safety=true": ["go_to_goal:safety=true"],
     "orca:radius=0.2": ["orca:radius=0.2"],
     "orca:radius=0.3": ["orca:radius=0.3"],
@@ -97,10 +98,12 @@ def in_the_loop() -> str:
     page = (ROOT / "checkpoints" / "results" / "LOOP.md").read_text()
     lines = page.partition("## Targets\n")[2].partition("\n## ")[0].strip().splitlines()
     head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    head = [OLD_WEIGHTS.get(name, name) for name in head]  # of a page that was made before
     columns = {column: [name for name in names if name in head] for column, names in COLUMNS.items()}
     columns = {column: names for column, names in columns.items() if names}
     told = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
-    seen = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
+    found = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
+    seen = [OLD_WEIGHTS.get(name, name) for name in found]
     text = f"\n| | {' | '.join(f'`{name}`' for name in columns)} |\n|---|{'---|' * len(columns)}\n"
     for key, label in SHOWN.items():
         recorded = key[0].startswith("replay")

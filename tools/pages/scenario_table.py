@@ -39,7 +39,7 @@ from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.intervals import wilson
-from pedzoo.metrics.navigation import deadlocked, success
+from pedzoo.metrics.navigation import arrived_in_time, deadlocked
 from pedzoo.sim.scenario_parts.encounter import Encounter
 from pedzoo.sim.scenarios.replay import Replay
 from pedzoo.viz.trajectories import draw_episode
@@ -142,9 +142,9 @@ def measured(case: Case) -> bytes:
     """Return a pickled `Measured`: tensors that processes share would need a file handle each."""
     result, env = rollout(case.policy, case.scenario, case.physics, case.episodes)
     env.physics.close()
-    found = row(case.policy, result, env.decision_dt)
+    found = row(case.policy, result)
     metrics, intervals = dict(found["metrics"]), dict(found["ci95"])
-    arrived = success(result.reached, result.goals, result.overdue, result.failed, result.mask)
+    arrived = arrived_in_time(result.reached, result.goals, result.overdue, result.failed, result.mask)
     stuck = deadlocked(result.trace, result.goal, result.scored) & ~arrived
     metrics["stuck"] = float(stuck.sum() / result.mask.sum())
     intervals["stuck"] = wilson(metrics["stuck"], case.episodes)

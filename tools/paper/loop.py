@@ -24,7 +24,7 @@ FORCE = "social_force:preset=indoor"
 BASELINES = ("orca:radius=0.2", ORCA, "orca:radius=0.5", FORCE, "go_to_goal")
 """All see the walls."""
 
-OPEN_LOOP = ("sgan_goal_map.eth_ucy_way", "sgan_goal.eth_ucy_way")
+OPEN_LOOP = ("sgan_goal_map.controller_open", "sgan_goal.controller_open")
 """Weights that were trained to forecast alone, with which trainings in the loop begin."""
 
 APART = (

@@ -40,7 +40,7 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     if rollout.gate is None:
         raise ValueError("outcomes are about a door, and this scenario has none")
     pair, meets = door.pair(rollout.path[:, :, 0], rollout.mask, rollout.gate)
-    arrived = navigation.success(
+    arrived = navigation.arrived_in_time(
         rollout.reached, rollout.goals, rollout.overdue, rollout.failed, rollout.mask
     )
     stuck = navigation.deadlocked(rollout.trace, rollout.goal, rollout.scored)

@@ -181,7 +181,7 @@ class Table1(Reproduction):
         missing = self.missing | {row["weights"]: row["missing"] for row in rows if "missing" in row}
         rows = [row for row in rows if "missing" not in row]
         protocol = {"folds": list(self.folds), "obs_len": 8, "samples": SAMPLES, "split": "test"}
-        protocol |= {"clock": "benchmark", "people": "complete", "min_people": 2}
+        protocol |= {"clock": "benchmark", "keep_people": "complete", "min_people": 2}
         return {
             "protocol": protocol,
             "seeds": [self.seed],

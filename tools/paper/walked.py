@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.results import INTERVALS, LEGEND, said
+from pedzoo.eval.results import INTERVALS, legend, said
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.workers.progress_meter import Progress
 from pedzoo.models.zoo.loading import list_models
@@ -79,7 +79,8 @@ class Walked(Reproduction):
     def legend(self) -> dict[str, str]:
         """Return what the metrics of the suites' tables are."""
         columns = [key for shown in self.evaluation.shown.values() for key in shown.columns]
-        return {key: LEGEND[key] for key in columns if key in LEGEND}
+        known = legend()
+        return {key: known[key] for key in columns if key in known}
 
     def notes(self) -> list[str]:
         """Return what has to be known to read the numbers."""

@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core.types import PRED_LEN, GoalProtocol, TimeBase
-from pedzoo.data.datasets.eth_ucy import EVERYTHING, SCENES
+from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.models.export.publish import zoo_name
 from pedzoo.models.export.run_record import monitored
 from pedzoo.train.run import RunFolder
+
+EVERYTHING = "eth_ucy"
+"""The fold of ETH/UCY that leaves nothing out."""
 
 GOALS: dict[str, GoalProtocol] = {
     "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination"
@@ -77,7 +80,7 @@ class Recipe:
     @property
     def names(self) -> list[str]:
         """Zoo names of its seeds, the best one's first."""
-        return [self.name, *(f"{self.name}_{letter}" for letter in "bc" if self.all_seeds)]
+        return [self.name, *(f"{self.name}-seed{place}" for place in (1, 2) if self.all_seeds)]
 
     @property
     def options(self) -> dict[str, str]:

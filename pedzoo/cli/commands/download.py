@@ -9,6 +9,7 @@ from pathlib import Path
 from pedzoo.cli.arguments import Arguments
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import data_home
+from pedzoo.core.registry import DATASETS
 
 HELP = "download a dataset, AlexNet's weights or a model, checked, to where they are found"
 EXAMPLE = "pedzoo download eth_ucy"
@@ -46,7 +47,8 @@ def _dataset(name: str, to: str | None) -> None:
     size = sum(file.size for file in files) / 1e6
     print(f"{name}: {len(files)} files, {size:.1f} MB, each with the expected sha256, in {folder}")
     found_without = not to and not os.environ.get("PEDZOO_DATA")
-    print(f"use: --data.fold zara1{'' if found_without else f' --data.root {folder}'}")
+    fold = next(iter(DATASETS.constant(name, "FOLDS")))
+    print(f"use: --data.fold {fold}{'' if found_without else f' --data.root {folder}'}")
 
 
 def _alexnet() -> Path:

@@ -48,7 +48,7 @@ def run(argv: list[str]) -> int:
     parser.add_function_arguments(
         evaluate,
         as_group=False,
-        skip={"policies", "suites", "seeds", "maps", "root", "workers", "progress"},
+        skip={"policies", "suites", "seeds", "maps", "root", "metrics", "folds", "workers", "progress"},
     )
     parser.add_argument(
         "--maps",
@@ -56,6 +56,19 @@ def run(argv: list[str]) -> int:
         type=str,
         default=[],
         help="Floor plans for five more cases of the suite goals: every episode draws one.",
+    )
+    parser.add_argument(
+        "--metrics",
+        type=list[str],
+        default=[],
+        help="More columns of all tables, as spl,mine.py:f: a function of a rollout that returns two sums "
+        "per episode.",
+    )
+    parser.add_argument(
+        "--data.fold",
+        type=list[str],
+        default=[],
+        help="Folds for replay, as zara1,hotel or mine.py:Mine (default: all whose recordings are found).",
     )
     parser.add_argument("--data.root", type=str | None, help="Recordings for replay (default: PEDZOO_DATA).")
     parser.add_argument("--workers", type=PositiveInt, default=1, help="Processes; the table stays the same.")
@@ -91,7 +104,9 @@ def run(argv: list[str]) -> int:
     beside = f"{options.json}.partial" if options.json and options.json != "-" else None
 
     known = {key: options[key] for key in EvaluationOptions._fields if key in options}
-    evaluation_options = EvaluationOptions(**known | {"maps": tuple(options.maps), "root": options.data.root})
+    lists = {"maps": options.maps, "metrics": options.metrics, "folds": options.data.fold}
+    known |= {"root": options.data.root, **{key: tuple(value) for key, value in lists.items()}}
+    evaluation_options = EvaluationOptions(**known)
     evaluation = Evaluation(
         options.policies,
         _listed(options.suite),

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import ClassVar
 
 from pedzoo.core.types import TimeBase
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 
-FOLDS = ["embedded"]
-
 
 class Embedded:
     """The recordings of the plaza: one for each split, all on the same floor plan."""
+
+    FOLDS: ClassVar = {"embedded": ["plaza_test"]}
+    ALWAYS_TRAINED: ClassVar = ["plaza_train"]
+    SOURCE: ClassVar = "pedzoo's embedded recordings: synthetic people on a made-up plaza, no human data"
+    TERMS: ClassVar = "MIT, as pedzoo"
+    CITATION: ClassVar = "none: do not report results on them as if they said something about people"
 
     def __init__(
         self, fold: str = "embedded", root: str | None = None, clock: TimeBase = "benchmark"

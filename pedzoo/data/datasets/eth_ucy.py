@@ -10,20 +10,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import ClassVar
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import data_root
 from pedzoo.core.types import STEP_SECONDS, TimeBase
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
-
-FOLDS = ["eth", "hotel", "univ", "zara1", "zara2", "eth_ucy"]
-
-EVERYTHING = "eth_ucy"
-"""The fold that leaves nothing out: for controllers, which are judged in other places."""
-
-SCENES = [fold for fold in FOLDS if fold != EVERYTHING]
-"""The folds that leave one scene out."""
 
 FRAMES_PER_STEP = 10
 """One annotated step is 10 in the frame column of every file."""
@@ -37,6 +30,32 @@ HOW_TO_GET = "`pedzoo download eth_ucy` gets those of ETH/UCY, to where they are
 class EthUcy:
     """The recordings of one fold."""
 
+    FOLDS: ClassVar = {
+        "eth": ["biwi_eth"],
+        "hotel": ["biwi_hotel"],
+        "univ": ["students001", "students003"],
+        "zara1": ["crowds_zara01"],
+        "zara2": ["crowds_zara02"],
+        "eth_ucy": [],  # for controllers, which are judged in other places
+    }
+    ALWAYS_TRAINED: ClassVar = ["crowds_zara03", "uni_examples"]
+    SOURCE: ClassVar = (
+        "ETH (BIWI walking pedestrians) and UCY (crowds by example), split as by Social GAN; "
+        "`pedzoo download eth_ucy`"
+    )
+    TERMS: ClassVar = (
+        "ETH is public for research, without a licence text; UCY may be used with credit to its authors"
+    )
+    PLAN_TERMS: ClassVar = (
+        "; the floor plans were drawn from scene masks under CC BY-NC 4.0 (LMTrajectory) and the obstacles "
+        "of ETH"
+    )
+    CITATION: ClassVar = (
+        "S. Pellegrini, A. Ess, K. Schindler, L. Van Gool, You'll never walk alone, ICCV 2009; "
+        "A. Lerner, Y. Chrysanthou, D. Lischinski, Crowds by example, Computer Graphics Forum 26(3), 2007"
+    )
+    REPLAY_SHARE: ClassVar = {"univ": 0.25}  # 820 people among up to 75 others
+
     def __init__(self, fold: str, root: str | None, clock: TimeBase = "benchmark") -> None:
         """Find the fold's files below ``root``, PEDZOO_DATA or the folder of ``pedzoo download``.
 
@@ -48,7 +67,7 @@ class EthUcy:
         except UserError as error:
             raise UserError(f"{error}; {HOW_TO_GET}") from error
         self.clock, self.fold = clock, fold
-        self.scenes = SCENES if fold == EVERYTHING else [fold]
+        self.scenes = [fold] if self.FOLDS[fold] else SCENES
         for folder in (base, base / "eth_ucy", base / "datasets"):
             self.root, lists = folder, folder / "splits.json"
             if lists.is_file():
@@ -75,9 +94,9 @@ class EthUcy:
         Raises:
             UserError: The test recordings of the fold that leaves none out.
         """
-        if split == "test" and self.fold == EVERYTHING:
+        if split == "test" and not self.FOLDS[self.fold]:
             raise UserError(
-                f"fold {EVERYTHING!r} trains on every scene and has none left to test on: "
+                f"fold {self.fold!r} trains on every scene and has none left to test on: "
                 f"--data.fold {' or '.join(SCENES)}"
             )
         # by name: the folds share recordings
@@ -100,3 +119,7 @@ class EthUcy:
             tracks = tracks.resampled(self.seconds.get(name, STEP_SECONDS) / FRAMES_PER_STEP)
         plan = self.plans.get(name)
         return Recording(tracks, self.root / "maps" / f"{plan}.yaml" if plan else None)
+
+
+SCENES = [fold for fold, tested in EthUcy.FOLDS.items() if tested]
+"""The folds that leave one scene out."""

@@ -10,14 +10,13 @@ from typing import Any
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.datasets.eth_ucy import TRUE_SECONDS
-from pedzoo.data.provenance import ETH_UCY, FLOOR_PLANS, TESTED
+from pedzoo.data.datasets.eth_ucy import SCENES, TRUE_SECONDS, EthUcy
 from pedzoo.data.published.files import PublishedFile, bring, files_of
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan, plan_of_recording
 from pedzoo.maps.files.ros import write_ros
 
-TERMS = f"{ETH_UCY['terms']}{FLOOR_PLANS}. For research; do not pass the files on inside a package."
-CITATION = f"{ETH_UCY['citation']}; for the split: A. Gupta et al., Social GAN, CVPR 2018"
+TERMS = f"{EthUcy.TERMS}{EthUcy.PLAN_TERMS}. For research; do not pass the files on inside a package."
+CITATION = f"{EthUcy.CITATION}; for the split: A. Gupta et al., Social GAN, CVPR 2018"
 
 
 def download(folder: Path) -> list[PublishedFile]:
@@ -49,7 +48,8 @@ def splits() -> dict[str, Any]:
     """
     plans = plan_of_recording()
     folds = {}
-    for scene, tested in TESTED.items():
+    for scene in SCENES:
+        tested = EthUcy.FOLDS[scene]
         others = sorted(set(plans) - set(tested))
         folds[scene] = {
             "train": [f"train/{name}_train.txt" for name in others],

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
-from pedzoo.data.datasets.eth_ucy import SCENES, EthUcy
+from pedzoo.data.recordings import Fold, find_fold, open_fold
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
@@ -34,10 +35,6 @@ QUICK_SHARE = 0.1
 """A quick run simulates the people of this first part of the recordings."""
 
 
-ONE_SHARE = {"univ": 0.25}
-"""The same for scenes of one person each where there are very many: 820 people among up to 75 others."""
-
-
 class Replay(Suite):
     """Two cases for every fold, and rows of the real crowd in each.
 
@@ -49,7 +46,7 @@ class Replay(Suite):
     """
 
     simulated: ClassVar[tuple[str, ...]] = SIMULATED
-    accepted_options: ClassVar[tuple[str, ...]] = ("rollouts",)
+    accepted_options: ClassVar[tuple[str, ...]] = ("rollouts", "folds")
     warm_start: ClassVar[str] = "recorded"
     counted: ClassVar[str] = "people"
     headline: ClassVar[tuple[str, ...]] = ("realism", "success")
@@ -76,11 +73,11 @@ class Replay(Suite):
         """
         result = []
         usual = 1 if options.quick else ROLLOUTS
-        for fold in _folds(options.root):
-            inputs = digest_of(fold, options.root)
+        for fold, known in _folds(options).items():
+            inputs, shares = digest_of(fold, options.root), known.constant("REPLAY_SHARE", {})
             for simulated in self.simulated:
                 settings: dict[str, Any] = {"fold": fold, "simulated": simulated}
-                share = ONE_SHARE.get(fold, 1.0) if simulated == "one" else 1.0
+                share = shares.get(known.name, 1.0) if simulated == "one" else 1.0
                 share = round(share * QUICK_SHARE, 3) if options.quick else share
                 if share < 1:
                     settings["share"] = share
@@ -88,11 +85,11 @@ class Replay(Suite):
                     settings["root"] = options.root
                 case = EvaluationCase(
                     suite=self.name,
-                    name=f"{fold} {simulated}",
+                    name=f"{known.name} {simulated}",
                     scenario=Spec("replay", settings),
                     physics=options.physics or "compiled",
                     episodes=options.rollouts or (usual if simulated == "all" else 1),
-                    case={"fold": fold, "simulated": simulated},
+                    case={"fold": known.name, "simulated": simulated},
                     inputs=inputs,
                     effort=100.0 * share,
                     table=f"{self.name} {simulated}",
@@ -103,7 +100,7 @@ class Replay(Suite):
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return what the real rows are, what is missing, and which weights walk where."""
-        folds = _folds(options.root)
+        folds = _folds(options)
         result = [
             f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
             f"and 95 % of {SPLITS} random splits: the noise floor"
@@ -112,13 +109,15 @@ class Replay(Suite):
         each = {"all": f"{rounds} x where all are simulated", "one": f"{alone} x where one is"}
         often = ", ".join(each[simulated] for simulated in self.simulated)
         result.append(f"{self.name}: models with noise walk {often}; others once")
-        if folds == [EMBEDDED]:
+        if [*folds] == [EMBEDDED]:
             missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
             return [*result, f"{self.name}: {missing}"]
         result += [
             f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
-            for fold, share in ONE_SHARE.items()
-            if fold in folds and "one" in self.simulated and not options.quick
+            for fold, known in folds.items()
+            if (share := known.constant("REPLAY_SHARE", {}).get(known.name))
+            and "one" in self.simulated
+            and not options.quick
         ]
         for policy in policies:
             walks = {fold: for_fold(policy, fold) for fold in folds}
@@ -135,7 +134,7 @@ class Replay(Suite):
         self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
     ) -> list[WorkUnit]:
         """Return the work on a case: the policies', and that on the real crowd."""
-        fold = case.case["fold"]
+        fold = _walked_fold(case)
         units = [WorkUnit(name, for_fold(name, fold), case, seeds, deterministic) for name in policies]
         return [*units, WorkUnit(REAL, REAL, case, (0,), True)]
 
@@ -143,33 +142,44 @@ class Replay(Suite):
         """Walk one unit; policies without noise walk once."""
         case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
-            return [row | {"people": scenario.persons.counts} for row in reference_rows(scenario)]
+            return [
+                row | {"people": scenario.persons.counts} for row in reference_rows(scenario, unit.metrics)
+            ]
         model = load_policy(unit.walks)
         noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
         parts = walked(unit, scenario, seeds, rounds * scenario.scenes, tell)
-        row = replay_row(unit.policy, (part for part, _ in parts), scenario, model.decision_dt)
-        if has_seen(unit.walks, case.case["fold"]):
+        row = replay_row(unit.policy, (part for part, _ in parts), scenario, model.decision_dt, unit.metrics)
+        if has_seen(unit.walks, _walked_fold(case)):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]
 
 
-def _folds(root: str | None) -> list[str]:
-    """Return the folds of which there are recordings, else the embedded one.
+def _folds(options: EvaluationOptions) -> dict[str, Fold]:
+    """Return the folds that were asked for, else those of which there are recordings, else the embedded one.
 
     Raises:
-        UserError: ``root`` has none.
+        UserError: An unknown fold, or the folder of recordings has none.
     """
-    result = []
-    for fold in SCENES:
-        try:
-            EthUcy(fold, root)
-        except UserError:
-            if root is not None:
-                raise
-        else:
-            result.append(fold)
-    return result or [EMBEDDED]
+    found, missing = dict.fromkeys(options.folds), []
+    for fold in found:
+        open_fold(fold, options.root, "true")
+    for name in () if found else DATASETS.names():
+        folds = DATASETS.constant(name, "FOLDS") or {}
+        for fold in (fold for fold, tested in folds.items() if tested and fold != EMBEDDED):
+            try:
+                open_fold(fold, options.root, "true")
+            except UserError as error:
+                missing.append(error)
+            else:
+                found[fold] = None
+    if options.root is not None and not found:
+        raise missing[0]
+    return {fold: known for fold in found or [EMBEDDED] if (known := find_fold(fold))}
+
+
+def _walked_fold(case: EvaluationCase) -> str:
+    return cast(Spec, case.scenario).settings["fold"]
 
 
 def digest_of(fold: str, root: str | None) -> str:
@@ -181,7 +191,7 @@ def digest_of(fold: str, root: str | None) -> str:
     if fold == EMBEDDED:
         return ""  # its files are pedzoo's
     result = hashlib.sha256()
-    for recording in EthUcy(fold, root, "true").recordings("test"):
+    for recording in open_fold(fold, root, "true").recordings("test"):
         tracks = recording.tracks
         for values in (tracks.frame, tracks.agent, tracks.xy):
             result.update(values.tobytes())

@@ -12,8 +12,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import WEIGHTS, weight_files
 from pedzoo.core.types import PRED_LEN
-from pedzoo.data.datasets.eth_ucy import EVERYTHING
 from pedzoo.data.provenance import provenance, together
+from pedzoo.data.recordings import find_fold
 from pedzoo.models.export.run_record import RunRecord, read_run
 from pedzoo.models.zoo.card import ModelCard, Training, check_name, read_card, write_card
 from pedzoo.models.zoo.header import read_config
@@ -96,21 +96,24 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
 
     What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
     clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those
-    have configs in folders: of ``open_loop/sgan_goal_map`` come ``sgan_goal_map.zara1_way`` and
-    ``sgan_goal_map.eth_ucy_way``, of ``closed_loop/sgan_goal_map`` ``sgan_goal_map.indoor_zara1`` and, of all
-    scenes, ``sgan_goal_map.indoor``; of ``ppo/sgan_goal`` ``sgan_goal.eth_ucy_ppo``.
+    have configs in folders: of ``open_loop/sgan_goal_map`` come ``sgan_goal_map.controller_open_zara1`` and,
+    of all scenes, ``sgan_goal_map.controller_open``, of ``closed_loop/sgan_goal_map`` likewise
+    ``sgan_goal_map.indoor_zara1`` and ``sgan_goal_map.indoor``. Of ``ppo/sgan_goal`` comes
+    ``sgan_goal.eth_ucy_ppo``.
     """
     folder, _, config = config.rpartition("/")
-    tag = protocol["fold"]
+    fold = find_fold(protocol["fold"])
+    tag, whole = (fold.name, fold.whole) if fold else (protocol["fold"], False)
     if folder == "closed_loop":
-        tag = "indoor" if tag == EVERYTHING else f"indoor_{tag}"
+        tag = "indoor" if whole else f"indoor_{tag}"
     elif folder:
-        tag += "_way" if folder == "open_loop" else f"_{folder}"
+        open_loop = "controller_open" if whole else f"controller_open_{tag}"
+        tag = open_loop if folder == "open_loop" else f"{tag}_{folder}"
     if protocol["goal"] == "destination":
         tag += "_destination"
     if protocol["pred_len"] != PRED_LEN:
         tag += f"_pred{protocol['pred_len']}"
-    if protocol["clock"] != ("true" if folder or protocol["fold"] == EVERYTHING else "benchmark"):
+    if protocol["clock"] != ("true" if folder or whole else "benchmark"):
         tag += f"_{protocol['clock']}"
     return f"{config.removesuffix('_destination')}.{tag}"
 

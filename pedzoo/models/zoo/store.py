@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, shipped
@@ -151,6 +152,8 @@ def _by_name(name: str) -> Entry | None:
         raise UserError(f"{name!r} was fetched from {len(kept)} places, say which: {' or '.join(kept)}")
     if kept:
         return _fetched(kept[0])
+    if (new := renamed.weights(name)) != name:
+        return _by_name(new)
     failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
     for source in _sources(address=True):
         try:

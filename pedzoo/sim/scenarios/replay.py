@@ -12,7 +12,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Dataset, open_fold
+from pedzoo.data.recordings import Dataset, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
@@ -71,7 +71,8 @@ class Replay(Scenario):
         """Set what `prepare` will read.
 
         Args:
-            fold: Whose test recordings: eth, hotel, univ, zara1, zara2, ``embedded``, or ``file.py:Class``.
+            fold: Whose test recordings: eth, hotel, univ, zara1, zara2, ``embedded``, or
+                ``file.py:Class:fold``.
             root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.
@@ -95,7 +96,8 @@ class Replay(Scenario):
             raise UserError(f"replay: share {share}: expected a part of the time, above 0 and at most 1")
         if not files and (dt or map or homography):
             raise UserError(f"replay: dt, map and homography are of files; the fold {fold!r} has its own")
-        self.name = "files" if files else fold
+        known = find_fold(fold)
+        self.name = "files" if files else known.name if known else fold
         self.simulated: Simulated = simulated
         self.share = share
         self.speed_of: SpeedOf = speed

@@ -37,7 +37,7 @@ class LoopLosses:
     def __init__(
         self,
         progress: float = 1.0,
-        people: float = 10.0,
+        person_distance: float = 10.0,
         people_margin: float = 0.2,
         meeting_margin: float = 0.0,
         walls: float = 20.0,
@@ -55,7 +55,8 @@ class LoopLosses:
 
         Args:
             progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
-            people: Distance to others, metres short of ``2 * body_radius + people_margin``, least of a step.
+            person_distance: Distance to others, metres short of ``2 * body_radius + people_margin``, least of
+                a step.
             people_margin: Metres.
             meeting_margin: Metres more between two who pass each other at 2 m/s or faster, and in proportion
                 less where they are slower: those who walk together come closer than those who meet.
@@ -76,7 +77,8 @@ class LoopLosses:
         weights = {key: value for key, value in locals().items() if key != "self"}
         if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
             raise UserError(f"losses of walking: {wrong}: expected at least 0")
-        self.progress, self.people, self.walls, self.effort = progress, people, walls, effort
+        self.progress, self.walls, self.effort = progress, walls, effort
+        self.person_distance = person_distance
         self.safety_correction = safety_correction
         self.people_margin, self.wall_margin = people_margin, wall_margin
         self.meeting_margin = meeting_margin
@@ -102,7 +104,7 @@ class LoopLosses:
         weight = None if noise is None else torch.exp(self.assertiveness * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
-            "people": firmness * self.people * mean(_hinge(short)),
+            "person_distance": firmness * self.person_distance * mean(_hinge(short)),
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
+from pedzoo.core.registry import function_in_file
 from pedzoo.metrics.safety import nearest
 
 
@@ -18,24 +19,25 @@ class Reward:
 
     The environment's is the way that got shorter, in metres, less
     `pedzoo.sim.motion.CONTACT_COST` for a decision in which something was touched; every weight is in
-    that unit, metres of progress. A reward of one's own is a subclass that overrides ``__call__``, named by
-    its ``class_path`` in the config.
+    that unit, metres of progress. A reward of one's own is a function in ``terms``, or a subclass that
+    overrides ``__call__``, named by its ``class_path`` in the config.
     """
 
     def __init__(
         self,
-        people: float = 0.0,
+        person_cost: float = 0.0,
         walls: float = 0.0,
         near: float = 0.0,
         near_distance: float = 0.6,
         effort: float = 0.0,
         overspeed: float = 0.0,
         arrival: float = 0.0,
+        terms: dict[str, float] | None = None,
     ) -> None:
         """Weigh what the environment does not.
 
         Args:
-            people: Cost of a decision in which another person is touched, beyond the environment's.
+            person_cost: Cost of a decision in which another person is touched, beyond the environment's.
             walls: Likewise of one in which a wall is.
             near: Cost of a decision throughout which the nearest other is at distance 0; it falls linearly
                 to nothing at ``near_distance``.
@@ -43,17 +45,20 @@ class Reward:
             effort: Cost of a change of velocity by 1 m/s, growing with its square.
             overspeed: Cost of walking 1 m/s faster than one likes, growing linearly.
             arrival: Gain of having reached all goals.
+            terms: Terms of one's own and their weights, as ``{"path/to/file.py:slow": 2.0}``: functions of
+                ``before`` and ``after``, as `__call__` takes them, that return everybody's reward (N, A).
 
         Raises:
-            UserError: A negative number.
+            UserError: A negative number, or no such function.
         """
-        given = {name: value for name, value in locals().items() if name != "self"}
+        given = {name: value for name, value in locals().items() if name not in ("self", "terms")}
         for name, value in given.items():
             if value < 0 or (name == "near_distance" and value == 0):
                 raise UserError(f"reward.{name} {value}: expected a number above 0, or 0 for none")
-        self.people, self.walls, self.arrival = people, walls, arrival
+        self.person_cost, self.walls, self.arrival = person_cost, walls, arrival
         self.near, self.near_distance = near, near_distance
         self.effort, self.overspeed = effort, overspeed
+        self.terms = [(name, function_in_file(name), weight) for name, weight in (terms or {}).items()]
 
     def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
         """Return everybody's reward (N, A); whatever it says of people who are not controlled is ignored.
@@ -65,7 +70,7 @@ class Reward:
         seen, then = agents_of(before), agents_of(after)
         info = cast("TensorDict", then["info"])
         reward = then["reward"][..., 0]
-        reward = reward - self.people * info["agent_contact"].any(-1)
+        reward = reward - self.person_cost * info["agent_contact"].any(-1)
         reward = reward - self.walls * info["wall_contact"].any(-1)
         if self.near:
             trace = info["trace"]
@@ -80,4 +85,12 @@ class Reward:
         if self.arrival:
             left = seen["controlled"] & ~then["controlled"] & ~after["failed"]
             reward = reward + self.arrival * left
+        for name, term, weight in self.terms:
+            own = term(before, after)
+            if not isinstance(own, Tensor) or own.shape != reward.shape:
+                given = tuple(own.shape) if isinstance(own, Tensor) else type(own).__name__
+                raise UserError(
+                    f"reward {name}: expected everybody's reward {tuple(reward.shape)}, not {given}"
+                )
+            reward = reward + weight * own
         return reward

@@ -211,7 +211,7 @@ class ClosedLoopValidation(Callback):
         """Return the metrics of a scenario over the episodes of all processes."""
         walked, score = scenario.walk(walker, self.deterministic), ClosedLoopScore()
         if walked is not None:
-            score.update(walked.rollout, walked.env.decision_dt)
+            score.update(walked.rollout)
             if self.picture or self.video:
                 log_rollout_media(trainer, scenario.name, walked, self.picture, self.video)
         if trainer.world_size > 1:

@@ -110,7 +110,7 @@ class LoopNoise(Suite):
                     tell((draw + (number + 1) / len(unit.seeds)) / DRAWS)
             rollout = joined(walked)
             ways.append(choice.settled(rollout))
-            found = closed_loop(rollout, step)
+            found = closed_loop(rollout)
             for key in ALSO:
                 also[key].append(found[key].above)
         settled = torch.stack(ways, dim=1)

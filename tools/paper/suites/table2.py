@@ -69,6 +69,6 @@ class Table2(Suite):
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
         """Return ``seconds_per_goal``, of episodes in which everybody reaches all goals in time."""
         reached, goals, mask = rollout.reached, rollout.goals, rollout.mask
-        arrived = navigation.success(reached, goals, rollout.overdue, rollout.failed, mask)
+        arrived = navigation.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
         last = navigation.episode_seconds(navigation.finish_seconds(reached, goals), arrived, mask)
         return {"seconds_per_goal": ratio(*navigation.seconds_per_goal(last, reached, mask))}
