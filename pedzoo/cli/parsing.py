@@ -17,6 +17,7 @@ from typing import Any, get_args, get_origin
 from jsonargparse import ArgumentParser, Namespace
 
 from pedzoo.core import renamed
+from pedzoo.core.adapters import option_types
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, find_config
 from pedzoo.core.spec import split, unquoted
@@ -154,7 +155,7 @@ def _configs() -> str:
 
 
 def _known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -> list[str]:
-    known = [name for name in parser._option_string_actions if name.startswith("--")]
+    known = [name for name in option_types(parser) if name.startswith("--")]
     for prefix, base in classes:
         family = [base, *base.__subclasses__()]
         family += [cls for child in family[1:] for cls in child.__subclasses__()]
@@ -182,13 +183,13 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
     ``--trainer.devices 2``, is a list only where it has a comma. Settings stay with their name:
     ``door:width=0.9,people=4,circle`` is two scenarios.
     """
-    known, result = parser._option_string_actions, list(argv)
+    known, result = option_types(parser), list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
         plain = f"--{flag[2:].replace('-', '_')}"
         if flag.startswith("--") and flag not in known and plain in known:
             flag, result[i] = plain, plain + joined + value
-        hint, follows = getattr(known.get(flag), "_typehint", None), argv[i + 1 : i + 2]
+        hint, follows = known.get(flag), argv[i + 1 : i + 2]
         if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
             result[i] = f"{flag}=true"
         item, alone = _item_type(hint)

@@ -20,10 +20,9 @@ from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
-from pedzoo.sim.rollout import Rollout, joined
+from pedzoo.sim.rollout import Rollout, joined, rollout_of
 from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
-from pedzoo.sim.traces import rollout_of
 
 Progress = Callable[[str, int, int], None]
 

@@ -17,11 +17,11 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim import kernel, specs
+from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.motion import Events
-from pedzoo.sim.observation import observed
+from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
@@ -125,10 +125,10 @@ class PedestrianEnv(EnvBase):
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
-        self.observation_spec = specs.observation(num_envs, agents, trace_points, self.bank).to(self.device)
-        self.action_spec = specs.action(num_envs, agents).to(self.device)
-        self.reward_spec = specs.reward(num_envs, agents).to(self.device)
-        self.done_spec = specs.done(num_envs).to(self.device)
+        self.observation_spec = observation_spec(num_envs, agents, trace_points, self.bank).to(self.device)
+        self.action_spec = action_spec(num_envs, agents).to(self.device)
+        self.reward_spec = reward_spec(num_envs, agents).to(self.device)
+        self.done_spec = done_spec(num_envs).to(self.device)
 
     @property
     def bank(self) -> MapBank:
@@ -187,6 +187,20 @@ class PedestrianEnv(EnvBase):
         tensordict.set("next", after)
         return tensordict, now
 
+    def reset(self, tensordict: TensorDictBase | None = None, **settings: Any) -> TensorDictBase:
+        """Begin scenes anew, and return what all agents see.
+
+        This is `EnvBase.reset`, but all rows are taken as `_reset` returns them; TorchRL would pick those
+        that begin anew, key by key.
+
+        Args:
+            tensordict: Under ``_reset``, which scenes (B, 1) bool; all of them without it. It is updated.
+            settings: As of `EnvBase.reset`.
+        """
+        if tensordict is None or "_reset" not in tensordict.keys():
+            return super().reset(tensordict, **settings)
+        return tensordict.update(self._reset(tensordict)).exclude("_reset", inplace=True)
+
     def _set_seed(self, seed: int | None) -> None:
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
@@ -203,17 +217,7 @@ class PedestrianEnv(EnvBase):
         elif bool(flags.any()):
             index = flags.view(-1).nonzero().view(-1)
             self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
-        return self._observation(*self._scenes)
-
-    def _reset_proc_data(
-        self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        """Take what `_reset` returns as it is: all rows are in it; TorchRL would pick some, key by key."""
-        if tensordict is None:
-            return super()._reset_proc_data(tensordict, tensordict_reset)
-        self._complete_done(self.full_done_spec, tensordict_reset)
-        self._reset_check_done(tensordict, tensordict_reset)
-        return tensordict.exclude("_reset", inplace=True).update(tensordict_reset)
+        return self._observation(*self._scenes).update(self.done_spec.zero())
 
     def _next(self, index: Tensor) -> _Scenes:
         """Return the next episodes of some rows.

@@ -17,10 +17,9 @@ from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Script
-from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.rollout import Rollout, rollout_of
 from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
-from pedzoo.sim.traces import rollout_of
 
 _AT_ONCE = 64
 """Scenes: as many as are walked together."""
