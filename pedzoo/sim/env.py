@@ -23,7 +23,7 @@ from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Scenario
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
 
@@ -67,13 +67,14 @@ class PedestrianEnv(EnvBase):
 
     Attributes:
         policy_name: What warnings call the policy.
+        prepared: The scenario, with its floor plans and ways.
     """
 
     policy_name = "the policy"
 
     def __init__(
         self,
-        scenario: Scenario,
+        prepared: PreparedScenario,
         physics: Physics,
         num_envs: int = 1,
         seed: int = 0,
@@ -87,7 +88,7 @@ class PedestrianEnv(EnvBase):
         """Take a prepared scenario and the physics that moves them; `pedzoo.make_env` does both.
 
         Args:
-            scenario: The scenario; `Scenario.prepare` was called.
+            prepared: What `Scenario.prepare` returned.
             physics: Moves agents, and answers what is touched.
             num_envs: B.
             seed: Of all scenes; scene i of a seed is the same however many are run at once.
@@ -107,7 +108,7 @@ class PedestrianEnv(EnvBase):
             raise UserError(
                 f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s up to {WARM_SECONDS} s"
             )
-        if scenario.script is not None and TRACE_PER_STEP % trace_points:
+        if prepared.script is not None and TRACE_PER_STEP % trace_points:
             raise UserError(
                 f"decision_dt {decision_dt}: people of recordings come and are handed over every "
                 f"{STEP_SECONDS} s, so a decision takes 0.1, 0.2 or 0.4 s"
@@ -115,13 +116,13 @@ class PedestrianEnv(EnvBase):
         if num_envs < 1 or (stride is not None and stride < 1):
             raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
         super().__init__(device=usable(device), batch_size=torch.Size([num_envs]))
-        agents = scenario.people
-        self.scenario, self.physics, self.decision_dt = scenario, physics, decision_dt
+        agents = prepared.people
+        self.prepared, self.physics, self.decision_dt = prepared, physics, decision_dt
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
-        smallest = min(body_radius, scenario.smallest_radius or body_radius)
-        fine = substeps(scenario.fastest_agent, smallest)
-        self.rules = kernel.rules_of(scenario, trace_points, fine, self.device)
-        self._episodes = Episodes(scenario, warm_start, physics, self.rules, self.device)
+        smallest = min(body_radius, self.scenario.smallest_radius or body_radius)
+        fine = substeps(prepared.fastest_agent, smallest)
+        self.rules = kernel.rules_of(prepared, trace_points, fine, self.device)
+        self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
@@ -131,9 +132,14 @@ class PedestrianEnv(EnvBase):
         self.done_spec = done_spec(num_envs).to(self.device)
 
     @property
+    def scenario(self) -> Scenario:
+        """The settings of the scenes."""
+        return self.prepared.scenario
+
+    @property
     def bank(self) -> MapBank:
         """The floor plans, for models and policies that look at them."""
-        return self.scenario.bank.to(self.device)
+        return self.prepared.bank.to(self.device)
 
     @property
     def state(self) -> State:
@@ -187,7 +193,7 @@ class PedestrianEnv(EnvBase):
         tensordict.set("next", after)
         return tensordict, now
 
-    def reset(self, tensordict: TensorDictBase | None = None, **settings: Any) -> TensorDictBase:
+    def reset(self, tensordict: TensorDictBase | None = None, **settings: Any) -> Any:
         """Begin scenes anew, and return what all agents see.
 
         This is `EnvBase.reset`, but all rows are taken as `_reset` returns them; TorchRL would pick those
@@ -205,7 +211,7 @@ class PedestrianEnv(EnvBase):
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: _Scenes | None = None
-        made = min(_MADE, _AGENTS_MADE // self.scenario.people)
+        made = min(_MADE, _AGENTS_MADE // self.prepared.people)
         self._depth = max(1, made // self.batch_size[0])
         self._taken = torch.full(self.batch_size, self._depth)
 

@@ -56,8 +56,8 @@ ROBOT = '''
 
         wheels = True
 
-        def layout(self, draws):
-            layout = super().layout(draws)
+        def layout(self, prepared, draws):
+            layout = super().layout(prepared, draws)
             nothing = torch.zeros_like(layout.pref_speed)
             away = heading_of(layout.start)
             kind = torch.full_like(layout.goal, ROBOT)

@@ -24,7 +24,7 @@ from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.make import make_env, prepare_scenario
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic
 from pedzoo.train.rl.experience import Gatherer, rated
@@ -54,7 +54,7 @@ def small(**more: Any) -> SGAN:
 def gatherer(model: SGAN, scenario: str = "hallway", scenes: int = 3, steps: int = 5) -> Gatherer:
     """Return scenes in which a model gathers experience."""
     acting = actor(Walker(model), Spread(0.2))
-    return Gatherer(make_scenario(scenario), acting, scenes, steps)
+    return Gatherer(prepare_scenario(scenario), acting, scenes, steps)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +220,7 @@ def test_experience_depends_on_seed_and_weights_alone() -> None:
 def test_processes_share_the_scenes_of_a_seed() -> None:
     model = small()
     acting = actor(Walker(model), Spread(0.2))
-    scenario = make_scenario("hallway")
+    scenario = prepare_scenario("hallway")
     keys = [
         Gatherer(scenario, acting, 2, 1, rank=rank, processes=2).gather(0)["scene_key"][:, 0, 0]
         for rank in range(2)

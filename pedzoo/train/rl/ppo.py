@@ -17,7 +17,8 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Noise, Walker
-from pedzoo.sim.make import CLEARANCE, make_scenario
+from pedzoo.sim.make import make_scenario, prepare_scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic
@@ -130,14 +131,14 @@ class PPOModule(ForecastModule):
         self.critic, self.spread = Critic(gamma), Spread(std)
         self._walker = (Walker(generator, noise),)  # in a tuple: its parameters are registered already
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+        self._prepared: list[PreparedScenario] = []
         self._parts: _Parts | None = None
 
     def setup(self, stage: str) -> None:
         """Plan the scenes, too: errors are raised before anything is written."""
         super().setup(stage)
         if stage == "fit":
-            for scenario in self.scenarios:
-                scenario.ready(CLEARANCE)
+            self._prepared = [prepare_scenario(scenario) for scenario in self.scenarios]
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam; the actor's learning rate is set at every iteration."""
@@ -157,7 +158,7 @@ class PPOModule(ForecastModule):
         shares = self.trainer.global_rank, self.trainer.world_size
         gatherers = [
             Gatherer(scenario, acting, self.envs, self.steps, self.physics, self.device, *shares)
-            for scenario in self.scenarios
+            for scenario in self._prepared
         ]
         self._parts = _Parts(loss, estimate, gatherers)
 
