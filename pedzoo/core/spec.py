@@ -109,10 +109,7 @@ def build(registry: Registry, what: str | Spec, base: type, **given: Any) -> Any
         UserError: An unknown name or setting, or a value of the wrong type.
     """
     spec = parse(what) if isinstance(what, str) else what
-    cls = registry.get(spec.name)
-    if not issubclass(cls, base):
-        raise UserError(f"{spec.name!r} is no {registry.kind}: expected a subclass of {base.__qualname__}")
-    return make(cls, registry.kind, spec, **given)
+    return make(registry.get(spec.name, base), registry.kind, spec, **given)
 
 
 def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
