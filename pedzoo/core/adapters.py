@@ -9,8 +9,10 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import torch
     from jsonargparse import ArgumentParser
     from lightning import Trainer
+    from tensordict import NonTensorData, TensorDict
     from torch import Tensor, nn
 
 tensor_version = attrgetter("_version")
@@ -32,6 +34,34 @@ def assert_on_device(condition: Tensor, message: str) -> None:
     import torch
 
     torch.ops.aten._assert_async.msg(condition, message)
+
+
+def tensordict_of(values: dict[str, Any], batch_size: torch.Size, device: torch.device) -> TensorDict:
+    """Return ``TensorDict(values, batch_size, device)``, in a fifth of the time where all values fit.
+
+    tensordict: its constructor takes 3 us a value; those of an observation take longer than a small step.
+    """
+    from tensordict import TensorDict
+
+    dims = len(batch_size)
+    if all(value.device == device and value.shape[:dims] == batch_size for value in values.values()):
+        return TensorDict._new_unsafe(values, batch_size, device)
+    return TensorDict(values, batch_size, device)
+
+
+def copied(tensordict: TensorDict) -> TensorDict:
+    """Return a copy with the same tensors. tensordict: ``copy`` takes ten times as long."""
+    kind = type(tensordict)
+    values = {key: copied(part) if isinstance(part, kind) else part for key, part in tensordict.items()}
+    return kind._new_unsafe(values, tensordict.batch_size, tensordict.device)
+
+
+def non_tensor_of(data: Any, batch_size: torch.Size, device: torch.device) -> NonTensorData:
+    """Return data that are no tensor, for a TensorDict. tensordict: its constructor takes 16 us."""
+    from tensordict import NonTensorData
+
+    fields = {"data": data, "_is_non_tensor": True, "_metadata": None}
+    return NonTensorData._from_tensordict(tensordict_of({}, batch_size, device), fields)
 
 
 def untraceable_error() -> type[Exception]:

@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from pedzoo.core.adapters import copied, tensordict_of
 from pedzoo.core.batch import agents_of
 from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
@@ -182,14 +183,14 @@ class PedestrianEnv(EnvBase):
         after = self._step(tensordict)
         ended = after["done"]
         if bool(ended.any()):
-            now = self.reset(TensorDict({"_reset": ended}, self.batch_size, device=self.device))
+            now = self._reset(tensordict_of({"_reset": ended}, self.batch_size, ended.device))
         else:
-            now = after.copy()
+            now = copied(after)
             agents_of(now).pop("reward")
         for old, new in ((tensordict, now), (agents_of(tensordict), agents_of(now))):
             for name in set(old.keys()).difference(new.keys(), ("reward",)):
                 value = old.get(name)
-                new.set(name, value.copy() if isinstance(value, TensorDictBase) else value)
+                new.set(name, copied(value) if isinstance(value, TensorDict) else value)
         tensordict.set("next", after)
         return tensordict, now
 
@@ -223,7 +224,10 @@ class PedestrianEnv(EnvBase):
         elif bool(flags.any()):
             index = flags.view(-1).nonzero().view(-1)
             self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
-        return self._observation(*self._scenes).update(self.done_spec.zero())
+        observation = self._observation(*self._scenes)
+        for name in ("done", "terminated", "truncated"):
+            observation[name] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+        return observation
 
     def _next(self, index: Tensor) -> _Scenes:
         """Return the next episodes of some rows.
@@ -289,6 +293,6 @@ class PedestrianEnv(EnvBase):
             "remaining_path": state.remaining_path,
         }
         batch = observed(state, guidance, self.bank)
-        batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
+        batch["agents", "info"] = tensordict_of(info, state.mask.shape, state.mask.device)
         batch["failed"] = state.failed.unsqueeze(1)
         return batch
