@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import torch
     from jsonargparse import ArgumentParser
     from lightning import Trainer
-    from tensordict import NonTensorData, TensorDict
+    from tensordict import NonTensorData, TensorDict, TensorDictBase
     from torch import Tensor, nn
 
 tensor_version = attrgetter("_version")
@@ -49,11 +49,16 @@ def tensordict_of(values: dict[str, Any], batch_size: torch.Size, device: torch.
     return TensorDict(values, batch_size, device)
 
 
-def copied(tensordict: TensorDict) -> TensorDict:
-    """Return a copy with the same tensors. tensordict: ``copy`` takes ten times as long."""
-    kind = type(tensordict)
-    values = {key: copied(part) if isinstance(part, kind) else part for key, part in tensordict.items()}
-    return kind._new_unsafe(values, tensordict.batch_size, tensordict.device)
+def copied(tensordict: TensorDictBase) -> TensorDictBase:
+    """Return a copy with the same tensors. tensordict: ``copy`` takes 0.1 ms and looks into floor plans."""
+    from tensordict import TensorDict, TensorDictBase
+
+    if not isinstance(tensordict, TensorDict):
+        return tensordict.copy()
+    values = {
+        key: copied(part) if isinstance(part, TensorDictBase) else part for key, part in tensordict.items()
+    }
+    return TensorDict._new_unsafe(values, tensordict.batch_size, tensordict.device)
 
 
 def non_tensor_of(data: Any, batch_size: torch.Size, device: torch.device) -> NonTensorData:

@@ -190,7 +190,7 @@ class PedestrianEnv(EnvBase):
         for old, new in ((tensordict, now), (agents_of(tensordict), agents_of(now))):
             for name in set(old.keys()).difference(new.keys(), ("reward",)):
                 value = old.get(name)
-                new.set(name, copied(value) if isinstance(value, TensorDict) else value)
+                new.set(name, copied(value) if isinstance(value, TensorDictBase) else value)
         tensordict.set("next", after)
         return tensordict, now
 
@@ -283,7 +283,7 @@ class PedestrianEnv(EnvBase):
         points = self.rules.ticks
         if outcome is None:
             nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
-            reached = state.reached.unsqueeze(-1).repeat(1, 1, points)
+            reached = state.reached.unsqueeze(-1).expand(-1, -1, points).contiguous()
             happened = state.past[:, :, -points:], nothing, nothing, reached
         else:
             happened = outcome[:4]

@@ -146,7 +146,8 @@ def guidance_loop(
     first_goal = len(xs) - goal_table.shape[1] + 1
     frame, quarters = np.empty(7), np.empty(3, np.int64)
     corner, end = np.empty(2), np.empty(2)
-    homes, entries = np.empty((scenes, agents, 2)), np.empty((2, scenes, agents), np.int64)
+    homes, entries = np.empty((scenes, agents, 2)), np.empty((3, scenes, agents), np.int64)
+    onwards = np.empty((scenes, agents), np.float32)
     # one look-up after the other waits for memory: each is made for all agents before the next
     for b in range(scenes):
         number = rows[b] + 1
@@ -166,6 +167,10 @@ def guidance_loop(
             entry = goal_table[0, goal + 1] + (entries[0, b, a] if goal >= 0 else 0)
             entries[1, b, a] = waypoints[entry]
     for b in range(scenes):
+        for a in range(agents):
+            entry = goal_table[0, goals[b, a] + 1] + entries[1, b, a]
+            entries[2, b, a], onwards[b, a] = waypoints[entry], lengths[entry]
+    for b in range(scenes):
         row = rows[b]
         number = row + 1
         wall_row = row if row >= 0 else affine.shape[1] - 1
@@ -176,10 +181,10 @@ def guidance_loop(
         cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]
         shift_x, shift_y = poses[b, 2], poses[b, 3]
         for a in range(agents):
-            home, cell, first = homes[b, a], entries[0, b, a], entries[1, b, a]
+            home, onward = homes[b, a], onwards[b, a]
+            cell, first, second = entries[0, b, a], entries[1, b, a], entries[2, b, a]
             goal = goals[b, a]
-            start, count, of_map = goal_table[0, goal + 1], goal_table[1, goal + 1], goal_table[2, goal + 1]
-            second, onward = waypoints[start + first], lengths[start + first]
+            count, of_map = goal_table[1, goal + 1], goal_table[2, goal + 1]
             final = goal + first_goal
             opens = begin[2, number]
             is_last = second == count
