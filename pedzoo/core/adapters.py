@@ -36,7 +36,7 @@ def assert_on_device(condition: Tensor, message: str) -> None:
     torch.ops.aten._assert_async.msg(condition, message)
 
 
-def tensordict_of(values: dict[str, Any], batch_size: torch.Size, device: torch.device) -> TensorDict:
+def tensordict_of(values: dict[str, Any], batch_size: torch.Size, device: torch.device | None) -> TensorDict:
     """Return ``TensorDict(values, batch_size, device)``, in a fifth of the time where all values fit.
 
     tensordict: its constructor takes 3 us a value; those of an observation take longer than a small step.

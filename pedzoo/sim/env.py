@@ -40,7 +40,8 @@ class _Scenes(NamedTuple):
 
     def select(self, index: Tensor) -> _Scenes:
         """Return some of the scenes."""
-        return _Scenes(self.state.select(index), Guidance(*(value[index] for value in self.guidance)))
+        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
+        return _Scenes(self.state.select(index), guidance)
 
     def replaced(self, index: Tensor, other: _Scenes) -> _Scenes:
         """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
