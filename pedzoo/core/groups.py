@@ -20,6 +20,11 @@ def groups(cls: type) -> dict[str, Any]:
     return {item.name: item.default for item in taken if is_dataclass(item.default)}
 
 
+def homes(cls: type) -> dict[str, str]:
+    """Return the group of every setting that is in one."""
+    return {field.name: group for group, default in groups(cls).items() for field in fields(default)}
+
+
 def settings(cls: type) -> dict[str, Any]:
     """Return the type of every setting of a class by its name, those of groups in the place of the group."""
     hints, own, result = get_type_hints(cls.__init__), groups(cls), {}
@@ -39,7 +44,7 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
         cls: The class that takes them.
         given: Values by name. Mappings of groups may be among them; a name without its group wins.
     """
-    home = {field.name: group for group, default in groups(cls).items() for field in fields(default)}
+    home = homes(cls)
     result = {key: value for key, value in given.items() if key not in home}
     for key in given.keys() & home.keys():
         result[home[key]] = {**result.get(home[key], {}), key: given[key]}
