@@ -9,7 +9,7 @@ import inspect
 import json
 import re
 from argparse import ArgumentError
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from difflib import get_close_matches
 from itertools import pairwise
 from pydoc import locate
@@ -59,26 +59,6 @@ def classes_named(argv: list[str]) -> dict[str, str]:
             path = re.search(r'"class_path": "([^"]*)"', value)
             result[place] = path[1] if path else value
     return result
-
-
-def check_groups(argv: list[str], classes: Mapping[str, str]) -> None:
-    """Refuse misspelt options of groups in classes: jsonargparse takes ``losses.best`` for ``losses.best_k``.
-
-    Args:
-        argv: The command line.
-        classes: As of `classes_named`.
-
-    Raises:
-        UserError: A group has no such setting.
-    """
-    for word in argv:
-        flag = word.partition("=")[0]
-        *above, group, leaf = ["", "", *flag.removeprefix("--").replace("-", "_").split(".")]
-        owner = ".".join(part for part in above if part and part != "init_args")
-        known = parameters(locate(classes[owner])) if owner in classes else []
-        grouped = any(name.startswith(f"{group}.") for name in known)
-        if grouped and f"{group}.{leaf}" not in known:
-            raise UserError(_unknown(flag, [f"--{owner}.{name}" for name in known]))
 
 
 def given(argv: list[str], flag: str) -> str | None:

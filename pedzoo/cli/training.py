@@ -23,7 +23,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
-from pedzoo.cli.parsing import PARSER_SETTINGS, check_groups, classes_named, parse
+from pedzoo.cli.parsing import PARSER_SETTINGS, classes_named, parse
 from pedzoo.cli.starting import Command, expand
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
@@ -81,6 +81,10 @@ class ConfigParser(LightningArgumentParser):
 
     classes: Mapping[str, str] = MappingProxyType({})
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
+        super().__init__(*args, **PARSER_SETTINGS | kwargs)
+
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file; arguments as of jsonargparse's."""
         whole = yaml.safe_dump(load_config(os.fspath(path), self.classes), sort_keys=False)
@@ -110,7 +114,6 @@ class TrainingCLI(LightningCLI):
             save_config_callback=None,
             trainer_defaults={"logger": None, "enable_model_summary": False},
             parser_kwargs={
-                **PARSER_SETTINGS,
                 "prog": f"pedzoo {command}",
                 "usage": f"pedzoo {command} {_USAGE[command]} [--data.X ...] [...]\nexample: {example}",
                 "description": about,
@@ -142,7 +145,6 @@ class TrainingCLI(LightningCLI):
         """Parse, with errors in one line."""
         cast("ConfigParser", parser).classes = classes = classes_named(args)
         args = new_options(args, classes)
-        check_groups(args, classes)
         self.config = parse(parser, args, [("model", ForecastModule)])
 
     def instantiate_classes(self) -> None:

@@ -46,8 +46,9 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
     """
     home = homes(cls)
     result = {key: value for key, value in given.items() if key not in home}
-    for key in given.keys() & home.keys():
-        result[home[key]] = {**result.get(home[key], {}), key: given[key]}
+    for key in given:
+        if key in home:
+            result[home[key]] = {**(result.get(home[key]) or {}), key: given[key]}
     return result
 
 

@@ -211,7 +211,7 @@ def new_config(
     values: dict[str, Any] = {}
     for key, value in config.items():
         inner = _inside(place, key)
-        new: str = key if inner == place else OLD_OPTIONS.get(inner, key)
+        new = key if inner == place else str(OLD_OPTIONS.get(inner, key))
         value = new_config(value, say_so, inner, classes)
         if key == "init_args" and isinstance(value, dict) and isinstance(path, str):
             value = _in_groups(path, value, place if say_so else "")
