@@ -93,9 +93,14 @@ def architecture_options(weights: str, config: str) -> list[str]:
     settings = load_config(config)
     if not settings.get("weights"):
         return []
-    generator = settings["model"]["init_args"]["generator"].get("init_args", {})
-    dropout = {key: value for key, value in generator.get("losses", {}).items() if key == "map_dropout"}
-    return _architecture(saved_config(weights), walking=generator.get("walking", {}), losses=dropout)
+    generator = settings["model"]["init_args"]["generator"]
+    decided = generator.get("init_args", {})
+    dropout = {key: value for key, value in decided.get("losses", {}).items() if key == "map_dropout"}
+    given = _architecture(saved_config(weights), walking=decided.get("walking", {}), losses=dropout)
+    if json.loads(given[1])["class_path"] == generator["class_path"]:
+        return given
+    # jsonargparse would keep groups of the config's class: the base class has none
+    return ["--model.generator", f"{Forecaster.__module__}.{Forecaster.__qualname__}", *given]
 
 
 def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:
@@ -106,6 +111,4 @@ def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str
     model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]
-    # jsonargparse would keep groups of another class: the base class has none
-    empty = f"{Forecaster.__module__}.{Forecaster.__qualname__}"
-    return ["--model.generator", empty, "--model.generator", json.dumps(model), *data]
+    return ["--model.generator", json.dumps(model), *data]
