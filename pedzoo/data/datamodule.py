@@ -173,7 +173,9 @@ class TrajectoryDataModule(L.LightningDataModule):
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank(list(self._grids.values()), unknown="free")
         for split in missing:
-            self.sets[split] = self._scenes(recordings[split], self.pred_len, self.keep_people, self.min_people)
+            self.sets[split] = self._scenes(
+                recordings[split], self.pred_len, self.keep_people, self.min_people
+            )
             _print_counts(f"{self.fold} {split}", self.sets[split])
         if steps:
             self.unrolled = self._scenes(real, steps, "present", 1)
