@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -51,6 +51,28 @@ def whole_cells(length: float) -> float:
     return math.ceil(length / CELL - 1e-6) * CELL
 
 
+@dataclass(frozen=True)
+class EncounterSettings:
+    """What all encounters can be told.
+
+    Attributes:
+        people: How many; most encounters take 2 to 50.
+        speed: Mean preferred speed, m/s.
+        speed_std: Its standard deviation.
+        jitter: Metres that starts are off their places at most, in x and in y, evenly distributed.
+        aside: Metres that all from one side start to the left or right of their lanes at most, evenly
+            distributed; less where walls or others are near. Their goals stay.
+        delay: Seconds that the first of a lane comes late at most, evenly distributed.
+    """
+
+    people: int = 2
+    speed: float = 1.3
+    speed_std: float = 0.2
+    jitter: float = 0.1
+    aside: float = 0.5
+    delay: float = 0.5
+
+
 class Encounter(Scenario):
     """People in lanes who meet; subclasses say which, and on what floor plans.
 
@@ -70,34 +92,19 @@ class Encounter(Scenario):
     stray: float = 0.0
     together: bool = False
 
-    def __init__(
-        self,
-        people: int,
-        speed: float,
-        speed_std: float,
-        jitter: float,
-        aside: float,
-        delay: float,
-        meet: float = MEET,
-        **variants: Numbers,
-    ) -> None:
+    def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:
         """Check what all encounters have.
 
         Args:
-            people: How many.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, in x and in y, evenly distributed.
-            aside: Metres that all from one side start to the left or right of their lanes at most, evenly
-                distributed; less where walls or others are near. Their goals stay.
-            delay: Seconds that the first of a lane comes late at most, evenly distributed.
+            common: Their settings.
             meet: Seconds after the warm start at which those in front meet.
             variants: Settings of which every scene draws a value.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std)
+        people, jitter, aside, delay = common.people, common.jitter, common.aside, common.delay
+        super().__init__(people, common.speed, common.speed_std)
         self.name = type(self).__module__.rpartition(".")[2]
         if not self.fewest <= people <= self.most:
             raise UserError(

@@ -157,7 +157,7 @@ class Walk:
         return for_peers(
             "loop",
             Size(*state.mask.shape),
-            OrcaSettings(time_step=self.env.decision_dt),
+            OrcaSettings(dt=self.env.decision_dt),
             WallSegments(bank),
             state.position,
             state.velocity,
