@@ -11,13 +11,17 @@ import re
 from argparse import ArgumentError
 from collections.abc import Iterable
 from difflib import get_close_matches
+from itertools import pairwise
 from pydoc import locate
 from typing import Any, get_args, get_origin
 
 from jsonargparse import ArgumentParser, Namespace
 
 from pedzoo.core import renamed
+from pedzoo.core.adapters import option_types
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import homes
 from pedzoo.core.paths import config_names, find_config
 from pedzoo.core.spec import split, unquoted
 
@@ -45,6 +49,19 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         raise UserError(explain(str(error), _known_options(parser, classes))) from error
 
 
+def classes_named(argv: list[str]) -> dict[str, str]:
+    """Return the classes that a command line and its config files name, by their place in a configuration."""
+    result: dict[str, str] = {}
+    for flag, value in pairwise([part for word in argv for part in word.split("=", 1)]):
+        place = flag.removeprefix("--").replace(".init_args", "").removesuffix(".class_path")
+        if flag in ("--config", "-c"):
+            result |= renamed.class_paths(load_config(value))
+        elif place in ("model", "model.generator"):
+            path = re.search(r'"class_path": "([^"]*)"', value)
+            result[place] = path[1] if path else value
+    return result
+
+
 def given(argv: list[str], flag: str) -> str | None:
     """Return the value that ``flag`` has on the command line, None where it is not there."""
     for i, word in enumerate(argv):
@@ -70,6 +87,9 @@ def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
     if match := re.search(r"unrecognized arguments: (\S+)", message):
         given = match[1].partition("=")[0]
+        path, owner = _place(message[: match.start()])
+        if owner:  # one of a group in it
+            return _unknown(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
         return _unknown(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
     if re.search(r"arguments are required: model\b", message):
         return f"no model: choose one with --config NAME ({_configs()}) or --model CLASS"
@@ -79,9 +99,8 @@ def explain(message: str, known: list[str]) -> str:
         return _unknown("--" + ".".join(filter(None, match.groups())), known)
     if match := re.search(r"Option '([^']*)' is not accepted", message):
         path, owner = _place(message[: match.start()])
-        below = path if path == "--" else f"{path}."
-        options = [f"{below}{name}" for name in parameters(locate(owner))] if owner else []
-        return _unknown(f"{below}{match[1]}", options or known)
+        options = _options_of(path, owner) if owner else []
+        return _unknown(_below(path, match[1]), options or known)
     if match := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
         path, _ = _place(message[: match.start()])
         return _mismatch(path, _plain(match[1]), match[2])
@@ -107,16 +126,25 @@ def explain(message: str, known: list[str]) -> str:
 
 
 def parameters(owner: object) -> list[str]:
-    """Return the names that a class accepts, those of its bases included where it passes them on."""
+    """Return the names that a class accepts, in its groups too, and in its bases where it passes them on."""
     names: list[str] = []
     for cls in inspect.getmro(owner) if isinstance(owner, type) else ():
         if "__init__" not in vars(cls):
             continue
         taken = inspect.signature(cls.__init__).parameters.values()
         names += [item.name for item in taken if item.kind not in (item.VAR_POSITIONAL, item.VAR_KEYWORD)][1:]
+        names += [f"{group}.{name}" for name, group in homes(cls).items()]
         if all(item.kind != item.VAR_KEYWORD for item in taken):
             break
     return names
+
+
+def _options_of(path: str, owner: str) -> list[str]:
+    return [_below(path, name) for name in parameters(locate(owner))]
+
+
+def _below(path: str, name: str) -> str:
+    return f"{path}{name}" if path == "--" else f"{path}.{name}"
 
 
 def _place(text: str) -> tuple[str, str]:
@@ -129,9 +157,10 @@ def _unknown(given: str, known: list[str]) -> str:
     if given in known:  # it belongs to a model, and there is none yet
         return f"{given} needs a model: choose one with --config NAME ({_configs()}) or --model CLASS"
     parent, _, leaf = given.rpartition(".")
-    siblings = {
-        name.rpartition(".")[2].lstrip("-"): name for name in known if name.rpartition(".")[0] == parent
-    }
+    below = [name for name in known if name.startswith(f"{parent}.") or name.rpartition(".")[0] == parent]
+    below.sort(key=lambda name: name.count("."))
+    # of two with one name, the first of those that are nested least
+    siblings = {name.rpartition(".")[2].lstrip("-"): name for name in reversed(below)}
     near = [siblings[name] for name in get_close_matches(leaf.lstrip("-"), siblings, n=1)]
     # `--lr` for `--model.lr`, then a misspelt parent
     near += [name for name in known if name.rpartition(".")[2] == leaf.lstrip("-")]
@@ -154,7 +183,7 @@ def _configs() -> str:
 
 
 def _known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -> list[str]:
-    known = [name for name in parser._option_string_actions if name.startswith("--")]
+    known = [name for name in option_types(parser) if name.startswith("--")]
     for prefix, base in classes:
         family = [base, *base.__subclasses__()]
         family += [cls for child in family[1:] for cls in child.__subclasses__()]
@@ -182,13 +211,13 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
     ``--trainer.devices 2``, is a list only where it has a comma. Settings stay with their name:
     ``door:width=0.9,people=4,circle`` is two scenarios.
     """
-    known, result = parser._option_string_actions, list(argv)
+    known, result = option_types(parser), list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
         plain = f"--{flag[2:].replace('-', '_')}"
         if flag.startswith("--") and flag not in known and plain in known:
             flag, result[i] = plain, plain + joined + value
-        hint, follows = getattr(known.get(flag), "_typehint", None), argv[i + 1 : i + 2]
+        hint, follows = known.get(flag), argv[i + 1 : i + 2]
         if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
             result[i] = f"{flag}=true"
         item, alone = _item_type(hint)

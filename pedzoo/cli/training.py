@@ -12,6 +12,7 @@ from argparse import SUPPRESS
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, cast
 
 import yaml
@@ -22,10 +23,12 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
-from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+from pedzoo.cli.parsing import PARSER_SETTINGS, classes_named, parse
 from pedzoo.cli.starting import Command, expand
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import groups
+from pedzoo.core.renamed import new_options
 from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
@@ -45,17 +48,6 @@ _EXPECTED = (
 )
 
 _USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
-
-_TRAINING_ONLY = (
-    "batch_size",
-    "max_pairs",
-    "rotate",
-    "mirror",
-    "seed",
-    "unroll",
-    "unroll_batch_size",
-    "one_recording_per_batch",
-)
 
 
 def train(command: Command, argv: list[str], about: str, example: str) -> int:
@@ -81,11 +73,21 @@ class ProgressBar(RichProgressBar):
 
 
 class ConfigParser(LightningArgumentParser):
-    """Reads config files with what they inherit."""
+    """Reads config files with what they inherit.
+
+    Attributes:
+        classes: Those that the command line and its config files name, by their place.
+    """
+
+    classes: Mapping[str, str] = MappingProxyType({})
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
+        super().__init__(*args, **PARSER_SETTINGS | kwargs)
 
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file; arguments as of jsonargparse's."""
-        whole = yaml.safe_dump(load_config(os.fspath(path)), sort_keys=False)
+        whole = yaml.safe_dump(load_config(os.fspath(path), self.classes), sort_keys=False)
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
 
 
@@ -112,7 +114,6 @@ class TrainingCLI(LightningCLI):
             save_config_callback=None,
             trainer_defaults={"logger": None, "enable_model_summary": False},
             parser_kwargs={
-                **PARSER_SETTINGS,
                 "prog": f"pedzoo {command}",
                 "usage": f"pedzoo {command} {_USAGE[command]} [--data.X ...] [...]\nexample: {example}",
                 "description": about,
@@ -122,7 +123,7 @@ class TrainingCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """Add the options that are pedzoo's own."""
         # One seed for a run. The data's own is for those who load them without a trainer.
-        parser.link_arguments("seed_everything", "data.seed", compute_fn=int)
+        parser.link_arguments("seed_everything", "data.loading.seed", compute_fn=int)
         parser.add_argument("--ckpt_path", type=str | None, help="Start from this checkpoint.")
         parser.add_lightning_class_args(ClosedLoopValidation, "rollout")
         fit = self.command == "fit"
@@ -142,6 +143,8 @@ class TrainingCLI(LightningCLI):
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
+        cast("ConfigParser", parser).classes = classes = classes_named(args)
+        args = new_options(args, classes)
         self.config = parse(parser, args, [("model", ForecastModule)])
 
     def instantiate_classes(self) -> None:
@@ -273,13 +276,10 @@ class TrainingCLI(LightningCLI):
 
     def _data_options(self) -> str:
         """Return the data options that differ from the defaults, but for those of training alone."""
-        data, defaults = self.config["data"], inspect.signature(TrajectoryDataModule).parameters
+        data, defaults = self.config["data"].as_dict(), inspect.signature(TrajectoryDataModule).parameters
         result = {"fold": data["fold"]} if not data.get("files") else {}
+        said = {"fold", *groups(TrajectoryDataModule)}
         for key, value in data.items():
-            if (
-                key not in ("fold", *_TRAINING_ONLY)
-                and value != defaults[key].default
-                and value != "random_future"
-            ):
+            if key not in said and value not in (defaults[key].default, "random_future"):
                 result[key] = ",".join(value) if isinstance(value, list) else value
         return " ".join(f"--data.{key} {shlex.quote(str(value))}" for key, value in result.items())

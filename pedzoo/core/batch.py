@@ -44,6 +44,7 @@ import torch
 from tensordict import NonTensorData, NonTensorStack, TensorDict, TensorDictBase
 from torch import Tensor
 
+from pedzoo.core.adapters import non_tensor_of, tensordict_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import heading_of
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
@@ -129,16 +130,16 @@ def scene_batch(
     known = {name: value for name, value in agents.items() if value is not None}
     scenes: dict[str, Any] = {
         # with the device given, neither TensorDict nor TorchRL casts the tensors again
-        "agents": TensorDict(known, size, device=device),
+        "agents": tensordict_of(known, size, device),
         "map_id": map_id,
         "scene_pose": pose,
-        "maps": NonTensorData(data=maps, batch_size=size[:1], device=device),
+        "maps": non_tensor_of(maps, size[:1], device),
     }
     if key is not None:
         scenes["scene_key"] = key
     if time is not None:
         scenes["time"] = time
-    return TensorDict(scenes, size[:1], device=device)
+    return tensordict_of(scenes, size[:1], device)
 
 
 def agents_of(batch: TensorDictBase) -> TensorDict:

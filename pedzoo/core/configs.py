@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -20,16 +21,18 @@ _OF_COURSE = ("scenario", "scenes", "share")
 """What a course says itself. Its other keys are settings of its scenario."""
 
 
-def load_config(name: str | Path) -> dict[str, Any]:
+def load_config(name: str | Path, classes: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
     """Return the settings of a config with those of its bases; options have the names of today.
 
     Args:
         name: A shipped config's name or a file. A base is one of these, or a file beside the config.
+        classes: Classes that other configs name, for settings of theirs; see `renamed.class_paths`.
 
     Raises:
         UserError: There is no such config or base, the bases go in a circle, or a file is no YAML mapping.
     """
-    return _with_scenarios(_loaded(find_config(str(name)), ()))
+    settings = _loaded(find_config(str(name)), ())
+    return _with_scenarios(new_config(settings, say_so=True, classes=classes))
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -71,7 +74,7 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         file = beside if beside.is_file() else find_config(base)
     except UserError as error:
         raise UserError(f"base of config {str(path)!r}: {error}") from error
-    return merged(_loaded(file, chain), settings)
+    return new_config(merged(_loaded(file, chain), settings), say_so=True)
 
 
 def _with_scenarios(settings: Any) -> Any:

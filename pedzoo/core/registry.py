@@ -81,12 +81,19 @@ class Registry:
                     raise UserError(f"{what} is no literal: write it out") from error
         return None
 
-    def get(self, name: str) -> type:
+    def get(self, name: str, base: type = object) -> type:
         """Return the class behind a name, a plugin or ``path/to/file.py:Class``.
 
         Raises:
-            UserError: No such name, file or class; the message has the nearest spelling.
+            UserError: No such name, file or class, with the nearest spelling; or no subclass of ``base``.
         """
+        cls = self._class(name)
+        if not issubclass(cls, base):
+            wanted = f"{base.__module__}.{base.__qualname__}"
+            raise UserError(f"{name!r} is no {self.kind}: expected a subclass of {wanted}")
+        return cls
+
+    def _class(self, name: str) -> type:
         if ".py:" in name:
             return _class_in_file(name)
         if (plugins := self._plugins()).get(name):

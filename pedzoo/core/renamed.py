@@ -5,9 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache, wraps
+from pydoc import locate
+from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import grouped, homes
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -34,16 +37,25 @@ OLD_INIT = {"sgan": {"pace": "extend_goal"}}
 """Arguments of architectures, as weights and cards have them."""
 
 OLD_OPTIONS = {
+    "data.batch_size": "loading.batch_size",
+    "data.max_pairs": "loading.max_pairs",
+    "data.rotate": "loading.rotate",
+    "data.mirror": "loading.mirror",
+    "data.seed": "loading.seed",
     "data.people": "keep_people",
-    "data.unroll_apart": "one_recording_per_batch",
+    "data.unroll": "imitated.steps",
+    "data.unroll_batch_size": "imitated.batch_size",
+    "data.one_recording_per_batch": "imitated.one_recording_per_batch",
+    "data.unroll_apart": "imitated.one_recording_per_batch",
     "model.keep": "max_segments",
     "model.lenient": "collision_ramp",
+    "model.world": "collection.physics",
     "model.reward.people": "person_cost",
     "model.walking.people": "person_distance",
     "model.walking.corrected": "safety_correction",
     "model.walking.trait": "assertiveness",
     "model.walking.side": "passing_side",
-    "model.generator.pace": "extend_goal",
+    "model.generator.pace": "walking.extend_goal",
 }
 """Options of a training by their place in a configuration, without ``init_args``, and their new last part."""
 
@@ -150,34 +162,88 @@ def new_settings(settings: Mapping[str, str]) -> dict[str, str]:
     return {OLD_SETTINGS.get(key, key): value for key, value in settings.items()}
 
 
-def new_options(argv: list[str]) -> list[str]:
-    """Return a command line of a training with the names of options as they are now."""
+def class_paths(config: Any, place: str = "") -> dict[str, str]:
+    """Return the classes that a configuration names, by their place without ``init_args``."""
+    if not isinstance(config, dict):
+        return {}
+    result = {place: path} if isinstance(path := config.get("class_path"), str) else {}
+    for key, value in config.items():
+        result |= class_paths(value, _inside(place, key))
+    return result
+
+
+def new_options(argv: list[str], classes: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+    """Return a command line of a training with the names of options as they are now.
+
+    Args:
+        argv: Its words.
+        classes: The classes at places of the configuration, as of `class_paths`.
+    """
     words = list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")
         parent, dot, _ = flag.rpartition(".")
         place = flag.removeprefix("--").replace("-", "_").replace(".init_args", "")
-        if flag.startswith("--") and (new := OLD_OPTIONS.get(place)):
-            words[i] = f"{parent}{dot}{new}{joined}{value}"
-            say(flag, f"{parent}{dot}{new}")
+        if not flag.startswith("--") or not dot:
+            continue
+        above, _, leaf = place.rpartition(".")
+        group = _homes(classes.get(above)).get(leaf)
+        if new := OLD_OPTIONS.get(place, f"{group}.{leaf}" if group else None):
+            words[i] = f"{parent}.{new}{joined}{value}"
+            say(flag, f"{parent}.{new}")
     return words
 
 
-def new_config(config: Any, say_so: bool = False, place: str = "") -> Any:
+def new_config(
+    config: Any, say_so: bool = False, place: str = "", classes: Mapping[str, str] = MappingProxyType({})
+) -> Any:
     """Return the configuration of a training with the names of options as they are now.
 
     Args:
         config: Its values, of any kind; what is no mapping is returned as it is.
         say_so: Whether to say each new name on stderr.
         place: Where these values stand, as keys of `OLD_OPTIONS`.
+        classes: The classes at places where the configuration itself names none, as of `class_paths`.
     """
     if not isinstance(config, dict):
         return config
-    values = {}
+    path = config.get("class_path", classes.get(place))
+    values: dict[str, Any] = {}
     for key, value in config.items():
-        inner = place if key == "init_args" else f"{place}.{key}".removeprefix(".")
-        new = OLD_OPTIONS.get(inner, key) if inner != place else key
+        inner = _inside(place, key)
+        new = key if inner == place else str(OLD_OPTIONS.get(inner, key))
+        value = new_config(value, say_so, inner, classes)
+        if key == "init_args" and isinstance(value, dict) and isinstance(path, str):
+            value = _in_groups(path, value, place if say_so else "")
         if new != key and say_so:
             say(inner, f"{place}.{new}")
-        values[new] = new_config(value, say_so, inner)
+        new, dot, leaf = new.partition(".")
+        value = {leaf: value} if dot else value
+        both = isinstance(value, dict) and isinstance(values.get(new), dict)
+        values[new] = values[new] | value if both else value
     return values
+
+
+def _inside(place: str, key: str) -> str:
+    return place if key == "init_args" else f"{place}.{key}".removeprefix(".")
+
+
+def _in_groups(path: str, values: dict[str, Any], place: str) -> dict[str, Any]:
+    """Return the arguments of a class with those in groups that are written without; says so at a place."""
+    home = _homes(path)
+    moved: dict[str, list[str]] = {}
+    for key in values.keys() & home.keys():
+        moved.setdefault(home[key], []).append(key)
+    if moved and place:
+        now = "; ".join(f"{place}.{group}: {', '.join(sorted(moved[group]))}" for group in sorted(moved))
+        say(f"{place} without groups", now)
+    return grouped(_class(path), values) if moved else values
+
+
+def _homes(path: str | None) -> dict[str, str]:
+    """Return the groups of the settings of one of pedzoo's classes; another class has none."""
+    return homes(found) if path and isinstance(found := _class(path), type) else {}
+
+
+def _class(path: str) -> Any:
+    return locate(path) if path.startswith("pedzoo.") else None

@@ -8,8 +8,9 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args
 
+from pedzoo.core import groups
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import Registry
 
@@ -109,28 +110,24 @@ def build(registry: Registry, what: str | Spec | Written, base: type, **given: A
         UserError: An unknown name or setting, or a value of the wrong type.
     """
     spec = parse(what) if isinstance(what, str) else what
-    cls = registry.get(spec.name)
-    if not issubclass(cls, base):
-        raise UserError(f"{spec.name!r} is no {registry.kind}: expected a subclass of {base.__qualname__}")
-    return make(cls, registry.kind, spec, **given)
+    return make(registry.get(spec.name, base), registry.kind, spec, **given)
 
 
 def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
     name, settings = spec
-    known = [item for item in inspect.signature(cls).parameters]
+    types = groups.settings(cls)
     written = isinstance(spec, Written)
-    hints = get_type_hints(cls.__init__)
-    arguments = {key: value for key, value in given.items() if key in known}
+    arguments = {key: value for key, value in given.items() if key in types}
     for key, value in settings.items():
-        if key not in known:
-            raise unknown(f"setting of {kind} {name}", key, known)
-        arguments[key] = _typed(f"{name}:{key}", value, hints.get(key, str), written)
+        if key not in types:
+            raise unknown(f"setting of {kind} {name}", key, types)
+        arguments[key] = _typed(f"{name}:{key}", value, types[key], written)
     try:
-        inspect.signature(cls).bind(**arguments)
+        inspect.signature(cls).bind(**groups.grouped(cls, arguments))
     except TypeError as error:
-        raise UserError(f"{kind} {name!r}: {error}; its settings: {', '.join(known) or 'none'}") from error
-    return cls(**arguments)
+        raise UserError(f"{kind} {name!r}: {error}; its settings: {', '.join(types) or 'none'}") from error
+    return groups.made(cls, arguments)
 
 
 def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:

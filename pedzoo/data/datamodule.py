@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import lightning as L
 import torch
@@ -30,6 +31,45 @@ PROTOCOL = ("fold", "obs_len", "pred_len", "goal", "clock", "keep_people", "min_
 """Options of the data on which every number that is made with them depends."""
 
 
+@dataclass(frozen=True)
+class Loading:
+    """How batches of training are made: no number of an evaluation depends on it.
+
+    Attributes:
+        batch_size: Scenes in a batch, at most.
+        max_pairs: Ordered pairs of people in a batch, at most.
+        rotate: Turn training scenes at random.
+        mirror: Mirror half of the training scenes.
+        seed: Of the order of batches and all augmentation.
+    """
+
+    batch_size: int = 64
+    max_pairs: int = 16384
+    rotate: bool = False
+    mirror: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Imitated:
+    """Further training windows, for a controller that is to walk as these people did.
+
+    With them training batches are ``{"forecast": as without, "unrolled": these windows}``. They keep all
+    people who are there, lone people too, have the goal ``destination``, and are on the true clock whatever
+    ``clock`` is: how fast people walk and accelerate is imitated.
+
+    Attributes:
+        steps: Predicted steps of these windows; 0 for no such windows.
+        batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
+        one_recording_per_batch: A batch of these is of one recording. Recordings differ in the accuracy of
+            positions, and so in the accelerations that they seem to have.
+    """
+
+    steps: int = 0
+    batch_size: int = 64
+    one_recording_per_batch: bool = False
+
+
 class TrajectoryDataModule(L.LightningDataModule):
     """Recorded people of one fold, as scene batches (see `pedzoo.core.batch`)."""
 
@@ -48,14 +88,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         clock: TimeBase = "benchmark",
         keep_people: KeptPeople = "complete",
         min_people: int = 2,
-        batch_size: int = 64,
-        max_pairs: int = 16384,
-        rotate: bool = False,
-        mirror: bool = False,
-        seed: int = 0,
-        unroll: int = 0,
-        unroll_batch_size: int = 64,
-        one_recording_per_batch: bool = False,
+        loading: Loading = Loading(),
+        imitated: Imitated = Imitated(),
     ) -> None:
         """Set what `setup` will read.
 
@@ -73,29 +107,27 @@ class TrajectoryDataModule(L.LightningDataModule):
             clock: ``benchmark`` takes every annotated step as 0.4 s, ``true`` resamples to real 0.4 s.
             keep_people: ``complete``: people seen in the whole window; ``present``: also partly seen ones.
             min_people: Windows with fewer people are dropped.
-            batch_size: Scenes in a batch, at most.
-            max_pairs: Ordered pairs of people in a batch, at most.
-            rotate: Turn training scenes at random.
-            mirror: Mirror half of the training scenes.
-            seed: Of the order of batches and all augmentation.
-            unroll: Steps of further training windows, for a controller that is to walk as these people did;
-                0 for none. Else training batches are ``{"forecast": as without, "unrolled": windows with so
-                many predicted steps}``. Those keep all people who are there, lone people too, have the goal
-                ``destination``, and are on the true clock whatever ``clock`` is: how fast people walk and
-                accelerate is imitated.
-            unroll_batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
-            one_recording_per_batch: A batch of these is of one recording. Recordings differ in the accuracy
-                of positions, and so in the accelerations that they seem to have.
+            loading: How batches are made.
+            imitated: Further training windows.
         """
+        given = {key: value for key, value in locals().items() if key not in ("self", "__class__")}
         super().__init__()
-        self.save_hyperparameters()
+        # as plain values: checkpoints and loggers keep them
+        self.save_hyperparameters(given | {"loading": asdict(loading), "imitated": asdict(imitated)})
         if obs_len < 2 or pred_len < 1:
             raise UserError(f"--data.obs_len {obs_len} --data.pred_len {pred_len}: expected at least 2 and 1")
-        if min(batch_size, max_pairs, min_people, unroll_batch_size) < 1:
-            names = ("batch_size", "max_pairs", "min_people", "unroll_batch_size")
-            raise UserError(f"{', '.join(f'--data.{name}' for name in names)} must be at least 1")
-        if unroll < 0:
-            raise UserError(f"--data.unroll {unroll}: expected steps of 0.4 s, or 0 for no such windows")
+        for name, count in (
+            ("min_people", min_people),
+            ("loading.batch_size", loading.batch_size),
+            ("loading.max_pairs", loading.max_pairs),
+            ("imitated.batch_size", imitated.batch_size),
+        ):
+            if count < 1:
+                raise UserError(f"--data.{name} {count}: expected at least 1")
+        if imitated.steps < 0:
+            raise UserError(
+                f"--data.imitated.steps {imitated.steps}: expected steps of 0.4 s, or 0 for no such windows"
+            )
         own = {"dt": dt, "map": map, "homography": homography}
         if not files and any(own.values()):
             given = " and ".join(f"--data.{name}" for name, value in own.items() if value)
@@ -103,9 +135,12 @@ class TrajectoryDataModule(L.LightningDataModule):
         self.fold = "files" if files else fold
         self.obs_len, self.pred_len = obs_len, pred_len
         self.goal: GoalProtocol = goal
+        self.keep_people: KeptPeople = keep_people
+        self.min_people = min_people
+        self.loading, self.imitated = loading, imitated
         self.source = OwnFiles(files, dt, split, map, homography) if files else open_fold(fold, root, clock)
         real = files or clock == "true"  # the source's own clock is the true one
-        self._real = self.source if real or not unroll else open_fold(fold, root, "true")
+        self._real = self.source if real or not imitated.steps else open_fold(fold, root, "true")
         self._grids: dict[Path, OccupancyGrid] = {}
         self.bank = MapBank([])
         self.sets: dict[Split, SceneSet] = {}
@@ -128,7 +163,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         }  # fmt: skip
         missing: list[Split] = [split for split in wanted[stage] if split not in self.sets]
         recordings: dict[Split, list[Recording]] = {s: self.source.recordings(s) for s in missing}
-        steps = self.hparams["unroll"] if "train" in missing else 0
+        steps = self.imitated.steps if "train" in missing else 0
         real: list[Recording] = []
         if steps:
             real = recordings["train"] if self._real is self.source else self._real.recordings("train")
@@ -138,9 +173,8 @@ class TrajectoryDataModule(L.LightningDataModule):
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank(list(self._grids.values()), unknown="free")
         for split in missing:
-            people = cast("KeptPeople", self.hparams["keep_people"])
             self.sets[split] = self._scenes(
-                recordings[split], self.pred_len, people, self.hparams["min_people"]
+                recordings[split], self.pred_len, self.keep_people, self.min_people
             )
             _print_counts(f"{self.fold} {split}", self.sets[split])
         if steps:
@@ -154,13 +188,12 @@ class TrajectoryDataModule(L.LightningDataModule):
         return SceneSet(recordings, ids, self.bank, self.obs_len, steps, people, min_people)
 
     def train_dataloader(self) -> Any:
-        """Return shuffled, augmented batches; with ``unroll`` two loaders, of which Lightning makes one."""
+        """Return shuffled, augmented batches; with windows to imitate two loaders, which Lightning joins."""
         forecast = self._loader("train", shuffle=True)
         if self.unrolled is None:
             return forecast
-        size = self.hparams["unroll_batch_size"]
-        groups = self.unrolled.recording if self.hparams["one_recording_per_batch"] else None
-        unrolled = self._batches(self.unrolled, "destination", size, True, groups)
+        groups = self.unrolled.recording if self.imitated.one_recording_per_batch else None
+        unrolled = self._batches(self.unrolled, "destination", self.imitated.batch_size, True, groups)
         return {"forecast": forecast, "unrolled": unrolled}
 
     def val_dataloader(self) -> DataLoader:
@@ -174,18 +207,18 @@ class TrajectoryDataModule(L.LightningDataModule):
     def _loader(self, split: Split, shuffle: bool = False) -> DataLoader:
         if split not in self.sets:
             self.setup(STAGES[split])
-        return self._batches(self.sets[split], self.goal, self.hparams["batch_size"], shuffle)
+        return self._batches(self.sets[split], self.goal, self.loading.batch_size, shuffle)
 
     def _batches(
         self, scenes: SceneSet, goal: GoalProtocol, size: int, shuffle: bool, groups: Tensor | None = None
     ) -> DataLoader:
-        h, rank, replicas = self.hparams, 0, 1
+        own, rank, replicas = self.loading, 0, 1
         # every process evaluates all windows: nothing is counted twice or left out
         if shuffle and self.trainer:
             rank, replicas = self.trainer.global_rank, self.trainer.world_size
-        pairs = max(1, h["max_pairs"] * size // h["batch_size"])
-        sampler = BucketSampler(scenes.sizes, size, pairs, shuffle, h["seed"], rank, replicas, groups)
-        batches = _Batches(scenes, goal, h["rotate"] and shuffle, h["mirror"] and shuffle)
+        pairs = max(1, own.max_pairs * size // own.batch_size)
+        sampler = BucketSampler(scenes.sizes, size, pairs, shuffle, own.seed, rank, replicas, groups)
+        batches = _Batches(scenes, goal, own.rotate and shuffle, own.mirror and shuffle)
         return DataLoader(batches, sampler=sampler, batch_size=None, collate_fn=_as_it_is)
 
 

@@ -14,6 +14,7 @@ from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario
 from pedzoo.sim.rollout import Rollout, joined
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.warm_start import WarmStart
 
 
@@ -79,9 +80,12 @@ class Comparison:
         settings |= {"decision_dt": decision_dt, "device": device}
         self._prepared = {}
         self.walked: list[PolicyRollout] = []
-        made = make_scenario(scenario)
+        made: Scenario | PreparedScenario = make_scenario(scenario)
+        recorded = False
         for name in dict.fromkeys(policies):
-            self._prepared[name] = prepare(name, made, physics, episodes, seed, **settings)
+            policy, env = prepare(name, made, physics, episodes, seed, **settings)
+            self._prepared[name], made = (policy, env), env.prepared  # planned once
+            recorded = env.prepared.script is not None
         self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
         self._protocol = {
             "scenario": scenario,
@@ -89,7 +93,7 @@ class Comparison:
             "episodes": episodes,
             "noise": "none" if deterministic else "sampled",
             **{key: value for key, value in settings.items() if value is not None},
-            **({} if made.script is None else {"warm_start": "recorded"}),
+            **({"warm_start": "recorded"} if recorded else {}),
         }
 
     def __enter__(self) -> Comparison:

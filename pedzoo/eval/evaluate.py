@@ -135,7 +135,8 @@ class Evaluation:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
         self._suites = [
-            _suite(name) for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
+            SUITES.get(name, Suite)(name)
+            for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
         ]
         _check_use(self.options, self._suites)
         asked = self.options.metrics
@@ -216,13 +217,6 @@ class Evaluation:
 
 def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
     return work(unit, partial(meter.within, unit))
-
-
-def _suite(name: str) -> Suite:
-    cls = SUITES.get(name)
-    if not issubclass(cls, Suite):
-        raise UserError(f"{name!r} is no suite: expected a subclass of pedzoo.eval.suite.Suite")
-    return cls(name)
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pedzoo.core.spec import Spec
-from pedzoo.sim.make import CLEARANCE, make_scenario
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.make import make_scenario, prepare_scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 KEPT = 6
 """Scenarios that a process keeps; more than the cases that share a floor plan."""
 
-_kept: dict[tuple[str, str], Scenario] = {}
+_kept: dict[tuple[str, str], PreparedScenario] = {}
 
 
-def prepared(name: str | Spec, inputs: str = "") -> Scenario:
+def prepared(name: str | Spec, inputs: str = "") -> PreparedScenario:
     """Return the prepared scenario of a name with settings.
 
     One that was made before is returned again, and one whose ways were found for another takes those.
@@ -25,12 +25,11 @@ def prepared(name: str | Spec, inputs: str = "") -> Scenario:
         UserError: As of `pedzoo.make_env`.
     """
     key = repr(name), inputs
-    made = _kept.pop(key, None)
-    if made is None:
+    result = _kept.pop(key, None)
+    if result is None:
         made = make_scenario(name)
-        if not any(made.adopt(other) for other in _kept.values()):
-            made.ready(CLEARANCE)
-    _kept[key] = made  # the latest is the last
+        result = next(filter(None, map(made.adapted, _kept.values())), None) or prepare_scenario(made)
+    _kept[key] = result  # the latest is the last
     if len(_kept) > KEPT:
         del _kept[next(iter(_kept))]
-    return made
+    return result

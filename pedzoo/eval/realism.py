@@ -35,9 +35,8 @@ from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.metrics.realism.walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
 from pedzoo.sim.replay.people import RecordedPeople
-from pedzoo.sim.replay.script import Script
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenarios.replay import Replay
+from pedzoo.sim.scenarios.replay import PreparedReplay
 
 REAL, HALVES = "real", "real halves"
 """Names of the rows of `reference_rows`."""
@@ -56,7 +55,7 @@ class _Recorded(NamedTuple):
 def replay_row(
     name: str,
     rollout: Rollout | Iterable[Rollout],
-    scenario: Replay,
+    scenario: PreparedReplay,
     decision_dt: float,
     metrics: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -82,7 +81,7 @@ def replay_row(
         decision_dt: Seconds between decisions.
         metrics: Of one's own, as ``path/to/file.py:f``; their intervals are over scenes.
     """
-    recorded, people, scenes = _recorded(scenario, scenario.script), scenario.persons, scenario.scenes
+    recorded, people, scenes = _recorded(scenario), scenario.persons, scenario.scenes
     parts = [rollout] if isinstance(rollout, Rollout) else rollout
     walked, crowds, own, first = [], [], [], 0
     for part in parts:
@@ -119,7 +118,7 @@ def replay_row(
     }
 
 
-def reference_rows(scenario: Replay, metrics: Sequence[str] = ()) -> list[dict[str, Any]]:
+def reference_rows(scenario: PreparedReplay, metrics: Sequence[str] = ()) -> list[dict[str, Any]]:
     """Return what belongs beside every policy: the real crowd, and its halves against each other.
 
     ``real`` has the recording's own rates and spreads, and distances of 0. ``real halves`` is the noise
@@ -131,7 +130,7 @@ def reference_rows(scenario: Replay, metrics: Sequence[str] = ()) -> list[dict[s
         scenario: The replay.
         metrics: Of ``real``, too; as of `replay_row`.
     """
-    recorded = _recorded(scenario, scenario.script)
+    recorded = _recorded(scenario)
     real, seen = recorded.crowd, recorded.tracks.scene >= 0
     first = _weights(halves(int(seen.sum()), SPLITS), seen)
     second = seen.double() - first
@@ -151,8 +150,8 @@ def reference_rows(scenario: Replay, metrics: Sequence[str] = ()) -> list[dict[s
 
 
 @lru_cache(maxsize=1)
-def _recorded(scenario: Replay, script: Script) -> _Recorded:
-    """Return the real people of a replay; kept for the next row, unless another ``script`` was prepared."""
+def _recorded(scenario: PreparedReplay) -> _Recorded:
+    """Return the real people of a replay; kept for the next row."""
     people, parts = scenario.persons, list(scenario.real_parts())
     crowds, first = [], 0
     for part in parts:

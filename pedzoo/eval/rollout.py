@@ -20,10 +20,9 @@ from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
-from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.rollout import Rollout, joined, rollout_of
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
-from pedzoo.sim.traces import rollout_of
 
 Progress = Callable[[str, int, int], None]
 
@@ -63,7 +62,12 @@ def rollout(
 
 @renamed.takes_world
 def prepare(
-    policy: str, scenario: str | Spec | Scenario, physics: str, episodes: int, seed: int = 0, **settings: Any
+    policy: str,
+    scenario: str | Spec | Scenario | PreparedScenario,
+    physics: str,
+    episodes: int,
+    seed: int = 0,
+    **settings: Any,
 ) -> tuple[Policy | Walker, PedestrianEnv]:
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if episodes < 1:

@@ -14,7 +14,7 @@ from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 QUICK = 10
 """A quick run has one in so many episodes."""
@@ -193,13 +193,13 @@ class Suite(ABC):
 
 
 def walked(
-    unit: WorkUnit, scenario: Scenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
+    unit: WorkUnit, scenario: PreparedScenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
 ) -> Iterator[tuple[Rollout, PedestrianEnv]]:
     """Yield some episodes after the other, and where they were: large crowds do not fit memory together.
 
     Args:
         unit: What walks, and how.
-        scenario: The prepared scenario of its case.
+        scenario: The scenario of its case, prepared.
         seeds: Of the scenes.
         episodes: Of every seed.
         tell: Called with the share that is done.

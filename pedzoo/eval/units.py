@@ -15,7 +15,7 @@ from pedzoo.core.spec import Spec, parse
 from pedzoo.core.versions import versions
 from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
-from pedzoo.policies.crowd import parts
+from pedzoo.policies.load import parts
 
 _MATTER = (".py", ".csv", ".yaml", ".png")
 _NO_MATTER = ("cli", "train", "viz", "configs")

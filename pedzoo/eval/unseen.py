@@ -11,7 +11,7 @@ from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.header import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find
-from pedzoo.policies.crowd import parts
+from pedzoo.policies.load import parts
 
 
 def for_fold(policy: str, fold: str) -> str:

@@ -10,6 +10,7 @@ from weakref import WeakValueDictionary
 import torch
 from torch import Tensor
 
+from pedzoo.core.adapters import assert_on_device
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.maps.atlas import Atlas
 from pedzoo.maps.grid import OccupancyGrid, Unknown
@@ -146,9 +147,7 @@ class MapBank:
         place = torch.searchsorted(self._sorted_ids, map_id.contiguous()).clamp_max(len(self._sorted_ids) - 1)
         foreign = self._sorted_ids[place] != map_id
         if map_id.device.type != "cpu":
-            torch.ops.aten._assert_async.msg(
-                ~foreign.any(), "a map_id is not of this bank: see MapBank.index"
-            )
+            assert_on_device(~foreign.any(), "a map_id is not of this bank: see MapBank.index")
         elif foreign.any():
             raise UserError(
                 f"map_id {int(map_id[foreign][0])} is not of this bank, which holds "

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pedzoo.core import groups
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import GoalProtocol
@@ -25,6 +27,21 @@ Noise = Literal["episode", "step", "scene", "mixed"]
 """How often noise is drawn for people who walk; see `pedzoo.policies.learned.walker.Walker`."""
 
 
+@dataclass(frozen=True)
+class Walking:
+    """How a model walks, unless its policy is told otherwise.
+
+    Attributes:
+        safety: Whether those who walk are kept clear of others and walls: see
+            `pedzoo.policies.learned.safety`.
+        extend_goal: Whether those who walk do not slow down for goals round a corner: see
+            `pedzoo.policies.learned.extended_goals`.
+    """
+
+    safety: bool = False
+    extend_goal: bool = False
+
+
 class Forecaster(nn.Module):
     """A model of the zoo.
 
@@ -38,7 +55,8 @@ class Forecaster(nn.Module):
         walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
             `pedzoo.policies.learned.extended_goals`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
-        config: The arguments that it was built with, as plain values: with the weights, all of the model.
+        config: The settings that it was built with, as plain values without groups: with the weights, all
+            of the model.
     """
 
     needs: frozenset[str] = frozenset()
@@ -50,6 +68,11 @@ class Forecaster(nn.Module):
     walking_extend_goal: bool = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
+
+    @classmethod
+    def of(cls, **settings: Any) -> Self:
+        """Return a model of settings that are named without their groups, as files of weights have them."""
+        return groups.made(cls, settings)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None

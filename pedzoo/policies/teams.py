@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from pedzoo.core import randomness
+from pedzoo.core.adapters import copied
 from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import limit_speed
@@ -65,11 +66,11 @@ class Team(nn.Module):
 
     def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
         """Return what the policy says (B, A, 2): it controls no other team's agents."""
-        seen, agents = scenes.copy(), agents_of(scenes).copy()
+        seen = copied(scenes)
+        agents = agents_of(seen)
         agents["controlled"] = mine
         if self.every > 1 and "info" in agents.keys():
             del agents["info"]  # of the crowd's decision, not of the team's
-        seen["agents"] = agents
         return cast("Tensor", self.policy(seen)["agents", "action"])
 
     def _planned(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.sim.motion import MotionInput
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 LEAST_SECONDS = 20.0
 """Seconds that every agent has for a goal, at least."""
@@ -30,22 +30,23 @@ def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
     return (near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
 
 
-def later_goals(scenario: Scenario, key: Tensor, first: Tensor) -> Tensor:
+def later_goals(prepared: PreparedScenario, key: Tensor, first: Tensor) -> Tensor:
     """Return the goals (B, A, G) that follow the ``first`` (B, A), drawn ahead; -1 where there are none.
 
     Args:
-        scenario: Draws them; ``scenario.later`` are used in turn.
+        prepared: Draws them; ``later`` of its scenario are used in turn.
         key: Of the scenes (B,) long.
         first: Their first goals; -1 for none.
     """
     scenes, agents = first.shape
+    scenario = prepared.scenario
     if not scenario.later:
         return torch.full((scenes, agents, 1), -1, device=first.device)
     scene = torch.arange(scenes, device=first.device).repeat_interleave(agents)
     slot = torch.arange(agents, device=first.device).repeat(scenes)
     draws, goal, goals = Draws(key[scene]), first.flatten(), []
     for number in range(1, scenario.later + 1):
-        goal = scenario.next_goal(draws, slot, torch.full_like(slot, number), goal)
+        goal = scenario.next_goal(prepared, draws, slot, torch.full_like(slot, number), goal)
         goals.append(goal.view(scenes, agents))
     return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
 

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from pedzoo.core.batch import agents_of
+from pedzoo.core.adapters import copied, tensordict_of
 from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim import kernel, specs
+from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.motion import Events
-from pedzoo.sim.observation import observed
+from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Scenario
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
 
@@ -39,7 +39,8 @@ class _Scenes(NamedTuple):
 
     def select(self, index: Tensor) -> _Scenes:
         """Return some of the scenes."""
-        return _Scenes(self.state.select(index), Guidance(*(value[index] for value in self.guidance)))
+        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
+        return _Scenes(self.state.select(index), guidance)
 
     def replaced(self, index: Tensor, other: _Scenes) -> _Scenes:
         """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
@@ -66,14 +67,17 @@ class PedestrianEnv(EnvBase):
     something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
 
     Attributes:
+        group: Under which key actions and rewards stand.
         policy_name: What warnings call the policy.
+        prepared: The scenario, with its floor plans and ways.
     """
 
+    group = "agents"
     policy_name = "the policy"
 
     def __init__(
         self,
-        scenario: Scenario,
+        prepared: PreparedScenario,
         physics: Physics,
         num_envs: int = 1,
         seed: int = 0,
@@ -87,7 +91,7 @@ class PedestrianEnv(EnvBase):
         """Take a prepared scenario and the physics that moves them; `pedzoo.make_env` does both.
 
         Args:
-            scenario: The scenario; `Scenario.prepare` was called.
+            prepared: What `Scenario.prepare` returned.
             physics: Moves agents, and answers what is touched.
             num_envs: B.
             seed: Of all scenes; scene i of a seed is the same however many are run at once.
@@ -107,7 +111,7 @@ class PedestrianEnv(EnvBase):
             raise UserError(
                 f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s up to {WARM_SECONDS} s"
             )
-        if scenario.script is not None and TRACE_PER_STEP % trace_points:
+        if prepared.script is not None and TRACE_PER_STEP % trace_points:
             raise UserError(
                 f"decision_dt {decision_dt}: people of recordings come and are handed over every "
                 f"{STEP_SECONDS} s, so a decision takes 0.1, 0.2 or 0.4 s"
@@ -115,25 +119,30 @@ class PedestrianEnv(EnvBase):
         if num_envs < 1 or (stride is not None and stride < 1):
             raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
         super().__init__(device=usable(device), batch_size=torch.Size([num_envs]))
-        agents = scenario.people
-        self.scenario, self.physics, self.decision_dt = scenario, physics, decision_dt
+        agents = prepared.people
+        self.prepared, self.physics, self.decision_dt = prepared, physics, decision_dt
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
-        smallest = min(body_radius, scenario.smallest_radius or body_radius)
-        fine = substeps(scenario.fastest_agent, smallest)
-        self.rules = kernel.rules_of(scenario, trace_points, fine, self.device)
-        self._episodes = Episodes(scenario, warm_start, physics, self.rules, self.device)
+        smallest = min(body_radius, self.scenario.smallest_radius or body_radius)
+        fine = substeps(prepared.fastest_agent, smallest)
+        self.rules = kernel.rules_of(prepared, trace_points, fine, self.device)
+        self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: _Scenes | None = None
         self._set_seed(seed)
-        self.observation_spec = specs.observation(num_envs, agents, trace_points, self.bank).to(self.device)
-        self.action_spec = specs.action(num_envs, agents).to(self.device)
-        self.reward_spec = specs.reward(num_envs, agents).to(self.device)
-        self.done_spec = specs.done(num_envs).to(self.device)
+        self.observation_spec = observation_spec(num_envs, agents, trace_points, self.bank).to(self.device)
+        self.action_spec = action_spec(num_envs, agents).to(self.device)
+        self.reward_spec = reward_spec(num_envs, agents).to(self.device)
+        self.done_spec = done_spec(num_envs).to(self.device)
+
+    @property
+    def scenario(self) -> Scenario:
+        """The settings of the scenes."""
+        return self.prepared.scenario
 
     @property
     def bank(self) -> MapBank:
         """The floor plans, for models and policies that look at them."""
-        return self.scenario.bank.to(self.device)
+        return self.prepared.bank.to(self.device)
 
     @property
     def state(self) -> State:
@@ -176,22 +185,37 @@ class PedestrianEnv(EnvBase):
         after = self._step(tensordict)
         ended = after["done"]
         if bool(ended.any()):
-            now = self.reset(TensorDict({"_reset": ended}, self.batch_size, device=self.device))
+            now = self._reset(tensordict_of({"_reset": ended}, self.batch_size, ended.device))
         else:
-            now = after.copy()
-            agents_of(now).pop("reward")
-        for old, new in ((tensordict, now), (agents_of(tensordict), agents_of(now))):
+            now = copied(after)
+            cast("TensorDict", now[self.group]).pop("reward")
+        groups = (cast("TensorDict", whole[self.group]) for whole in (tensordict, now))
+        for old, new in ((tensordict, now), tuple(groups)):
             for name in set(old.keys()).difference(new.keys(), ("reward",)):
                 value = old.get(name)
-                new.set(name, value.copy() if isinstance(value, TensorDictBase) else value)
+                new.set(name, copied(value) if isinstance(value, TensorDictBase) else value)
         tensordict.set("next", after)
         return tensordict, now
+
+    def reset(self, tensordict: TensorDictBase | None = None, **settings: Any) -> Any:
+        """Begin scenes anew, and return what all agents see.
+
+        This is `EnvBase.reset`, but all rows are taken as `_reset` returns them; TorchRL would pick those
+        that begin anew, key by key.
+
+        Args:
+            tensordict: Under ``_reset``, which scenes (B, 1) bool; all of them without it. It is updated.
+            settings: As of `EnvBase.reset`.
+        """
+        if tensordict is None or "_reset" not in tensordict.keys():
+            return super().reset(tensordict, **settings)
+        return tensordict.update(self._reset(tensordict)).exclude("_reset", inplace=True)
 
     def _set_seed(self, seed: int | None) -> None:
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: _Scenes | None = None
-        made = min(_MADE, _AGENTS_MADE // self.scenario.people)
+        made = min(_MADE, _AGENTS_MADE // self.prepared.people)
         self._depth = max(1, made // self.batch_size[0])
         self._taken = torch.full(self.batch_size, self._depth)
 
@@ -203,17 +227,10 @@ class PedestrianEnv(EnvBase):
         elif bool(flags.any()):
             index = flags.view(-1).nonzero().view(-1)
             self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
-        return self._observation(*self._scenes)
-
-    def _reset_proc_data(
-        self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        """Take what `_reset` returns as it is: all rows are in it; TorchRL would pick some, key by key."""
-        if tensordict is None:
-            return super()._reset_proc_data(tensordict, tensordict_reset)
-        self._complete_done(self.full_done_spec, tensordict_reset)
-        self._reset_check_done(tensordict, tensordict_reset)
-        return tensordict.exclude("_reset", inplace=True).update(tensordict_reset)
+        observation = self._observation(*self._scenes)
+        for name in ("done", "terminated", "truncated"):
+            observation[name] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+        return observation
 
     def _next(self, index: Tensor) -> _Scenes:
         """Return the next episodes of some rows.
@@ -269,7 +286,7 @@ class PedestrianEnv(EnvBase):
         points = self.rules.ticks
         if outcome is None:
             nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
-            reached = state.reached.unsqueeze(-1).repeat(1, 1, points)
+            reached = state.reached.unsqueeze(-1).expand(-1, -1, points).contiguous()
             happened = state.past[:, :, -points:], nothing, nothing, reached
         else:
             happened = outcome[:4]
@@ -279,6 +296,6 @@ class PedestrianEnv(EnvBase):
             "remaining_path": state.remaining_path,
         }
         batch = observed(state, guidance, self.bank)
-        batch["agents", "info"] = TensorDict(info, (scenes, agents), device=state.mask.device)
+        batch["agents", "info"] = tensordict_of(info, state.mask.shape, state.mask.device)
         batch["failed"] = state.failed.unsqueeze(1)
         return batch

@@ -20,7 +20,7 @@ from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Opening
-from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario
 from pedzoo.sim.state import PAST_LEN, State
 
 TRIES = 8
@@ -32,7 +32,7 @@ class Episodes:
 
     def __init__(
         self,
-        scenario: Scenario,
+        prepared: PreparedScenario,
         warm_start: warm.WarmStart,
         physics: Physics,
         rules: kernel.Rules,
@@ -41,7 +41,7 @@ class Episodes:
         """Take a prepared scenario.
 
         Args:
-            scenario: The scenario; `Scenario.prepare` was called.
+            prepared: The scenario, with its floor plans and ways.
             warm_start: Where the first observed steps come from.
             physics: Moves agents in the warm start.
             rules: Of the scenes.
@@ -52,9 +52,9 @@ class Episodes:
         """
         if warm_start not in get_args(warm.WarmStart):
             raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
-        self._scenario, self._warm_start = scenario, warm_start
+        self._prepared, self._warm_start = prepared, warm_start
         self._physics, self._rules, self._device = physics, rules, torch.device(device)
-        self._walls = WallSegments(scenario.bank, most=warm.ORCA.max_obstacles)
+        self._walls = WallSegments(prepared.bank, most=warm.ORCA.max_obstacles)
 
     @torch.no_grad()
     def begin(self, draws: Draws) -> State:
@@ -63,7 +63,7 @@ class Episodes:
         Raises:
             UserError: An agent's goal cannot be reached.
         """
-        layout = self._scenario.layout(draws)
+        layout = self._prepared.layout(draws)
         self._check(layout)
         opening = layout.opening or _everybody(layout)
         recorded = self._warm_start == "recorded" or layout.opening is not None
@@ -119,8 +119,8 @@ class Episodes:
     def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
-        row = self._scenario.planner.map_rows(layout.map_id)
-        frame, place = self._scenario.planner.bank.walls_of_scenes(row, pose)
+        row = self._prepared.planner.map_rows(layout.map_id)
+        frame, place = self._prepared.bank.walls_of_scenes(row, pose)
         position = past[:, :, -1]
         velocity = (position - past[:, :, -2]) / TRACE_SECONDS
         usual = torch.full_like(layout.pref_speed, self._physics.body_radius)
@@ -148,7 +148,7 @@ class Episodes:
             turn_acceleration=layout.turn_acceleration,
             track=layout.track,
             goal_id=layout.goal,
-            later_goals=later_goals(self._scenario, key, layout.goal),
+            later_goals=later_goals(self._prepared, key, layout.goal),
             goal_point=position,
             stands=layout.stand,
         )
@@ -159,7 +159,8 @@ class Episodes:
         Raises:
             UserError: One is not.
         """
-        scenario, name = self._scenario, type(self._scenario).__name__
+        scenario = self._prepared.scenario
+        name = type(scenario).__name__
         if layout.radius is not None and layout.mask.any():
             least = float(layout.radius[layout.mask].min())
             most = scenario.smallest_radius or self._physics.body_radius
@@ -170,10 +171,10 @@ class Episodes:
                 )
         if layout.top_speed is not None and layout.mask.any():
             fastest = float(layout.top_speed[layout.mask].max())
-            if fastest > scenario.fastest_agent + 1e-6:
+            if fastest > self._prepared.fastest_agent + 1e-6:
                 raise UserError(
                     f"top_speed {fastest:.3g} m/s of an agent in {name}: expected at most "
-                    f"{scenario.fastest_agent:.3g}, or a larger {name}.fastest_agent"
+                    f"{self._prepared.fastest_agent:.3g}, or a larger {name}.fastest_agent"
                 )
         wheels = (layout.drive, layout.acceleration, layout.turn_acceleration)
         if not scenario.wheels and any(value is not None for value in wheels):
@@ -184,7 +185,7 @@ class Episodes:
             tuple(round(float(value), 2) for value in where[scene, slot])
             for where in (state.position, guidance.goal_point)
         )
-        clearance = self._scenario.planner.clearance
+        clearance = self._prepared.planner.clearance
         return UserError(
             f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
             f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"

@@ -25,7 +25,7 @@ from pedzoo.sim.dynamics import driven
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.compiled_step import step_compiled, step_compiles
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.sim.state import State
 
 
@@ -72,25 +72,27 @@ class Rules:
     script: Playback | None = None
 
 
-def rules_of(scenario: Scenario, ticks: int, substeps: int, device: torch.device | str = "cpu") -> Rules:
-    """Return the rules of a prepared scenario for decisions of S ``ticks``, for scenes on a device."""
-    leave = scenario.finished == "leave"
-    guidance, script = partial(_guidance, scenario), scenario.script
+def rules_of(
+    prepared: PreparedScenario, ticks: int, substeps: int, device: torch.device | str = "cpu"
+) -> Rules:
+    """Return the rules of a scenario for decisions of S ``ticks``, for scenes on a device."""
+    scenario, script = prepared.scenario, prepared.script
+    guidance, leave = partial(_guidance, prepared), scenario.finished == "leave"
     if script is not None:
         script = script.to(device)
     return Rules(guidance, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
 
 
-def _guidance(scenario: Scenario, state: State) -> Guidance:
+def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
     """Return what the scenario's planner says to all agents."""
-    return scenario.planner.guidance(
+    return prepared.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
         state.row,
         state.pose,
         state.pref_speed,
         AHEAD_SECONDS,
-        scenario.fastest,
+        prepared.fastest,
     )
 
 

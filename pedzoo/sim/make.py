@@ -9,9 +9,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS
+from pedzoo.maps.bank import MapBank
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 
 CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""
@@ -19,7 +20,7 @@ CLEARANCE = 0.25
 
 @renamed.takes_world
 def make_env(
-    scenario: str | Spec | Scenario,
+    scenario: str | Spec | Scenario | PreparedScenario,
     num_envs: int = 1,
     physics: str = "compiled",
     clearance: float = CLEARANCE,
@@ -30,8 +31,8 @@ def make_env(
 
     Args:
         scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``file.py:Class``
-            with settings, ``Spec("goals", {"map": path})``, or an instance, which environments of the
-            same clearance may share.
+            with settings, ``Spec("goals", {"map": path})``, an instance, or what its `prepare` returned,
+            which environments of the same clearance may share.
         num_envs: Scenes that are run at once.
         physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
             ``file.py:Class``, with settings. Called ``world`` before, and ``compiled`` ``grid``.
@@ -42,10 +43,9 @@ def make_env(
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
-    made = make_scenario(scenario)
-    made.ready(clearance)
-    moves = make_physics(physics, made, body_radius)
-    return PedestrianEnv(made, moves, num_envs, body_radius=body_radius, **settings)
+    prepared = prepare_scenario(scenario, clearance)
+    moves = make_physics(physics, prepared.bank, body_radius)
+    return PedestrianEnv(prepared, moves, num_envs, body_radius=body_radius, **settings)
 
 
 def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
@@ -53,21 +53,39 @@ def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
     return scenario if isinstance(scenario, Scenario) else build(SCENARIOS, scenario, Scenario)
 
 
-def make_physics(name: str, scenario: Scenario, body_radius: float) -> Physics:
-    """Return the physics backend of a name with settings, on the floor plans of a prepared scenario.
+def prepare_scenario(
+    scenario: str | Spec | Scenario | PreparedScenario, clearance: float = CLEARANCE
+) -> PreparedScenario:
+    """Return a scenario with its floor plans and ways; one that has them with this clearance is returned.
+
+    Raises:
+        UserError: As of `make_scenario`, a scene that cannot be, or a `prepare` that returns something else.
+    """
+    if isinstance(scenario, PreparedScenario):
+        if scenario.planner.clearance == clearance:
+            return scenario
+        scenario = scenario.scenario
+    made = make_scenario(scenario)
+    prepared = made.prepare(clearance)
+    if not isinstance(prepared, PreparedScenario):
+        raise UserError(
+            f"{type(made).__name__}.prepare returned {prepared!r:.60}: expected what super().prepare("
+            "clearance) returns, with tables by dataclasses.replace(prepared, tables=...)"
+        )
+    return prepared
+
+
+def make_physics(name: str, bank: MapBank, body_radius: float) -> Physics:
+    """Return the physics backend of a name with settings, on floor plans.
 
     Raises:
         UserError: There is no such backend, or what it needs is not installed.
     """
     physics_class(name).check()
-    given = {"bank": scenario.bank, "body_radius": body_radius}
+    given = {"bank": bank, "body_radius": body_radius}
     return build(PHYSICS, renamed.backend(name), Physics, **given)
 
 
 def physics_class(name: str) -> type[Physics]:
     """Return the class of a physics backend; errors as of `make_physics`."""
-    spec = parse(renamed.backend(name))
-    cls = PHYSICS.get(spec.name)
-    if not issubclass(cls, Physics):
-        raise UserError(f"{spec.name!r} is no physics: expected a subclass of {Physics.__qualname__}")
-    return cls
+    return PHYSICS.get(parse(renamed.backend(name)).name, Physics)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.core.kinematics import passes
 from pedzoo.core.randomness import Draws
-from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
+from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
@@ -17,17 +17,16 @@ from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Script
-from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.rollout import Rollout, rollout_of
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
-from pedzoo.sim.traces import rollout_of
 
 _AT_ONCE = 64
 """Scenes: as many as are walked together."""
 
 
-def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
-    """Yield the first ``scenes`` of a prepared scenario with a script, as people really walked in them.
+def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
+    """Yield the first ``scenes`` of a scenario with a script, as people really walked in them.
 
     On the same slots and trace as any rollout of them. ``controlled`` are the people that a policy would
     have, for as long as it would have them if it walked as they did: until they come within 0.3 m of their
@@ -35,15 +34,15 @@ def real_parts(scenario: Scenario, scenes: int) -> Iterator[Rollout]:
     stand about at the exit where no policy controls an agent. Some never come so near, because the goal is
     not quite where they left: they reach it by leaving.
     """
-    assert scenario.script is not None
-    script = AsRecorded.of(scenario.script)
-    fine, physics = substeps(scenario.fastest * TOP_SPEED_RATIO), Compiled(scenario.bank)
-    planned = kernel.rules_of(scenario, TRACE_PER_STEP, fine)
-    episodes = Episodes(scenario, "recorded", physics, planned)
+    assert prepared.script is not None
+    script = AsRecorded.of(prepared.script)
+    fine, physics = substeps(prepared.fastest_agent), Compiled(prepared.bank)
+    planned = kernel.rules_of(prepared, TRACE_PER_STEP, fine)
+    episodes = Episodes(prepared, "recorded", physics, planned)
     rules = kernel.Rules(_still, TRACE_PER_STEP, fine, script=script)
     for number in torch.arange(scenes).split(_AT_ONCE):
         start = episodes.begin(Draws.for_episodes(0, number))
-        yield _walked(scenario, script, physics, rules, start)
+        yield _walked(prepared.scenario, script, physics, rules, start)
 
 
 class AsRecorded(Script):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
+from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.state import State
 
 OVER_TIME = (
     *("trace", "goal", "present", "controlled", "person", "planned"),
@@ -172,3 +175,39 @@ def joined(parts: Sequence[Rollout]) -> Rollout:
         else:
             result[field.name] = values[0]
     return Rollout(**result)
+
+
+def rollout_of(
+    scenario: Scenario,
+    start: State,
+    steps: Sequence[Mapping[str, Tensor]],
+    overdue: Tensor,
+    failed: Tensor,
+    decision_dt: float = STEP_SECONDS,
+) -> Rollout:
+    """Return the rollout of scenes that began in a state.
+
+    Args:
+        scenario: Where they are from.
+        start: How they began.
+        steps: What has a value for every trace point, piece by piece (E, A, S, ...).
+        overdue: Which agents did not reach a goal in time (E, A) bool.
+        failed: In which the policy gave no number (E,) bool.
+        decision_dt: Seconds between two decisions.
+    """
+    return Rollout(
+        **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
+        overdue=overdue,
+        failed=failed,
+        mask=start.mask,
+        past=start.past,
+        pref_speed=start.pref_speed,
+        first_path_length=start.remaining_path,
+        radius=start.radius,
+        kind=start.kind,
+        map_id=start.map_id,
+        pose=start.pose,
+        goals=scenario.goals,
+        gate=scenario.gate(Draws(start.key)),
+        decision_dt=decision_dt,
+    )

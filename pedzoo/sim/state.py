@@ -147,7 +147,7 @@ class State(NamedTuple):
 
     def select(self, index: Tensor) -> State:
         """Return some of the scenes."""
-        return State(*(value[index] for value in self))
+        return State(*(value.index_select(0, index) for value in self))
 
     def with_scenes(self, index: Tensor, other: State) -> State:
         """Return a state in which the scenes at ``index`` are those of ``other``."""

@@ -23,7 +23,7 @@ from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 WarmStart = Literal["orca", "static", "recorded"]
 
-ORCA = OrcaSettings(radius=0.2, time_step=STEP_SECONDS, max_obstacles=8)
+ORCA = OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8)
 """The same for every row of a table, whatever walks afterwards."""
 
 

@@ -6,18 +6,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pedzoo.core import groups
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import MODELS
 from pedzoo.data.datamodule import PROTOCOL
+from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint
 from pedzoo.models.zoo.saved import saved_config
-from pedzoo.train.modules.module import LOSSES, ForecastModule, copied_keys, differences
+from pedzoo.train.modules.module import ForecastModule, copied_keys, differences
 from pedzoo.train.run import RunFolder
-
-OF_CONFIG = ("safety", "extend_goal", "map_dropout")
-"""Options of an architecture that a config decides, whatever weights it begins with: how a model walks."""
 
 
 def start_from(module: ForecastModule, weights: str) -> None:
@@ -34,8 +33,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
         UserError: No such weights, or they are of another architecture.
     """
     model = load(weights)
-    free = LOSSES | {"goal_protocol", "noise", *OF_CONFIG}
-    if changed := differences(config_of(model), config_of(module.generator), free):
+    if changed := differences(config_of(model), config_of(module.generator), {"goal_protocol", "noise"}):
         raise UserError(
             f"--weights {weights} are of another architecture ({'; '.join(changed)}): "
             "leave out --config and --model.generator options that change it"
@@ -77,15 +75,16 @@ def options_to_continue(run: RunFolder) -> list[str]:
     options = ["--config", str(run.path / "config.yaml"), "--ckpt_path", str(run.last)]
     checkpoint = read_checkpoint(run.last)
     if copied_keys(checkpoint) and checkpoint["pedzoo"]["init"].get("map_dropout"):
-        options += ["--model.generator.map_dropout", "0"]
+        options += ["--model.generator.losses.map_dropout", "0"]
     return options
 
 
 def architecture_options(weights: str, config: str) -> list[str]:
     """Return what a training that begins with weights does otherwise than its ``config`` says, as options.
 
-    A config with ``weights``, such as those in ``closed_loop``, is for any generator. It takes architecture
-    and data of the weights that it is given, but for `OF_CONFIG`. To other configs weights have to fit.
+    A config with ``weights``, such as those in ``closed_loop``, is for any generator. It takes architecture,
+    losses and data of the weights that it is given, and decides itself how a model walks and about dropout.
+    To other configs weights have to fit.
 
     Args:
         weights: What `pedzoo.load` accepts.
@@ -94,17 +93,21 @@ def architecture_options(weights: str, config: str) -> list[str]:
     settings = load_config(config)
     if not settings.get("weights"):
         return []
-    generator = settings["model"]["init_args"]["generator"].get("init_args", {})
-    return _architecture(
-        saved_config(weights), **{key: generator[key] for key in OF_CONFIG if key in generator}
-    )
+    generator = settings["model"]["init_args"]["generator"]
+    decided = generator.get("init_args", {})
+    dropout = {key: value for key, value in decided.get("losses", {}).items() if key == "map_dropout"}
+    given = _architecture(saved_config(weights), walking=decided.get("walking", {}), losses=dropout)
+    if json.loads(given[1])["class_path"] == generator["class_path"]:
+        return given
+    # jsonargparse would keep groups of the config's class: the base class has none
+    return ["--model.generator", f"{Forecaster.__module__}.{Forecaster.__qualname__}", *given]
 
 
-def _architecture(config: dict[str, Any], **decided: Any) -> list[str]:
+def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:
     cls = MODELS.get(config["architecture"])
     # all options, also those that weights of an earlier version do not know: a config may set them
-    options = build(config).config
-    options |= {key: value for key, value in decided.items() if key in options}
+    options = groups.grouped(cls, build(config).config)
+    options |= {group: options[group] | changes for group, changes in decided.items() if group in options}
     model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]

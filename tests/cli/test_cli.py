@@ -27,7 +27,14 @@ FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
 QUICK = [
     f"--trainer.{key}=1" for key in ("limit_train_batches", "limit_val_batches", "check_val_every_n_epoch")
 ] + ["--rollout.episodes=1"]
-QUIET = ["--trainer.enable_progress_bar", "false", "--model.samples", "2", "--model.generator.best_k", "2"]
+QUIET = [
+    "--trainer.enable_progress_bar",
+    "false",
+    "--model.samples",
+    "2",
+    "--model.generator.losses.best_k",
+    "2",
+]
 
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
@@ -97,20 +104,27 @@ def test_options_may_be_written_as_people_write_them(typed):
     [
         (["--model.lrr", "1e-3"], "unknown option --model.lrr: did you mean --model.lr?"),
         (["--lr", "1e-3"], "did you mean --model.lr?"),
-        (["--model.generator.noise_dm", "4"], "did you mean --model.generator.noise_dim?"),
+        (["--model.generator.noise_dm", "4"], "did you mean --model.generator.architecture.noise_dim?"),
         (["--model.discriminator.knd", "local"], "did you mean --model.discriminator.kind?"),
-        (["--data.bach_size", "4"], "unknown option --data.bach_size: did you mean --data.batch_size?"),
+        (
+            ["--data.bach_size", "4"],
+            "--data.bach_size: did you mean --data.loading.batch_size?",
+        ),
         (["--trainer.max_epoch", "4"], "did you mean --trainer.max_epochs?"),  # no silent abbreviation
         (["--model.lr", "fast"], "--model.lr: expected float, not 'fast'"),
-        (["--model.generator.noise_dim", "x"], "--model.generator.noise_dim: expected int, not 'x'"),
-        (["--data.batch_size", "1.5"], "--data.batch_size: expected int, not '1.5'"),
+        (
+            ["--model.generator.architecture.noise_dim", "x"],
+            "--model.generator.architecture.noise_dim: expected int, not 'x'",
+        ),
+        (["--data.loading.batch_size", "1.5"], "--data.loading.batch_size: expected int, not '1.5'"),
         (["--data.goal", "window_ends"], "did you mean 'window_end'?"),
         (["--model", "GANModul"], "--model: no class 'GANModul'"),
         (["--config", "sgan_gaol"], "unknown config 'sgan_gaol': did you mean 'sgan_goal'?"),
         (["stray"], "unexpected argument 'stray'"),
         (["--ckpt_path", "none.ckpt"], "no checkpoint 'none.ckpt'"),
         (["--resume", "nowhere"], "cannot resume 'nowhere': it has no config.yaml"),
-        (["--data.seed", "3"], "seed_everything"),
+        (["--model.generator.losses.best", "3"], "did you mean --model.generator.losses.best_k?"),
+        (["--data.loading.seed", "3"], "seed_everything"),
     ],
 )
 def test_misspelt_options_and_wrong_types_are_refused(given, expected, capsys, elsewhere):
@@ -146,9 +160,12 @@ def test_lists_need_no_brackets(typed, wanted):
     ("yaml", "expected"),
     [
         ("modell: {lr: 1}", "unknown option --modell.lr: did you mean --model.lr?"),
-        ("data: {batchsize: 4}", "unknown option --data.batchsize: did you mean --data.batch_size?"),
-        ("model: {init_args: {generator: {init_args: {goal_dims: 3}}}}", "--model.generator.goal_dim?"),
-        ("data: {batch_size: many}", "--data.batch_size: expected int, not 'many'"),
+        ("data: {batchsize: 4}", "unknown option --data.batchsize: did you mean --data.loading.batch_size?"),
+        (
+            "model: {init_args: {generator: {init_args: {goal_dims: 3}}}}",
+            "--model.generator.architecture.goal_dim?",
+        ),
+        ("data: {loading: {batch_size: many}}", "--data.loading.batch_size: expected int, not 'many'"),
         ("data: [", "config 'own.yaml' is no YAML: while parsing"),
     ],
 )

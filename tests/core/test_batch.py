@@ -18,7 +18,7 @@ from torchrl.envs.utils import check_env_specs
 from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of, maps_of, scene_batch
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plain import rectangles, room
 from pedzoo.policies.load import load_policy
@@ -86,7 +86,7 @@ def test_recordings_the_environment_and_the_controller_have_the_same_keys() -> N
 
 
 def test_augmented_recordings_face_where_they_go() -> None:
-    data = TrajectoryDataModule(fold="embedded", rotate=True, mirror=True)
+    data = TrajectoryDataModule(fold="embedded", loading=Loading(rotate=True, mirror=True))
     data.setup("fit")
     agents = agents_of(next(iter(data.train_dataloader())))
     walks = agents["mask"] & (cast("Tensor", agents["velocity"]).norm(dim=-1) > 0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,7 @@ def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str])
     words = ["--model.init_args.walking.init_args.trait=0.4", "--model.keep", "3", "--data.unroll-apart"]
     assert renamed.new_options(words) == [
         "--model.init_args.walking.init_args.assertiveness=0.4",
-        *("--model.max_segments", "3", "--data.one_recording_per_batch"),
+        *("--model.max_segments", "3", "--data.imitated.one_recording_per_batch"),
     ]
     told = capsys.readouterr().err.splitlines()
     words = ["--data.people=present", "--model.reward.people", "2", "--model.walking.people", "3"]
@@ -146,23 +147,54 @@ def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str])
     assert len(told) == 3 and told[1] == "pedzoo: --model.keep is now --model.max_segments"
 
 
+def test_settings_of_pedzoos_classes_may_be_written_without_their_groups(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["--model.generator.noise-dim=4", "--model.generator.losses.best_k", "2", "--model.steps=3"]
+    ppo = {
+        "model": "pedzoo.train.rl.ppo.PPOModule",
+        "model.generator": "pedzoo.models.architectures.sgan.SGAN",
+    }
+    assert renamed.new_options(words, ppo) == [
+        "--model.generator.architecture.noise_dim=4",
+        *("--model.generator.losses.best_k", "2", "--model.collection.steps=3"),
+    ]
+    said = "pedzoo: --model.generator.noise-dim is now --model.generator.architecture.noise_dim\n"
+    assert said in capsys.readouterr().err
+    own = {"model": "mine.Module", "model.generator": "mine.Generator"}
+    assert renamed.new_options(words, own) == words  # settings of another class keep their names
+    settings = {"model": {"init_args": {"generator": {"init_args": {"safety": True}}}}}
+    found = renamed.new_config(settings, classes=ppo)["model"]["init_args"]["generator"]["init_args"]
+    assert found == {"walking": {"safety": True}}
+    assert renamed.new_config(settings, classes=own) == settings
+
+
+def without_groups(config: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration of a training in the loop as earlier versions wrote it."""
+    old = deepcopy(config)
+    arguments = old["model"]["init_args"]
+    for new, before in (("assertiveness", "trait"), ("person_distance", "people")):
+        arguments["walking"][before] = arguments["walking"].pop(new)
+    arguments["keep"] = arguments.pop("max_segments")
+    generator = arguments["generator"]
+    generator["init_args"] = {k: v for group in generator["init_args"].values() for k, v in group.items()}
+    generator["init_args"]["pace"] = generator["init_args"].pop("extend_goal")
+    imitated = old["data"].pop("imitated")
+    old["data"] |= old["data"].pop("loading") | {"unroll_apart": imitated.pop("one_recording_per_batch")}
+    old["data"] |= {"unroll": imitated.pop("steps"), "unroll_batch_size": imitated.pop("batch_size")}
+    return old
+
+
 def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    old = text = find_config("closed_loop/sgan_goal").read_text()
-    for new, before in (
-        ("max_segments", "keep"),
-        ("safety_correction", "corrected"),
-        ("assertiveness", "trait"),
-        ("passing_side", "side"),
-        ("person_distance", "people"),
-        ("extend_goal", "pace"),
-        ("one_recording_per_batch", "unroll_apart"),
-    ):
-        assert f" {new}:" in old
-        old = old.replace(f" {new}:", f" {before}:")
-    assert renamed.new_config(yaml.safe_load(old)) == yaml.safe_load(text)
+    new = yaml.safe_load(find_config("closed_loop/sgan_goal").read_text())
+    old = without_groups(new)
+    assert old != new and renamed.new_config(old) == new
     assert not capsys.readouterr().err
-    (tmp_path / "old.yaml").write_text(old)
+    (tmp_path / "old.yaml").write_text(yaml.safe_dump(old, sort_keys=False))
     assert load_config(tmp_path / "old.yaml") == load_config("closed_loop/sgan_goal")
     assert "pedzoo: model.walking.trait is now model.walking.assertiveness\n" in capsys.readouterr().err
-    (tmp_path / "mine.yaml").write_text("base: old.yaml\nmodel: {init_args: {keep: 9}}\n")
-    assert load_config(tmp_path / "mine.yaml")["model"]["init_args"]["max_segments"] == 9
+    change = "{keep: 9, generator: {init_args: {noise_dim: 4}}}"
+    (tmp_path / "mine.yaml").write_text(f"base: old.yaml\nmodel: {{init_args: {change}}}\n")
+    found = load_config(tmp_path / "mine.yaml")["model"]["init_args"]
+    architecture = found["generator"]["init_args"]["architecture"]
+    assert (found["max_segments"], architecture["noise_dim"], architecture["goal_dim"]) == (9, 4, 16)

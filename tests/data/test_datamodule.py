@@ -16,7 +16,7 @@ from jsonargparse import ArgumentParser
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.data.recordings import Split
 
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -145,7 +145,7 @@ def test_several_files_are_one_split_and_those_without_a_window_are_named(
         ({"files": ["{folder}/no.csv"]}, ["no recording at", "no.csv"]),
         ({"pred_len": 400}, ["8 + 400 = 408", "lobby"]),
         ({"obs_len": 1}, ["--data.obs_len 1"]),
-        ({"batch_size": 0}, ["--data.batch_size"]),
+        ({"loading": Loading(batch_size=0)}, ["--data.loading.batch_size"]),
     ],
 )
 def test_bad_own_files_are_refused(tmp_path: Path, options: dict[str, Any], words: list[str]) -> None:
@@ -273,7 +273,9 @@ def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path)
 
 def test_training_repeats_with_the_seed_and_differs_between_epochs() -> None:
     def histories(seed: int, epoch: int) -> list[Tensor]:
-        data = TrajectoryDataModule(seed=seed, rotate=True, mirror=True, goal="random_future")
+        data = TrajectoryDataModule(
+            goal="random_future", loading=Loading(seed=seed, rotate=True, mirror=True)
+        )
         loader = data.train_dataloader()
         cast("Any", loader.sampler).set_epoch(epoch)
         return [torch.cat((b["agents", "history"][:, :, -1], b["agents", "goal"]), -1) for b in loader]

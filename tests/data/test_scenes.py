@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording
 from pedzoo.data.scenes import SceneSet, augmentation
@@ -252,7 +252,7 @@ def test_poses_are_drawn_evenly_and_only_as_asked() -> None:
 
 
 def test_only_training_batches_are_augmented_and_a_recording_may_have_no_map(shared: Path) -> None:
-    data = TrajectoryDataModule("zara1", str(shared / "data"), rotate=True, mirror=True)
+    data = TrajectoryDataModule("zara1", str(shared / "data"), loading=Loading(rotate=True, mirror=True))
     data.setup("fit")
     ids = data.sets["train"].map_id
     assert (ids == -1).any()  # uni_examples

@@ -13,7 +13,7 @@ from helpers.batches import random_weights
 from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.forecast import forecast
 from pedzoo.metrics.displacement import displacement_error
 from pedzoo.models.architectures.sgan import SGAN
@@ -35,12 +35,12 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     found = {}
     for name, given in options.items():
         found[name] = str(folder / f"{name}.safetensors")
-        save_weights(random_weights(SGAN(**given)), found[name])
+        save_weights(random_weights(SGAN.of(**given)), found[name])
     return found
 
 
-def make_data(goal: str = "none", **options: Any) -> TrajectoryDataModule:
-    return TrajectoryDataModule(**{"goal": goal, "batch_size": 256} | options)
+def make_data(goal: str = "none", batch_size: int = 256, **options: Any) -> TrajectoryDataModule:
+    return TrajectoryDataModule(goal=cast("Any", goal), loading=Loading(batch_size=batch_size), **options)
 
 
 def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str, str]) -> None:
@@ -180,7 +180,10 @@ def test_the_command_writes_what_the_function_returns(
 ) -> None:
     out = tmp_path / "out.json"
     argv = ["forecast", weights["goal"], "--data.fold", "embedded", "--data.goal", "window_end"]
-    assert main([*argv, "--data.batch_size", "256", "--samples", "3", "--seed", "4", "--json", str(out)]) == 0
+    assert (
+        main([*argv, "--data.loading.batch_size", "256", "--samples", "3", "--seed", "4", "--json", str(out)])
+        == 0
+    )
     written = json.loads(out.read_text())
     direct = forecast([weights["goal"]], make_data("window_end"), 3, 4)
     assert written["command"] == "forecast" and "torch" in written["versions"]

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from pedzoo.core.batch import agents_of
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
@@ -54,7 +54,7 @@ def test_every_error_of_a_forecast_lies_in_its_interval() -> None:
 
 
 def test_sums_of_scenes_add_up_to_the_mean() -> None:
-    data = TrajectoryDataModule(batch_size=16)
+    data = TrajectoryDataModule(loading=Loading(batch_size=16))
     data.setup("test")
     score, total, people = ForecastScore(0), 0.0, 0
     for batch in data.test_dataloader():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -12,7 +13,7 @@ from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
 from pedzoo.sim.scenarios.goals import Goals
 from pedzoo.sim.state import State
 
@@ -35,13 +36,14 @@ class Yard(Scenario):
         """Return none."""
         return []
 
-    def prepare(self, clearance: float) -> None:
+    def prepare(self, clearance: float) -> PreparedScenario:
         """Find the goals."""
-        super().prepare(clearance)
+        prepared = super().prepare(clearance)
         points = [[40.0, 3.0 * slot] for slot in range(self.people)]
-        self._goals = self.planner.add_goals(-1, torch.tensor(points, dtype=torch.float64))
+        goals = prepared.planner.add_goals(-1, torch.tensor(points, dtype=torch.float64))
+        return replace(prepared, tables=goals)
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return the row of agents."""
         scenes = len(draws.key)
         start = torch.tensor([[0.0, 3.0 * slot] for slot in range(self.people)])
@@ -51,7 +53,7 @@ class Yard(Scenario):
             start.repeat(scenes, 1, 1),
             torch.ones(scenes, self.people, dtype=torch.bool),
             torch.full((scenes, self.people), 1.3),
-            self._goals.repeat(scenes, 1),
+            prepared.tables.repeat(scenes, 1),
             **fields,
         )
 
@@ -64,9 +66,9 @@ class Wide(Goals):
         super().__init__(map, people=people, pool=8)
         self.width, self.smallest_radius = width, width
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Add the radii."""
-        layout = super().layout(draws)
+        layout = super().layout(prepared, draws)
         return layout._replace(radius=torch.full_like(layout.pref_speed, self.width))
 
 

@@ -8,7 +8,7 @@ import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
 
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Imitated, Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.train.loop.courses import Course
 from pedzoo.train.loop.imitation import Imitation
@@ -21,7 +21,7 @@ MEETING = "hallway:people=2,jitter=0"
 def small() -> SGAN:
     """Return an untrained controller, which walks straight to its goal."""
     torch.manual_seed(0)
-    return SGAN(
+    return SGAN.of(
         embedding_dim=8, encoder_dim=16, decoder_dim=16, mlp_dim=16, noise_dim=4, noise="agent", goal_dim=8,
         goal_protocol="window_end", frame="way", residual="bent_line", approach_dim=8, trait_dim=8, best_k=2,
     )  # fmt: skip
@@ -36,7 +36,7 @@ def module(model: SGAN | None = None, walking: LoopLosses | None = None, **optio
     return LoopModule(model or small(), courses, walking or LoopLosses(), **defaults | options)
 
 
-def train(trained: LoopModule, updates: int, *callbacks: Callback, **data: Any) -> L.Trainer:
+def train(trained: LoopModule, updates: int, *callbacks: Callback, scenes: int = 4) -> L.Trainer:
     """Train for some updates of one epoch, without validation."""
     quiet: dict[str, Any] = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
     quiet |= {"limit_val_batches": 0, "num_sanity_val_steps": 0, "enable_checkpointing": False}
@@ -48,6 +48,6 @@ def train(trained: LoopModule, updates: int, *callbacks: Callback, **data: Any) 
         log_every_n_steps=1,
         **quiet,
     )
-    settings = {"goal": "window_end", "batch_size": 4, "unroll": 4, "unroll_batch_size": 4} | data
-    trainer.fit(trained, TrajectoryDataModule(**settings))
+    own = {"loading": Loading(batch_size=scenes), "imitated": Imitated(steps=scenes, batch_size=scenes)}
+    trainer.fit(trained, TrajectoryDataModule(goal="window_end", **own))
     return trainer

@@ -23,7 +23,7 @@ def make_run(runs: Path, seed: int = 0, values: tuple[float, ...] = (0.3, 0.2), 
     """Make the folder of a run that validated every third epoch, as fit does; return best.ckpt."""
     run = runs / "sgan_goal" / f"zara1-seed{seed}"
     (run / "checkpoints").mkdir(parents=True)
-    model = random_weights(SGAN(**OPTIONS), seed=seed)
+    model = random_weights(SGAN.of(**OPTIONS), seed=seed)
     content = {
         "pedzoo": config_of(model, protocol=PROTOCOL),
         "state_dict": {f"generator.{key}": value for key, value in model.state_dict().items()},

@@ -153,13 +153,13 @@ def test_nobody_yields_where_orca_walks_in_mirror_images() -> None:
 @pytest.mark.parametrize("name", ["door", "room_exit"])
 def test_gates_are_as_wide_as_the_free_cells_between_the_jambs(name: str) -> None:
     scenario = SCENARIOS.get(name)(width=[0.75, 0.9, 1.2])
-    scenario.prepare(0.25)
+    prepared = scenario.prepare(0.25)
     draws = Draws.for_episodes(0, torch.arange(12))
     gates = scenario.gate(draws)
-    rows = scenario.bank.index(scenario.layout(draws).map_id)
+    rows = prepared.bank.index(prepared.layout(draws).map_id)
     assert gates is not None and len(set(gates[:, 4].tolist())) == 3
     for gate, row in zip(gates, rows.tolist(), strict=True):
-        grid = scenario.bank.grids[row]
+        grid = prepared.bank.grids[row]
         x0, y0, _ = grid.origin
         wall = grid.cells[:, math.floor((float(gate[0]) - x0) / grid.resolution + 1e-6)]
         free = [y0 + (i + 0.5) * grid.resolution for i, cell in enumerate(wall) if cell == 0]

@@ -32,7 +32,7 @@ from pedzoo.metrics.realism.walks import Tables, of_people, tracks_of, walks_of
 from pedzoo.metrics.safety import time_to_collision
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenarios.replay import Replay
+from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
 NAN = float("nan")
 
@@ -347,7 +347,7 @@ class Drunk(GoToGoal):
 Rows = dict[str, dict[str, Any]]
 
 
-def walked(policy: GoToGoal | str, replay: Replay, rounds: int = 1) -> Rollout:
+def walked(policy: GoToGoal | str, replay: PreparedReplay, rounds: int = 1) -> Rollout:
     """Return what a policy does in some rounds of a replay."""
     name = policy if isinstance(policy, str) else "go_to_goal"
     found, env = prepare(name, replay, "compiled", replay.scenes * rounds)
@@ -359,25 +359,23 @@ BASELINES = ("go_to_goal", "orca:dt=0.4")
 
 
 @pytest.fixture(scope="module")
-def plaza() -> Replay:
+def plaza() -> PreparedReplay:
     """Everybody on the embedded plaza."""
-    replay = Replay(fold="embedded")
-    replay.ready(0.25)
+    replay = Replay(fold="embedded").prepare(0.25)
     return replay
 
 
 @pytest.fixture(scope="module")
-def rows(plaza: Replay) -> Rows:
+def rows(plaza: PreparedReplay) -> Rows:
     """Rows of the plaza: the real crowd, its halves, and baselines."""
     found = {row["name"]: row for row in reference_rows(plaza)}
     return found | {name: replay_row(name, walked(name, plaza), plaza, 0.4) for name in BASELINES}
 
 
 @pytest.fixture(scope="module")
-def few() -> tuple[Replay, Rollout, dict[str, float]]:
+def few() -> tuple[PreparedReplay, Rollout, dict[str, float]]:
     """Those who come first on the plaza, and what becomes of them when they go to their goals."""
-    replay = Replay(fold="embedded", share=0.2)
-    replay.ready(0.25)
+    replay = Replay(fold="embedded", share=0.2).prepare(0.25)
     rollout = walked("go_to_goal", replay)
     return replay, rollout, replay_row("go_to_goal", rollout, replay, 0.4)["metrics"]
 
@@ -405,7 +403,7 @@ def test_the_halves_of_the_real_crowd_bound_every_policy(rows: Rows) -> None:
     assert 0 < floor["ci95"]["realism"][0] < floor["metrics"]["realism"] < floor["ci95"]["realism"][1]
 
 
-def test_bad_policies_are_caught(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
+def test_bad_policies_are_caught(few: tuple[PreparedReplay, Rollout, dict[str, float]]) -> None:
     replay, _, sober = few
     frozen = replay_row("frozen", walked(Frozen(), replay), replay, 0.4)["metrics"]
     drunk = replay_row("drunk", walked(Drunk(), replay), replay, 0.4)["metrics"]
@@ -419,7 +417,7 @@ def test_bad_policies_are_caught(few: tuple[Replay, Rollout, dict[str, float]]) 
     assert drunk["acceleration_p95_ratio"] > 3 and drunk["acceleration_p99_m_per_s2"] > 1
 
 
-def test_teleporting_is_caught(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
+def test_teleporting_is_caught(few: tuple[PreparedReplay, Rollout, dict[str, float]]) -> None:
     replay, _, walking = few
     real = replay.real()
     # everybody is where they really were, except that they jump by 3 m and back every 2 s
@@ -445,7 +443,7 @@ def test_a_row_says_who_did_what_and_how_sure_it_is(rows: Rows) -> None:
     json.dumps(row, allow_nan=False)
 
 
-def test_rounds_and_the_first_scenes_alone(few: tuple[Replay, Rollout, dict[str, float]]) -> None:
+def test_rounds_and_the_first_scenes_alone(few: tuple[PreparedReplay, Rollout, dict[str, float]]) -> None:
     replay, once, metrics = few
     twice = replay_row("twice", joined([once, once]), replay, 0.4)
     assert twice["rounds"] == 2 and twice["n"] == len(twice["per_agent"])
@@ -461,8 +459,7 @@ def test_rounds_and_the_first_scenes_alone(few: tuple[Replay, Rollout, dict[str,
 
 
 def test_one_person_among_recorded_ones() -> None:
-    replay = Replay(fold="embedded", simulated="one", share=0.1)
-    replay.ready(0.25)
+    replay = Replay(fold="embedded", simulated="one", share=0.1).prepare(0.25)
     found = {row["name"]: row["metrics"] for row in reference_rows(replay)}
     rollout = walked("go_to_goal", replay)
     row = replay_row("go_to_goal", rollout, replay, 0.4)
@@ -478,8 +475,7 @@ def test_one_person_among_recorded_ones() -> None:
 
 
 def test_the_floor_bounds_policies_on_real_people(shared: Path) -> None:
-    replay = Replay(fold="zara1", root=str(shared / "data"), share=0.4)
-    replay.ready(0.25)
+    replay = Replay(fold="zara1", root=str(shared / "data"), share=0.4).prepare(0.25)
     floor = reference_rows(replay)[1]["metrics"]["realism"]
     row = replay_row("go_to_goal", walked("go_to_goal", replay), replay, 0.4)
     assert 0 < floor < row["metrics"]["realism"]

@@ -191,7 +191,7 @@ def test_a_new_trait_adds_nothing_and_a_trained_one_does() -> None:
 
 def grown(plain: SGAN) -> SGAN:
     """Return a network with everything new whose other weights are those of a plain one."""
-    model, old = SGAN(**GOAL, **NEW), plain.state_dict()
+    model, old = SGAN.of(**GOAL, **NEW), plain.state_dict()
     new = model.state_dict()
     for key, value in old.items():
         if key == "to_decoder.0.weight":
@@ -203,7 +203,7 @@ def grown(plain: SGAN) -> SGAN:
 
 
 def test_what_is_new_says_nothing_before_training_and_can_be_learnt() -> None:
-    plain = cast("SGAN", random_weights(SGAN(**GOAL)))
+    plain = cast("SGAN", random_weights(SGAN.of(**GOAL)))
     model, batch = grown(plain), on_plan(make_batch((3, 1, 4)), MapBank([room()]))
     noise = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(0))
     wanted = plain.next_steps(batch, noise, 8, 8)
@@ -219,7 +219,7 @@ def test_what_is_new_says_nothing_before_training_and_can_be_learnt() -> None:
 
 @pytest.mark.parametrize("frame", ["heading", "way"])
 def test_turning_the_scene_turns_what_people_with_everything_do(frame: Any) -> None:
-    model = random_weights(SGAN(**GOAL, approach_dim=6, trait_dim=7, frame=frame))
+    model = random_weights(SGAN.of(**GOAL, approach_dim=6, trait_dim=7, frame=frame))
     batch = make_batch((3, 1, 4), padding=0.0, dtype=torch.float64)
     model = model.double()
     noise = torch.randn(3, 4, 8, dtype=torch.float64)
@@ -237,4 +237,4 @@ def test_turning_the_scene_turns_what_people_with_everything_do(frame: Any) -> N
 
 def test_the_way_needs_a_goal() -> None:
     with pytest.raises(UserError, match="set goal_dim, or frame heading"):
-        SGAN(frame="way")
+        SGAN.of(frame="way")

@@ -70,7 +70,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("onnx")
     options: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "destination", "bottleneck_dim": 4}
     options |= {"map": "rings", "map_dim": 4, "approach_dim": 4, "trait_dim": 4}
-    model = SGAN(frame="way", residual="bent_line", **options)
+    model = SGAN.of(frame="way", residual="bent_line", **options)
     weights = folder / "mine.safetensors"
     save_weights(random_weights(model), weights, protocol={"pred_len": STEPS})
     write_ros(furnished(), folder / "room.yaml")
@@ -237,7 +237,7 @@ def test_missing_packages_are_named(
 @pytest.mark.parametrize("kind", ["patch", "rings", "alexnet"])
 def test_a_plan_as_input_is_seen_as_one_of_a_bank(kind: Any, alexnet: Path) -> None:
     """Before any tracing: the floor plan's image and affine against the bank's atlas."""
-    grid, model = furnished(), random_weights(SGAN(map=kind, map_dim=4))
+    grid, model = furnished(), random_weights(SGAN.of(map=kind, map_dim=4))
     graph, bank = Graph(model, 8), MapBank([grid], "wall")
     batch = on_plan(make_batch((6, 4), goal=False), bank)
     agents, noise = agents_of(batch), torch.ones(2, 6, 8)

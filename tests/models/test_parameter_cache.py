@@ -23,7 +23,7 @@ MODES = pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
 def made(seed: int = 0, **options: Any) -> SGAN:
     """Return a model with random weights."""
     torch.manual_seed(seed)
-    return cast("SGAN", random_weights(SGAN(**OPTIONS | options), seed)).double()
+    return cast("SGAN", random_weights(SGAN.of(**OPTIONS | options), seed)).double()
 
 
 def answers(model: SGAN) -> list[Tensor]:

@@ -171,7 +171,7 @@ def test_what_cannot_be_published_is_refused_and_leaves_nothing(tmp_path: Path) 
 def test_weights_whose_run_is_gone_are_described_by_themselves(tmp_path: Path) -> None:
     weights = tmp_path / "sgan_goal.zara1.safetensors"
     known = {"config": "sgan_goal", "fold": "zara1", "seed": 2, "chosen_by": "val/ade"}
-    save_weights(random_weights(SGAN(**OPTIONS)), weights, protocol=PROTOCOL, training=known)
+    save_weights(random_weights(SGAN.of(**OPTIONS)), weights, protocol=PROTOCOL, training=known)
     before = weights.read_bytes()
     card = read_card(describe(weights, make_card().evaluations))
     assert weights.read_bytes() == before and card.sha256 == hashlib.sha256(before).hexdigest()

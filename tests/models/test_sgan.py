@@ -16,8 +16,9 @@ from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import made
 from pedzoo.core.types import GoalProtocol
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.people import lines
@@ -46,7 +47,7 @@ def seeded(seed: int = 0) -> torch.Generator:
 
 def small(**options: Any) -> SGAN:
     """Return a small SGAN in double precision with random weights."""
-    return cast("SGAN", random_weights(SGAN(**SMALL | options))).double()
+    return cast("SGAN", random_weights(SGAN.of(**SMALL | options))).double()
 
 
 def plain_path(model: SGAN, batch: TensorDict, scene: int, z: Tensor) -> Tensor:
@@ -236,7 +237,7 @@ ALL_KINDS = pytest.mark.parametrize(
 
 def of_kind(options: dict[str, Any]) -> SGAN:
     """Return a bound model in single precision."""
-    model = cast("SGAN", random_weights(SGAN(**SMALL | options)))
+    model = cast("SGAN", random_weights(SGAN.of(**SMALL | options)))
     return model
 
 
@@ -320,7 +321,7 @@ def test_untrained_residual_is_the_line_itself(frame: str, protocol: GoalProtoco
     agents = agents_of(batch)
     last = agents["history"][:, :, -1] - agents["history"][:, :, -2]
     for residual in ("constant_velocity", "bent_line"):
-        model = SGAN(frame=frame, residual=residual, goal_dim=4, goal_protocol=protocol, bottleneck_dim=8)  # type: ignore[arg-type]
+        model = SGAN.of(frame=frame, residual=residual, goal_dim=4, goal_protocol=protocol, bottleneck_dim=8)  # type: ignore[arg-type]
         for steps in (1, 8, 12):
             to_goal = agents["goal"] - agents["history"][:, :, -1]
             wanted = lines.constant_velocity(last, steps)
@@ -340,7 +341,7 @@ def test_unknown_steps_change_nothing() -> None:
     assert unknown.sum() == 14
     elsewhere = changed(batch, future=torch.where(unknown, agents["future"] + 3.0, agents["future"]))
     for error in ("squared_displacement", "distance"):
-        model = cast("SGAN", random_weights(SGAN(error=error, mode_weight=1.0)))  # type: ignore[arg-type]
+        model = cast("SGAN", random_weights(SGAN.of(error=error, mode_weight=1.0)))  # type: ignore[arg-type]
         losses = [model.loss(data, seeded()) for data in (batch, elsewhere)]
         assert losses[0].isfinite() and torch.equal(losses[0], losses[1])
         nobody = changed(batch, future_valid=torch.zeros_like(agents["future_valid"]))
@@ -357,11 +358,11 @@ def test_a_scene_without_anybody_is_answered() -> None:
 
 def test_a_goal_model_says_that_it_needs_a_goal() -> None:
     with pytest.raises(UserError, match=r"needs a goal.*--data\.goal"):
-        SGAN(**GOAL).sample(make_batch((2,), goal=False), 1, 8)
+        SGAN.of(**GOAL).sample(make_batch((2,), goal=False), 1, 8)
 
 
 def test_a_map_model_reads_the_bank_of_its_batch() -> None:
-    model, batch = SGAN(map="patch"), make_batch((2, 2))
+    model, batch = SGAN.of(map="patch"), make_batch((2, 2))
     with pytest.raises(UserError, match="does not say which floor plans"):
         model.sample(batch.exclude("maps"), 1, 8)
     data = TrajectoryDataModule()
@@ -384,7 +385,7 @@ def test_a_map_model_reads_the_bank_of_its_batch() -> None:
 )
 def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(UserError, match=message):
-        SGAN(**options)
+        SGAN.of(**options)
 
 
 @pytest.fixture(scope="module")
@@ -392,7 +393,7 @@ def training_batches() -> dict[str, TensorDict]:
     """Two dozen embedded scenes without and with a goal."""
     found = {}
     for goal in ("none", "window_end"):
-        data = TrajectoryDataModule(goal=goal, batch_size=24)
+        data = TrajectoryDataModule(goal=goal, loading=Loading(batch_size=24))
         data.setup("fit")
         found[goal] = next(iter(data.train_dataloader()))
     return found
@@ -403,7 +404,7 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
     if name.endswith("alexnet"):
         request.getfixturevalue("alexnet")
     options = load_config(name)["model"]["init_args"]["generator"]["init_args"]
-    model = SGAN(**options)
+    model = made(SGAN, options)
     batch = training_batches[model.goal_protocol]
     optimizer = torch.optim.Adam(model.parameters())
     losses = []
@@ -425,4 +426,4 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
 
 def test_energy_of_squared_errors_is_refused() -> None:
     with pytest.raises(UserError, match="rewards the mean alone"):
-        SGAN(energy_weight=1.0)
+        SGAN.of(energy_weight=1.0)

@@ -42,7 +42,7 @@ def seeded(seed: int = 0) -> torch.Generator:
 
 def small(**options: Any) -> SocialVRNN:
     """Return a small model in double precision with random weights."""
-    return cast("SocialVRNN", random_weights(SocialVRNN(**SMALL | options))).double().eval()
+    return cast("SocialVRNN", random_weights(SocialVRNN.of(**SMALL | options))).double().eval()
 
 
 def batch_of(sizes: tuple[int, ...] = (3, 1, 4), **options: Any) -> TensorDict:
@@ -226,7 +226,7 @@ def test_no_noise_is_the_mode_and_noise_chooses_latent_and_component() -> None:
 def test_moving_turning_and_permuting_people(map: Any) -> None:
     """Beside a wall, too, where that is turned with the scene."""
     bank = make_env("door").bank
-    model = cast("SocialVRNN", random_weights(SocialVRNN(**{**SMALL, "map": map}))).eval()
+    model = cast("SocialVRNN", random_weights(SocialVRNN.of(**{**SMALL, "map": map}))).eval()
     batch = on_plan(make_batch((3, 2), goal=False, padding=0.0), bank)
     pose = torch.tensor([[2.1, 1.0, 3.0, -5.0]]).expand(2, 4)
     agents = agents_of(batch)
@@ -296,7 +296,7 @@ def test_others_and_map_are_seen_where_asked_for() -> None:
     beside_walls = on_plan(batch, bank)
     kinds: tuple[Any, ...] = (None, "patch")
     for kind in kinds:
-        model = cast("SocialVRNN", random_weights(SocialVRNN(**{**SMALL, "map": kind}))).eval()
+        model = cast("SocialVRNN", random_weights(SocialVRNN.of(**{**SMALL, "map": kind}))).eval()
         assert model.needs == frozenset(["map"] * (kind is not None))
         assert torch.equal(model.mode(batch, 8), model.mode(beside_walls, 8)) == (kind is None)
 
@@ -304,7 +304,7 @@ def test_others_and_map_are_seen_where_asked_for() -> None:
 def test_untrained_people_walk_on_nearly_as_they_did() -> None:
     batch = make_batch((4, 2), goal=False)
     torch.manual_seed(0)
-    model = SocialVRNN(map=None).eval()
+    model = SocialVRNN.of(map=None).eval()
     history = of_people(batch, "history")
     off = model.mode(batch, 8)[:, 0][agents_of(batch)["mask"]] - (history[:, -1:] - history[:, -2:-1])
     assert off.abs().max() < 0.1
@@ -318,7 +318,7 @@ def test_it_learns() -> None:
     turn = torch.where(torch.arange(32).view(1, 32, 1, 1) % 2 == 0, left, left * torch.tensor([1.0, -1.0]))
     batch = make_batch((32,), goal=False)
     batch = changed(batch, history=history.clone(), future=history[:, :, -1:] + turn.cumsum(2))
-    model = SocialVRNN(map=None, others_dim=0, components=2)
+    model = SocialVRNN.of(map=None, others_dim=0, components=2)
     optimizer = torch.optim.Adam(model.parameters(), 2e-2)
     before = float(model.log_likelihood(batch, seeded()).mean())
     for i in range(100):
@@ -344,9 +344,9 @@ def test_likelihood_per_step_by_hand() -> None:
 
 
 def test_scores_tell_the_likelihood_of_models_that_have_one() -> None:
-    batch, model = make_batch((3, 1, 4), goal=False, partly=True), SocialVRNN(map=None).eval()
+    batch, model = make_batch((3, 1, 4), goal=False, partly=True), SocialVRNN.of(map=None).eval()
     score = ForecastScore(3)
-    score.update(SGAN(residual="constant_velocity"), batch)
+    score.update(SGAN.of(residual="constant_velocity"), batch)
     assert "nll_nats_per_step" not in score.compute()
     score.reset()
     score.update(model, batch, seeded())
@@ -368,7 +368,7 @@ def test_it_walks(tmp_path: Any) -> None:
 @pytest.mark.parametrize("options", [{"latent_dim": 0}, {"components": 0}, {"min_scale": 0.0}])
 def test_options_out_of_range(options: dict[str, Any]) -> None:
     with pytest.raises(UserError, match="expected at least 1, at least 1, and above 0 m"):
-        SocialVRNN(**options)
+        SocialVRNN.of(**options)
 
 
 def test_a_map_is_asked_for() -> None:

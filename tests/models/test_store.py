@@ -55,7 +55,7 @@ def site() -> Iterator[Site]:
 
 @pytest.fixture
 def model() -> Forecaster:
-    return random_weights(SGAN(**OPTIONS)).eval()
+    return random_weights(SGAN.of(**OPTIONS)).eval()
 
 
 def made(model: Forecaster, folder: Path, name: str = NAME) -> ModelCard:
@@ -116,7 +116,7 @@ def test_a_folder_of_its_own_is_loaded_by_its_path(
     assert card.name == NAME and obtain("mine") == Path("mine") / NAME / "weights.safetensors"
     for name in (f"mine/{NAME}", f"mine/{NAME}/", f"./mine/{NAME}", "mine"):
         assert same(load(name), model)
-    made(other := random_weights(SGAN(**OPTIONS), seed=1).eval(), Path("mine"), "sgan_goal.square")
+    made(other := random_weights(SGAN.of(**OPTIONS), seed=1).eval(), Path("mine"), "sgan_goal.square")
     assert same(load("mine/sgan_goal.square"), other)
     with pytest.raises(UserError, match=r"say which: mine/sgan_goal\.mall, mine/sgan_goal\.square"):
         load("mine")
@@ -349,7 +349,7 @@ def test_tampered_weights_are_refused(model: Forecaster, site: Site, tmp_path: P
 
 def test_the_sum_of_another_file_is_refused(model: Forecaster) -> None:
     made(model, Path("mine"))
-    other = made(random_weights(SGAN(**OPTIONS), seed=1), Path("other"))
+    other = made(random_weights(SGAN.of(**OPTIONS), seed=1), Path("other"))
     changed(Path("mine"), sha256=other.sha256)
     with pytest.raises(UserError, match=f"but their card says {other.sha256}"):
         load("mine")

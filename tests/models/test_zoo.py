@@ -63,7 +63,7 @@ class Table:
 
 @pytest.fixture
 def model() -> Forecaster:
-    return random_weights(SGAN(**OPTIONS)).eval()
+    return random_weights(SGAN.of(**OPTIONS)).eval()
 
 
 @pytest.fixture
@@ -286,7 +286,7 @@ def test_no_map_and_no_frozen_network_is_saved(alexnet: Path, tmp_path: Path) ->
     data.setup("test")
     batch = next(iter(data.test_dataloader()))
     for kind in ("patch", "alexnet"):
-        model = SGAN(map=kind)
+        model = SGAN.of(map=kind)
         untouched = {key: value.clone() for key, value in model.state_dict().items()}
         model.sample(batch, 1, 8)
         assert model.state_dict().keys() == untouched.keys()

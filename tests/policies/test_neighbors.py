@@ -166,7 +166,7 @@ def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pyt
     for all_pairs in (10_000, 0):
         monkeypatch.setattr(neighbors, "ALL_PAIRS", all_pairs)
         for most in (10, None):
-            settings = OrcaSettings(max_neighbors=most)
+            settings = OrcaSettings(max_neighbors=most or 500)
             found.append(orca_velocity(position, velocity, wish, speed, mask, settings))
         found.append(Compiled(MapBank()).contacts(path, people).agent)
     for one, other in zip(found[:3], found[3:], strict=True):

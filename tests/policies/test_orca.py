@@ -21,7 +21,7 @@ from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.policies.orca.wall_lines import wall_lines
 
-SETTINGS = OrcaSettings(time_step=0.4)
+SETTINGS = OrcaSettings(dt=0.4)
 
 
 def present(position: Tensor) -> Tensor:
@@ -57,18 +57,18 @@ def crowd(scenes: int, agents: int, side: float, seed: int = 0) -> tuple[Tensor,
 
 
 def test_settings_are_checked_and_igibsons_are_known() -> None:
-    igibson = OrcaSettings.preset("igibson")
-    assert (igibson.radius, igibson.time_step, igibson.max_neighbors) == (0.5, 0.1, None)
+    igibson = OrcaSettings(preset="igibson")
+    assert (igibson.radius, igibson.max_neighbors, igibson.top_speed_ratio) == (0.5, None, 1.0)
     assert (igibson.neighbor_dist, igibson.time_horizon, igibson.time_horizon_obst) == (5.0, 2.0, 2.0)
-    assert OrcaSettings.preset("igibson", radius=0.3) == replace(igibson, radius=0.3)
-    assert OrcaSettings.preset("pedzoo") == OrcaSettings()
+    assert OrcaSettings(preset="igibson", radius=0.3) == replace(igibson, radius=0.3)
+    assert OrcaSettings(preset="pedzoo") == OrcaSettings()
     with pytest.raises(UserError, match="did you mean 'igibson'"):
-        OrcaSettings.preset("igibsen")
+        OrcaSettings(preset="igibsen")  # type: ignore[arg-type]
     for wrong in (
         {"radius": 0.0},
         {"time_horizon": math.inf},
         {"max_neighbors": -1},
-        {"time_step": math.nan},
+        {"dt": math.nan},
     ):
         (name,) = wrong
         with pytest.raises(UserError, match=f"orca: {name}"):
@@ -253,7 +253,7 @@ def room(side: float = 6.0, cell: float = 0.05) -> OccupancyGrid:
 def test_a_lone_person_passes_a_door_that_is_wide_enough(radius: float, passes: bool) -> None:
     grid = room()
     walls = WallSegments(MapBank([grid]))
-    settings = OrcaSettings(radius=radius, time_step=0.1)
+    settings = OrcaSettings(radius=radius, dt=0.1)
     ids, pose = torch.tensor([grid.map_id] * 3), identity_pose(3)
     position = torch.tensor([[[1.5, 3.025]], [[1.5, 3.1]], [[4.5, 2.9]]])
     velocity, goal = (
@@ -366,7 +366,7 @@ def test_people_pressed_against_a_wall_do_not_enter_it() -> None:
     walls, ids = one_wall()
     position = torch.rand(20, 12, 2) * torch.tensor([3.0, 1.5]) + torch.tensor([8.0, 1.2])
     velocity = torch.zeros_like(position)
-    settings = OrcaSettings(time_step=0.1)
+    settings = OrcaSettings(dt=0.1)
     for _ in range(40):
         near = walls.near(position.flatten(0, 1), ids.expand(240), identity_pose(240), 3.6)
         velocity = walk(

@@ -94,13 +94,13 @@ def observation(
 
 
 def test_the_papers_parameters_are_the_default() -> None:
-    found = SocialForceSettings.preset("1995")
+    found = SocialForceSettings(preset="1995")
     assert found == PAPER == SocialForce().settings
     assert (found.tau, found.strength, found.sigma, found.step_time) == (0.5, 2.1, 0.3, 2.0)
     assert (found.wall_strength, found.wall_range) == (10.0, 0.2)
     assert (found.view_angle, found.out_of_view, found.top_speed_ratio) == (100.0, 0.5, 1.3)
     assert found.wall_reach == pytest.approx(0.2 * math.log(5000))
-    indoor = SocialForceSettings.preset("indoor", tau=0.4)
+    indoor = SocialForceSettings(preset="indoor", tau=0.4)
     assert (indoor.wall_strength, indoor.wall_range, indoor.tau) == (
         pytest.approx(2.2408, abs=1e-4),
         0.1,
@@ -133,7 +133,7 @@ def test_settings_that_cannot_be(settings: str, told: str) -> None:
 
 def test_names_that_are_not_known() -> None:
     with pytest.raises(UserError, match="did you mean 'indoor'"):
-        SocialForceSettings.preset("indor")
+        SocialForceSettings(preset="indor")
     with pytest.raises(UserError, match="did you mean 'view'"):
         SocialForceSettings(anisotropy="viev")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="fluctuation inf"):
@@ -214,7 +214,7 @@ def test_who_is_behind_counts_less(anisotropy: Any, weight: float) -> None:
 
 
 def test_top_speed_by_hand() -> None:
-    policy = SocialForce(fluctuation=0)
+    policy = SocialForce(SocialForceSettings(fluctuation=0))
     desired = torch.tensor([[[0.6, 0.8]]])
     quick = policy(observation(torch.zeros(1, 1, 2), 5 * desired, desired))["agents", "action"]
     assert quick.flatten().tolist() == pytest.approx([1.3 * 0.6, 1.3 * 0.8])
@@ -518,7 +518,7 @@ def test_people_look_at_the_segments_within_reach() -> None:
 
 def test_walls_turn_with_map_and_scene() -> None:
     cells = np.random.default_rng(0).random((30, 30)) < 0.1
-    policy = SocialForce(fluctuation=0)
+    policy = SocialForce(SocialForceSettings(fluctuation=0))
     grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, 0.2, (1.0, -2.0, 0.4), name="random")
     bank = MapBank([grid])
     position, velocity, desired = crowd(20, 4, 5.0)
@@ -532,7 +532,7 @@ def test_walls_turn_with_map_and_scene() -> None:
         "agents", "action"
     ]
     assert torch.equal(some, here[3:5])
-    blind = SocialForce(fluctuation=0, walls=False)
+    blind = SocialForce(SocialForceSettings(fluctuation=0, walls=False))
     free = blind(observation(position, velocity, desired, grid.map_id, maps=bank))["agents", "action"]
     assert not torch.allclose(free, here, atol=0.1)
     assert torch.equal(policy(observation(position, velocity, desired))["agents", "action"], free)
@@ -580,7 +580,7 @@ def test_actions_are_differentiable() -> None:
 def test_fluctuations_are_the_scenes_own_and_free_people_who_meet_head_on() -> None:
     position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
     velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
-    exact, usual = SocialForce(fluctuation=0), SocialForce()
+    exact, usual = SocialForce(SocialForceSettings(fluctuation=0)), SocialForce()
     straight = exact(observation(position, velocity, velocity))["agents", "action"]
     assert (straight[..., 1] == 0).all()
     once, again = (usual(observation(position, velocity, velocity))["agents", "action"] for _ in range(2))
@@ -603,7 +603,7 @@ def test_a_lone_person_needs_the_indoor_preset_to_pass_a_door(preset: Any, passe
     cells = np.zeros((121, 120), bool)
     cells[:, 60:63] = True
     cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025
-    policy = SocialForce(preset=preset)
+    policy = SocialForce(SocialForceSettings(preset=preset))
     bank = block(cells)
     map_id = torch.tensor([bank.grids[0].map_id])
     place, velocity, goal = (

@@ -42,7 +42,7 @@ def backend(name: str, env: PedestrianEnv) -> Physics:
     """Return another backend on an environment's floor plans."""
     if name == "bullet":
         pytest.importorskip("pybullet")
-    return make_physics(name, env.scenario, 0.15)
+    return make_physics(name, env.prepared.bank, 0.15)
 
 
 def decided(env: PedestrianEnv, state: State, wanted: Tensor) -> Tensor:

@@ -21,8 +21,7 @@ def layout(settings: str) -> tuple[Door, Layout]:
     """Return a door and the starts of some scenes."""
     door = make_scenario(f"door:{settings}")
     assert isinstance(door, Door)
-    door.ready(0.25)
-    return door, door.layout(Draws.for_episodes(0, torch.arange(SCENES)))
+    return door, door.prepare(0.25).layout(Draws.for_episodes(0, torch.arange(SCENES)))
 
 
 def begun(settings: str) -> tuple[Tensor, Tensor]:

@@ -17,7 +17,7 @@ from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.metrics.navigation import arrived_in_time, finish_seconds
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.make import make_env, make_scenario, prepare_scenario
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario_parts.encounter import MEET, Encounter
 from pedzoo.sim.scenario_parts.lanes import ABREAST, SPACING
@@ -92,9 +92,8 @@ def test_how_many_people(name: str) -> None:
         with pytest.raises(UserError, match=rf"people {people}: expected .*{cls.fewest}"):
             make_scenario(f"{name}:people={people}")
     for people in (cls.fewest, 7):
-        scenario = make_scenario(f"{name}:people={people}")
-        scenario.ready(0.25)
-        assert scenario.layout(Draws.for_episodes(0, torch.arange(3))).mask.sum(1).tolist() == [people] * 3
+        layout = prepare_scenario(f"{name}:people={people}").layout(Draws.for_episodes(0, torch.arange(3)))
+        assert layout.mask.sum(1).tolist() == [people] * 3
 
 
 @EVERY
@@ -185,9 +184,8 @@ def test_the_fast_overtake_the_slow(people: int) -> None:
 
 def test_lanes_keep_their_distance_whoever_is_fast() -> None:
     scenario = made("overtaking:people=20,jitter=0")
-    scenario.ready(0.25)
     draws = Draws.for_episodes(0, torch.arange(50))
-    start, variant = scenario.layout(draws).start, scenario.variants.drawn(draws)
+    start, variant = scenario.prepare(0.25).layout(draws).start, scenario.variants.drawn(draws)
     for which, lanes in enumerate(scenario.lanes):
         for number in range(len(lanes)):
             x = start[variant == which][:, scenario.places.lane[which] == number, 0]
@@ -329,8 +327,7 @@ def test_passages_that_nobody_fits_through() -> None:
 
 def test_people_who_walk_together() -> None:
     scenario = made("hallway:people=5,against=1,together=true,width=[1.8,2.4],jitter=0")
-    scenario.ready(0.25)
-    layout = scenario.layout(Draws.for_episodes(0, torch.arange(60)))
+    layout = scenario.prepare(0.25).layout(Draws.for_episodes(0, torch.arange(60)))
     # from the left two and two, from the right one
     sides = layout.start[..., 0].sign()
     assert (sides.sum(1) == -3).all()

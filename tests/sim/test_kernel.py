@@ -48,7 +48,7 @@ def test_compiled_loops_and_torch_agree(env: PedestrianEnv) -> None:
     env.reset()
     state = env.state
     generator = torch.Generator().manual_seed(0)
-    planner = env.scenario.planner
+    planner = env.prepared.planner
     worst = 0.0
     for _ in range(25):
         action = 1.5 * torch.randn(*state.mask.shape, 2, generator=generator)
@@ -121,13 +121,13 @@ def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:
     action, weight = (1.2 * drawn(2)).requires_grad_(), drawn(4, 2)
     found = []
     for compiled in (True, False):
-        env.scenario.planner.compiled = compiled
+        env.prepared.planner.compiled = compiled
         physics = (Compiled if compiled else Torch)(env.bank)
         after, guidance, events = kernel.step(state, action, physics, env.rules)
         again = action + 0.1 * guidance.desired_velocity
         _, seen, then = kernel.step(after, again, physics, env.rules)
         total = ((events.trace + then.trace) * weight).sum() + then.reward.sum() + 0.1 * seen.goal.sum()
         found.append(torch.autograd.grad(total, action)[0])
-    env.scenario.planner.compiled = True
+    env.prepared.planner.compiled = True
     assert found[0].norm() > 1
     torch.testing.assert_close(found[0], found[1], atol=1e-3, rtol=1e-3)

@@ -25,8 +25,8 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.sim.scenario_parts.scenario import Layout
+from pedzoo.sim.make import make_env, prepare_scenario
+from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario
 from pedzoo.sim.scenarios.door import BEFORE, Door
 
 SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")
@@ -258,9 +258,9 @@ def test_static_warm_start() -> None:
 class Recorded(Door):
     """The door with people who come as they were recorded."""
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Add histories that walk towards the door."""
-        layout = super().layout(draws)
+        layout = super().layout(prepared, draws)
         steps = torch.arange(8).view(1, 1, 8, 1)
         towards = -layout.start.sign() * torch.tensor([0.4, 0.0])
         return layout._replace(history=layout.start.unsqueeze(2) + steps * towards.unsqueeze(2))
@@ -285,7 +285,7 @@ def test_recorded_warm_start() -> None:
 @pytest.mark.parametrize("policy", ["go_to_goal", "orca:dt=0.4"])
 def test_scene_i_of_a_seed_is_the_same_in_every_batch(scenario: str, policy: str) -> None:
     """To the last bit, and so is all that comes of it."""
-    made = make_scenario(scenario)
+    made = prepare_scenario(scenario)
     whole = walked(make_env(made, num_envs=24, seed=3), 12, load_policy(policy))
     for i in (0, 1, 5, 17, 23):
         alone = walked(make_env(made, num_envs=1, seed=3, first_episode=i), 12, load_policy(policy))
@@ -306,13 +306,13 @@ def test_seeding_again_starts_again() -> None:
 
 
 def test_environments_share_a_scenario() -> None:
-    scenario = Door()
-    first, second = (make_env(scenario, num_envs=2, seed=seed) for seed in (0, 0))
-    assert first.scenario.planner is second.scenario.planner
+    prepared = Door().prepare(0.25)
+    first, second = (make_env(prepared, num_envs=2, seed=seed) for seed in (0, 0))
+    assert first.prepared is second.prepared is prepared
     assert torch.equal(first.reset()["scene_key"], second.reset()["scene_key"])
-    kept = scenario.planner
-    make_env(scenario, clearance=0.3)
-    assert scenario.planner is not kept and scenario.planner.clearance == 0.3
+    wider = make_env(prepared, clearance=0.3).prepared
+    assert wider.scenario is prepared.scenario and wider.planner.clearance == 0.3
+    assert prepared.planner.clearance == 0.25
 
 
 def test_workers_share_a_seed() -> None:

@@ -42,11 +42,11 @@ def test_steps_on_a_device_are_those_on_the_cpu(scenes: str, wheels: bool) -> No
     """Seven decisions, some of them into walls and others. After the first one nothing is copied there."""
     env = make_env(SCENES[scenes], num_envs=3, physics="torch")
     action = 1.2 * env.reset(seed=0)["agents", "desired_velocity"]
-    env.scenario.planner.compiled = False
+    env.prepared.planner.compiled = False
     rules = replace(env.rules, wheels=wheels)
     with pretended():
         state, asked = env.state.to(DEVICE), action.to(DEVICE)
-        remote = replace(kernel.rules_of(env.scenario, rules.ticks, rules.substeps, DEVICE), wheels=wheels)
+        remote = replace(kernel.rules_of(env.prepared, rules.ticks, rules.substeps, DEVICE), wheels=wheels)
         state, _, _ = kernel.step(state, asked, env.physics, remote)
     expected, guided, _ = kernel.step(env.state, action, env.physics, rules)
     moved = 0.0

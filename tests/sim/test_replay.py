@@ -30,7 +30,7 @@ from pedzoo.sim.make import make_env
 from pedzoo.sim.replay.people import REASONS
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenarios.replay import Replay
+from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
 # a room of 12 m x 8 m with a wall from x = 8 to 10 that leaves a room of 2 m x 8 m behind it
 SIDE = 0.1
@@ -70,20 +70,16 @@ def save(path: Path, rows: list[tuple[float, ...]]) -> None:
     path.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
 
 
-def replay(folder: Path, files: str = "first", **settings: Any) -> Replay:
+def replay(folder: Path, files: str = "first", **settings: Any) -> PreparedReplay:
     """Return the prepared scenario of recordings in ``folder``."""
     names = [str(folder / f"{name}.txt") for name in files.split()]
-    scenario = Replay(files=names, dt=0.4, map=str(folder / "rooms.yaml"), **settings)
-    scenario.ready(0.25)
-    return scenario
+    return Replay(files=names, dt=0.4, map=str(folder / "rooms.yaml"), **settings).prepare(0.25)
 
 
 @pytest.fixture(scope="module")
-def plaza() -> Replay:
+def plaza() -> PreparedReplay:
     """Return the prepared replay of the recording that ships."""
-    scenario = Replay()
-    scenario.ready(0.25)
-    return scenario
+    return Replay().prepare(0.25)
 
 
 class Stands(GoToGoal):
@@ -117,7 +113,7 @@ class Truth(GoToGoal):
 
     def forward(self, tensordict: Any) -> Any:
         """Write the velocity to the next recorded place."""
-        script, state = self.env.scenario.script, self.env.state
+        script, state = self.env.prepared.script, self.env.state
         assert script is not None
         tick = (state.clock / 0.1).round().long()
         points = round(self.decision_dt / 0.1)
@@ -146,7 +142,7 @@ def at(track: list[tuple[float, ...]], agent: int, frame: np.ndarray) -> np.ndar
     return np.column_stack([np.interp(frame, rows[:, 0], rows[:, axis]) for axis in (2, 3)])
 
 
-def person(scenario: Replay, agent: int) -> int:
+def person(scenario: PreparedReplay, agent: int) -> int:
     return int((scenario.persons.agent == agent).nonzero()[0, 0])
 
 
@@ -181,7 +177,6 @@ def test_who_is_simulated_and_why_others_are_not(folder: Path) -> None:
 def test_starts_goals_ways_and_times(folder: Path) -> None:
     scenario = replay(folder)
     people, alice, edge = scenario.persons, person(scenario, ALICE), person(scenario, EDGE)
-    assert scenario.recordings == ["first"]
     # 8 steps are frames 0 to 7; the last of 17 is frame 16
     assert 0.4 * float(people.taken[alice]) == pytest.approx(2.8)
     assert 0.4 * float(people.last[alice]) == pytest.approx(6.4)
@@ -217,15 +212,13 @@ def test_a_share_of_the_time(folder: Path) -> None:
 def test_a_hole_in_a_track_makes_two_people(folder: Path, tmp_path: Path) -> None:
     rows = straight(1, 0, 12, (1.0, 1.0), (0.3, 0.0)) + straight(1, 20, 12, (1.0, 2.0), (0.3, 0.0))
     save(tmp_path / "hole.txt", rows)
-    scenario = Replay(files=[str(tmp_path / "hole.txt")], dt=0.4)
-    scenario.ready(0.25)
+    scenario = Replay(files=[str(tmp_path / "hole.txt")], dt=0.4).prepare(0.25)
     assert scenario.persons.counts == {"controlled": 2}
     assert scenario.persons.first.tolist() == [0, 20]
 
 
 def test_without_a_floor_plan(folder: Path) -> None:
-    scenario = Replay(files=[str(folder / "first.txt")], dt=0.4)
-    scenario.ready(0.25)
+    scenario = Replay(files=[str(folder / "first.txt")], dt=0.4).prepare(0.25)
     assert scenario.persons.counts == {"controlled": 5, "too short": 1, "already at the exit": 1}
     result, _ = rollout("go_to_goal", scenario, "compiled", scenario.scenes)  # type: ignore[arg-type]
     assert len(result.person[result.controlled & (result.reached > 0)].unique()) == 5
@@ -284,7 +277,7 @@ def test_people_are_played_back_exactly(folder: Path) -> None:
         assert met == 4 * (2 + 15 + 17 + 5 + 19)
 
 
-def run(scenario: Replay, policy: Any, dt: float = 0.4, episodes: int = 1) -> Rollout:
+def run(scenario: PreparedReplay, policy: Any, dt: float = 0.4, episodes: int = 1) -> Rollout:
     """Return what a policy did."""
     env = make_env(scenario, num_envs=episodes, decision_dt=dt)
     policy = policy(env) if isinstance(policy, type) else policy
@@ -379,7 +372,7 @@ def test_real_is_the_recording(folder: Path) -> None:
 # Slots and scenes
 
 
-def test_slots_are_never_shared(plaza: Replay) -> None:
+def test_slots_are_never_shared(plaza: PreparedReplay) -> None:
     begin, end = torch.tensor([0, 3, 5, 5, 9, 9]), torch.tensor([5, 9, 6, 5, 12, 10])
     assert slots(begin, end).tolist() == [0, 1, 0, -1, 0, 1]
     assert table(slots(begin, end), begin, end, 12, 2).tolist() == [
@@ -492,14 +485,15 @@ def test_stays_are_people_and_not_slots(folder: Path) -> None:
     ]
 
 
-def test_adopting_is_preparing(folder: Path) -> None:
+def test_what_another_scenario_has_prepared_serves_as_well(folder: Path) -> None:
     every, one = replay(folder), replay(folder, simulated="one")
     names = [str(folder / "first.txt")]
-    again = Replay(files=names, dt=0.4, map=str(folder / "rooms.yaml"), simulated="one")
-    assert again.adopt(every) and again.planner is every.planner
+    settings = Replay(files=names, dt=0.4, map=str(folder / "rooms.yaml"), simulated="one")
+    again = settings.adapted(every)
+    assert isinstance(again, PreparedReplay) and again.planner is every.planner
     for mine, theirs in zip(run(again, GoToGoal()).trace, run(one, GoToGoal()).trace, strict=True):
         assert torch.equal(mine, theirs)
-    assert every.scenes != again.scenes and not Replay().adopt(every)
+    assert every.scenes != again.scenes and Replay().adapted(every) is None
 
 
 # The environment
@@ -548,9 +542,9 @@ def test_both_worlds_show_the_same_people(folder: Path) -> None:
     assert touched  # somebody is played back into the wall
 
 
-def test_many_people_in_bullet(plaza: Replay) -> None:
+def test_many_people_in_bullet(plaza: PreparedReplay) -> None:
     env = make_env(plaza, num_envs=2, physics="bullet")
-    assert env.scenario.people == 34
+    assert env.prepared.people == 34
     env.rollout(6, GoToGoal())
     env.physics.close()
 
@@ -584,7 +578,7 @@ def test_only_the_actions_of_the_controlled_matter(folder: Path) -> None:
         assert run(scenario, Breaks()).failed.all()
 
 
-def test_noise_is_drawn_by_the_person(plaza: Replay) -> None:
+def test_noise_is_drawn_by_the_person(plaza: PreparedReplay) -> None:
     env = make_env(plaza)
     now: Any = env.reset()
     swapped = now.clone()
@@ -666,7 +660,7 @@ def test_goals_that_share_ways_are_still_their_own() -> None:
 def test_recordings_of_a_fold(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
     result, env = rollout("go_to_goal", "replay:fold=zara1,share=0.1", "compiled", 1)
-    scenario: Any = env.scenario
+    scenario: Any = env.prepared
     people, counts = scenario.persons, scenario.persons.counts
     assert sum(counts.values()) == 148 and counts["later"] > 100
     assert torch.equal(

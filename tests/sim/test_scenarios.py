@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
+from textwrap import dedent
 from typing import Any, Literal
 
 import pytest
@@ -11,6 +13,7 @@ from torchrl.envs import check_env_specs
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
+from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import POLICIES, SCENARIOS
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.eval.comparison import row
@@ -21,7 +24,7 @@ from pedzoo.maps.library import flat
 from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
-from pedzoo.sim.make import make_env
+from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenario_parts.scenario import LEAST_WAY
 from pedzoo.sim.scenarios.goals import Goals
 
@@ -39,13 +42,50 @@ def test_scenes_are_sound(name: str) -> None:
     state = env.state
     wall, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
     assert float(wall[state.mask].min()) > BODY_RADIUS - 0.011
-    apart = torch.cdist(state.position, state.position) + 9 * torch.eye(env.scenario.people)
+    apart = torch.cdist(state.position, state.position) + 9 * torch.eye(env.prepared.people)
     apart = torch.where(state.mask.unsqueeze(1) & state.mask.unsqueeze(2), apart, torch.inf)
     assert float(apart.min()) > 2 * BODY_RADIUS
     assert state.remaining_path[state.mask].isfinite().all()
     assert (state.goal_id[state.mask] >= 0).all()
-    assert float(state.pref_speed.max()) <= env.scenario.fastest + 1e-6
+    assert float(state.pref_speed.max()) <= env.prepared.fastest + 1e-6
     assert state.mask.any(1).all()
+
+
+@EVERY_SCENARIO
+def test_scenarios_stay_as_they_were_made(name: str) -> None:
+    """Whatever is prepared and laid out of them; only what follows from their settings is kept in them."""
+    scenario, draws = make_scenario(name), Draws.for_episodes(0, torch.arange(4))
+    before = dict(vars(scenario))
+    first = scenario.prepare(0.25)
+    begun = first.layout(draws)
+    assert scenario.prepare(0.3).planner.clearance == 0.3
+    cached = {key for key in vars(scenario) if isinstance(getattr(type(scenario), key, 0), cached_property)}
+    assert vars(scenario).keys() - cached == before.keys()
+    assert all(vars(scenario)[key] is value for key, value in before.items())
+    assert first.planner.clearance == 0.25
+    for mine, again in zip(begun[:5], first.layout(draws)[:5], strict=True):
+        assert isinstance(mine, torch.Tensor) and torch.equal(mine, again)
+
+
+def test_the_scenario_of_contributing_works(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text()
+    code = page.partition("class `MyScenario(Scenario)`")[2].partition("```python\n")[2].partition("```")[0]
+    (tmp_path / "my_scenario.py").write_text(code)
+    walked, _ = rollout("orca", f"{tmp_path / 'my_scenario.py'}:MyScenario:speed=1.2", "compiled", 3)
+    assert (walked.reached[:, :, -1] == 1).all() and walked.reached.shape[:2] == (3, 2)
+
+
+def test_a_scenario_that_returns_nothing_prepared(tmp_path: Path) -> None:
+    code = """
+        from pedzoo.sim.scenarios.door import Door
+
+        class Mine(Door):
+            def prepare(self, clearance):
+                self.kept = super().prepare(clearance)
+    """
+    (tmp_path / "mine.py").write_text(dedent(code))
+    with pytest.raises(UserError, match=r"Mine.prepare returned None: expected .* super\(\).prepare"):
+        make_env(f"{tmp_path / 'mine.py'}:Mine")
 
 
 @EVERY_SCENARIO
@@ -53,7 +93,7 @@ def test_nobody_starts_on_a_goal(name: str) -> None:
     """Over 300 scenes. Recorded people may: of them those who stay are not controlled."""
     env = make_env(name, num_envs=300, seed=1)
     env.reset()
-    if env.scenario.script is None:
+    if env.prepared.script is None:
         assert float(env.state.remaining_path[env.state.mask].min()) >= LEAST_WAY > 2 * GOAL_RADIUS
 
 
@@ -68,7 +108,7 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
     assert bool((state.drawn > 0).any()) == (warm_start == "orca")
     assert (state.reached == 0).all()
     for episode in (0, *state.drawn.any(1).nonzero()[:3, 0].tolist()):
-        alone = make_env(env.scenario, 1, seed=2, first_episode=episode, warm_start=warm_start)
+        alone = make_env(env.prepared, 1, seed=2, first_episode=episode, warm_start=warm_start)
         alone.reset()
         for key in ("goal_id", "drawn", "goal_point", "remaining_path"):
             assert torch.equal(getattr(alone.state, key)[0], getattr(state, key)[episode])
@@ -78,7 +118,8 @@ def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> 
     """Whoever starts on the only goal there is arrives at once, and the episode begins all the same."""
     (tmp_path / "mine.py").write_text(
         "import torch\nfrom pedzoo.sim.scenarios.goals import Goals\n\n\nclass One(Goals):\n"
-        "    def next_goal(self, draws, agent, number, last):\n        return torch.full_like(last, -1)\n"
+        "    def next_goal(self, prepared, draws, agent, number, last):\n"
+        "        return torch.full_like(last, -1)\n"
     )
     env = make_env(f"{tmp_path}/mine.py:One:people=3,pool=4", num_envs=200)
     env.reset()
@@ -88,7 +129,7 @@ def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> 
 @EVERY_SCENARIO
 def test_goals_can_be_reached_in_time(name: str) -> None:
     result, env = rollout("go_to_goal", name, "compiled", 16)
-    if env.scenario.script is None:
+    if env.prepared.script is None:
         assert row("go_to_goal", result)["metrics"]["success"] > 0.95
     else:  # people come and go
         arrived = result.person[result.controlled & (result.reached > 0)].unique()

@@ -23,7 +23,7 @@ import torch
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.sim.make import make_scenario
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.core.bodies import HOLONOMIC, UNICYCLE
 
 
@@ -42,15 +42,15 @@ class WithRobot(Scenario):
         return self.inner.plans()
 
     def prepare(self, clearance):
-        self.inner.ready(clearance)
-        self.bank, self.planner = self.inner.bank, self.inner.planner
+        inner = self.inner.prepare(clearance)
+        return PreparedScenario(scenario=self, planner=inner.planner, tables=inner)
 
-    def next_goal(self, draws, agent, number, last):
-        found = self.inner.next_goal(draws, agent, number, last)
+    def next_goal(self, prepared, draws, agent, number, last):
+        found = self.inner.next_goal(prepared.tables, draws, agent, number, last)
         return torch.where(agent < self.inner.people, found, -1)
 
-    def layout(self, draws):
-        layout = self.inner.layout(draws)
+    def layout(self, prepared, draws):
+        layout = prepared.tables.layout(draws)
 
         def and_one(values, one):
             one = torch.as_tensor(one, dtype=values.dtype)

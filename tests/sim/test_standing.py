@@ -22,8 +22,7 @@ STANDS = "standing:people=3,at=0,seconds=2.1,speed_std=0,jitter=0"
 def layout(spec: str, scenes: int = 300) -> Layout:
     scenario = make_scenario(spec)
     assert isinstance(scenario, Standing)
-    scenario.ready(0.25)
-    return scenario.layout(Draws.for_episodes(0, torch.arange(scenes)))
+    return scenario.prepare(0.25).layout(Draws.for_episodes(0, torch.arange(scenes)))
 
 
 @pytest.mark.parametrize("physics", ["compiled", "bullet"])

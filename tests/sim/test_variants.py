@@ -61,7 +61,7 @@ def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
     assert state.remaining_path.isfinite().all()
     whole = (state.past, state.goal_point, state.map_id)
     for i in (0, 31, 47):
-        alone = make_env(env.scenario, first_episode=i)
+        alone = make_env(env.prepared, first_episode=i)
         alone.reset()
         one = (alone.state.past, alone.state.goal_point, alone.state.map_id)
         assert all(torch.equal(mine[0], every[i]) for mine, every in zip(one, whole, strict=True))
@@ -124,10 +124,10 @@ def test_without_variation_scenes_of_a_plan_are_alike(name: str) -> None:
 @pytest.mark.parametrize("name", ENCOUNTERS)
 def test_people_start_aside_and_late(name: str) -> None:
     scenario = make_scenario(f"{name}:speed_std=0,jitter=0,aside=0.4,delay=0.8")
-    scenario.ready(0.25)
     assert isinstance(scenario, Encounter)
     draws = Draws.for_episodes(0, torch.arange(200))
-    layout, places = scenario.layout(draws), scenario.places.of_scenes(scenario.variants.drawn(draws))
+    layout = scenario.prepare(0.25).layout(draws)
+    places = scenario.places.of_scenes(scenario.variants.drawn(draws))
     off = layout.start - places.middle
     along = (off * places.heading).sum(-1)
     across = off[..., 0] * places.heading[..., 1] - off[..., 1] * places.heading[..., 0]

@@ -363,7 +363,7 @@ def test_no_such_peer(tmp_path: Path) -> None:
 def test_rvo2_is_a_peer() -> None:
     pytest.importorskip("pyrvo")
     them = Peer(PEERS / "pyrvo_orca.py", sys.executable, 1)
-    orca = {"time_step": 0.1, "neighbor_dist": 5.0, "max_neighbors": None, "time_horizon": 2.0}
+    orca = {"dt": 0.1, "neighbor_dist": 5.0, "max_neighbors": None, "time_horizon": 2.0}
     orca |= {"time_horizon_obst": 2.0, "radius": 0.2}
     walls = [[[-1.0, 1.0], [-1.0, -1.0], [4.0, -1.0], [4.0, 1.0]]]
     still = [[[0.0, 0.0], [1.0, 0.0]]] * 2

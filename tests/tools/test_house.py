@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
+import sys
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
+from pedzoo.policies.load import load_policy
 from tools.pages import house
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "pedzoo"
 
 
 def test_the_picture_shows_the_packages_as_they_are() -> None:
@@ -113,6 +121,89 @@ def test_all_files_of_the_walks_exist() -> None:
     files = named(walks())
     assert len(files) > 100
     assert [name for name in files if not (ROOT / "pedzoo" / name).is_file()] == []
+
+
+def test_a_policy_string_becomes_a_policy_in_the_files_of_the_walk() -> None:
+    """At most six of them, in that order, and `load_policy` has at most two returns."""
+    walk = walks().partition("### A policy string to velocities")[2].partition("\nThen the call")[0]
+    entered: list[str] = []
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        file = Path(frame.f_code.co_filename)
+        if event == "call" and PACKAGE in file.parents:
+            entered.append(str(file.relative_to(PACKAGE)))
+
+    load_policy("orca:radius=0.3")  # imports
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        load_policy("orca:radius=0.3")
+    finally:
+        sys.setprofile(before)
+    assert list(dict.fromkeys(entered)) == list(dict.fromkeys(named(walk))) and len(set(entered)) <= 6
+    returns = [
+        node for node in ast.walk(ast.parse(inspect.getsource(load_policy))) if isinstance(node, ast.Return)
+    ]
+    assert len(returns) <= 2
+
+
+def test_files_and_folders_are_small() -> None:
+    files = sorted(PACKAGE.rglob("*.py"))
+    assert len(files) > 200
+    lines = {str(file.relative_to(PACKAGE)): len(file.read_text().splitlines()) for file in files}
+    assert {name: count for name, count in lines.items() if count > 300} == {}
+    loose = Counter(str(file.parent.relative_to(PACKAGE)) for file in files if file.name != "__init__.py")
+    assert {folder: count for folder, count in loose.items() if count > 15} == {}
+
+
+TUPLES = {"_replace", "_asdict", "_fields", "_make"}
+"""What a `NamedTuple` makes public."""
+
+
+def private_names(tree: ast.Module) -> Iterator[str]:
+    """Yield every private attribute or module that code reads, by dot, import or text."""
+    for node in ast.walk(tree):
+        names: list[object] = []
+        if isinstance(node, ast.Attribute):
+            names = [node.attr]
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
+            names = [part for name in (module, *(a.name for a in node.names)) for part in name.split(".")]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("attr", "attrgetter")):
+            names = [one.value for one in node.args if isinstance(one, ast.Constant)]
+        yield from (str(name) for name in names if re.match(r"_[a-z]", str(name)))
+
+
+def own_names(tree: ast.Module) -> Iterator[str]:
+    """Yield the names that code defines."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Attribute | ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.attr if isinstance(node, ast.Attribute) else node.id
+
+
+def foreign(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
+    """Return the private names of other libraries that files read: those that none of the files defines."""
+    own = {name for tree in trees.values() for name in own_names(tree)} | TUPLES | {"_exit"}  # `os._exit`
+    read = {file: set(private_names(tree)) - own for file, tree in trees.items()}
+    return {file: names for file, names in read.items() if names}
+
+
+def test_private_parts_of_other_libraries_are_in_the_adapters_alone() -> None:
+    trees = {str(file.relative_to(PACKAGE)): ast.parse(file.read_text()) for file in PACKAGE.rglob("*.py")}
+    assert set(foreign(trees)) == {"core/adapters.py"}
+
+
+def test_the_sweep_finds_private_parts() -> None:
+    code = {
+        "dot": "trainer.loop._steps",
+        "import": "from torch._dynamo.exc import UserError",
+        "text": "getattr(action, '_typehint', None)",
+        "own": "class A:\n    def _mine(self):\n        return self._mine()._replace(a=1)",
+    }
+    trees = {name: ast.parse(text) for name, text in code.items()}
+    assert foreign(trees) == {"dot": {"_steps"}, "import": {"_dynamo"}, "text": {"_typehint"}}
 
 
 def test_the_glossary_names_files_and_is_in_order() -> None:

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.models.architectures.sgan import SGAN
@@ -36,7 +36,7 @@ from pedzoo.viz.video import read_video
 ROOT = Path(__file__).parents[2]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]
 QUICK = ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=1"]
-QUICK += ["--trainer.check_val_every_n_epoch=1", "--model.samples=2", "--model.generator.best_k=2"]
+QUICK += ["--trainer.check_val_every_n_epoch=1", "--model.samples=2", "--model.generator.losses.best_k=2"]
 QUICK += ["--rollout.episodes=2"]
 SUCCESS = "rollout/door/success"
 BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
@@ -137,7 +137,7 @@ class Noisy(SGAN):
 def make_module() -> PlainModule:
     torch.manual_seed(0)
     settings: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end", "residual": "bent_line"}
-    model = Noisy(best_k=2, bottleneck_dim=4, map="patch", map_dropout=0.5, **settings)
+    model = Noisy.of(best_k=2, bottleneck_dim=4, map="patch", map_dropout=0.5, **settings)
     return PlainModule(model, samples=2)
 
 
@@ -150,7 +150,7 @@ def make_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
 
 
 def make_data() -> TrajectoryDataModule:
-    return TrajectoryDataModule(goal="window_end", batch_size=8, rotate=True)
+    return TrajectoryDataModule(goal="window_end", loading=Loading(batch_size=8, rotate=True))
 
 
 class Watch(Callback):

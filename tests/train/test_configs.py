@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from pedzoo.cli.main import main
-from pedzoo.core.configs import load_config
+from pedzoo.core.configs import load_config, merged
+from pedzoo.core.groups import grouped
 from pedzoo.core.paths import config_names
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.sim.make import make_scenario
@@ -41,7 +42,7 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
     """The numbers of two controllers are compared: they were trained alike."""
     one, other = (load_config(f"closed_loop/{name}") for name in ("sgan_goal_map", "sgan_goal"))
     plan = {"map": "rings", "map_dim": 24}
-    other["model"]["init_args"]["generator"]["init_args"] |= plan
+    other["model"]["init_args"]["generator"]["init_args"]["architecture"] |= plan
     assert one | {"weights": ""} == other | {"weights": ""}
     assert all(make_scenario(name) for name in one["rollout"]["scenarios"])
 
@@ -50,15 +51,14 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
 def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
     """With these weights on the command line, as releases are made, it is the same training."""
     config = load_config(f"closed_loop/{name}")
-    told = iter(architecture_options(config["weights"], f"closed_loop/{name}"))
-    generator = next(json.loads(next(told)) for option in told if option == "--model.generator")
+    told = architecture_options(config["weights"], f"closed_loop/{name}")
+    assert told[0] == "--model.generator"
+    generator = json.loads(told[1])
     written = config["model"]["init_args"]["generator"]
     assert written["class_path"] == generator["class_path"]
-    assert written["init_args"] == {key: generator["init_args"][key] for key in written["init_args"]}
-    left_out = generator["init_args"].keys() - written["init_args"].keys()
-    assert all(generator["init_args"][key] == SGAN().config[key] for key in left_out)
+    assert merged(grouped(SGAN, SGAN().config), written["init_args"]) == generator["init_args"]
     data = {"keep_people": "complete", "min_people": 2} | config["data"]
-    assert {f"--data.{key}={value}" for key, value in data.items()} >= set(told)
+    assert {f"--data.{key}={value}" for key, value in data.items()} >= set(told[2:])
 
 
 def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path: Path) -> None:
@@ -70,10 +70,10 @@ def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path: Path) -> None:
     assert main(["fit", "--config", str(mine), "--runs", str(tmp_path / "runs"), *short]) == 0
     run = tmp_path / "runs" / "mine" / "embedded-seed0"
     saved = yaml.safe_load((run / "config.yaml").read_text())
-    assert "base" not in saved and saved["data"]["batch_size"] == 64
+    assert "base" not in saved and saved["data"]["loading"]["batch_size"] == 64
     options = saved["model"]["init_args"]
     assert (options["lr"], options["samples"], options["clip"]) == (0.01, 2, 2.0)
-    assert options["generator"]["init_args"]["encoder_dim"] == 32
+    assert options["generator"]["init_args"]["architecture"]["encoder_dim"] == 32
 
 
 def test_a_wrong_base_is_told_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,11 +13,12 @@ from safetensors.torch import save_file
 
 import pedzoo
 from pedzoo.cli.main import main
+from pedzoo.core.groups import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
 
 NAME = "sgan_goal_map.zara1"
-QUICK = ["--data.batch_size", "8", "--model.samples", "2", "--trainer.limit_train_batches", "2"]
+QUICK = ["--data.loading.batch_size", "8", "--model.samples", "2", "--trainer.limit_train_batches", "2"]
 QUICK += ["--trainer.max_epochs", "1", "--trainer.check_val_every_n_epoch", "1"]
 QUICK += ["--trainer.limit_val_batches", "2", "--trainer.enable_progress_bar", "false"]
 QUICK += ["--rollout.scenarios", "null"]
@@ -60,7 +61,8 @@ def test_zoo_weights_bring_their_config_and_the_command_line_wins() -> None:
     assert_same_weights(last(run), NAME)
     config = yaml.safe_load((run / "config.yaml").read_text())
     assert config["weights"] == NAME
-    assert config["model"]["init_args"]["generator"]["init_args"] == pedzoo.load(NAME).config
+    written = config["model"]["init_args"]["generator"]["init_args"]
+    assert written == grouped(SGAN, pedzoo.load(NAME).config)
     assert config["model"]["init_args"]["final_lr"] == 0.01 and config["model"]["init_args"]["lr"] == 0
     assert config["data"]["goal"] == "window_end" and config["data"]["fold"] == "embedded"
     command = json.loads((run / "versions.json").read_text())["command"]
@@ -70,7 +72,10 @@ def test_zoo_weights_bring_their_config_and_the_command_line_wins() -> None:
 def test_fine_tuning_changes_all_weights_and_begins_where_they_were() -> None:
     """Two iterations of a training from random weights are an order of magnitude worse."""
     ades = []
-    for options in (["--weights", NAME], ["--config", "sgan_goal_map", "--model.generator.residual", "none"]):
+    for options in (
+        ["--weights", NAME],
+        ["--config", "sgan_goal_map", "--model.generator.architecture.residual", "none"],
+    ):
         run = fit(*options, "--data.fold", "embedded", "--model.lr", "1e-4")
         with (run / "metrics.csv").open() as file:
             ades.append(next(float(row["val/ade"]) for row in csv.DictReader(file) if row["val/ade"]))
@@ -84,7 +89,14 @@ def test_fine_tuning_changes_all_weights_and_begins_where_they_were() -> None:
 
 
 def test_a_checkpoint_brings_the_config_of_its_run() -> None:
-    small = ["--model.generator.encoder_dim", "12", "--model.generator.best_k", "3", "--seed_everything", "5"]
+    small = [
+        "--model.generator.architecture.encoder_dim",
+        "12",
+        "--model.generator.losses.best_k",
+        "3",
+        "--seed_everything",
+        "5",
+    ]
     first = fit("--config", "sgan_goal", "--data.fold", "embedded", *small)
     second = fit("--weights", last(first), *STILL)
     assert second == Path("runs/sgan_goal/embedded-seed5-2")
@@ -103,8 +115,10 @@ def test_a_fine_tuning_run_goes_on_and_is_measured_without_the_weights_it_began_
 
 
 def test_losses_and_the_goal_protocol_may_be_others() -> None:
-    goal = ["--data.goal", "destination", "--model.generator.goal_protocol", "destination"]
-    run = fit("--weights", NAME, "--data.fold", "embedded", "--model.generator.best_k", "2", *goal, *STILL)
+    goal = ["--data.goal", "destination", "--model.generator.architecture.goal_protocol", "destination"]
+    run = fit(
+        "--weights", NAME, "--data.fold", "embedded", "--model.generator.losses.best_k", "2", *goal, *STILL
+    )
     tuned = pedzoo.load(last(run))
     assert isinstance(tuned, SGAN) and tuned.goal_protocol == "destination" and tuned.losses.best_k == 2
     assert_same_weights(last(run), NAME)
@@ -117,7 +131,7 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(
     error = refused(capsys, "--weights", NAME, "--config", "sgan_goal", *fold)
     assert "another architecture (" in error and "map: patch there, None here" in error
     assert "leave out --config" in error
-    error = refused(capsys, "--weights", NAME, "--model.generator.encoder_dim", "48", *fold)
+    error = refused(capsys, "--weights", NAME, "--model.generator.architecture.encoder_dim", "48", *fold)
     assert "encoder_dim: 32 there, 48 here" in error
     error = refused(capsys, "--weights", "sgan_goal_map.zara11", *fold)
     assert "did you mean 'sgan_goal_map.zara1'?" in error

@@ -16,7 +16,7 @@ from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Imitated, Loading, TrajectoryDataModule
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.scenes import SceneSet
 from pedzoo.maps.bank import MapBank
@@ -81,7 +81,7 @@ def constant(seen: TensorDict) -> Tensor:
 
 def plain_sgan(**settings: Any) -> SGAN:
     torch.manual_seed(0)
-    return SGAN(goal_dim=8, goal_protocol="destination", frame="heading", **settings)
+    return SGAN.of(goal_dim=8, goal_protocol="destination", frame="heading", **settings)
 
 
 def stirred(model: SGAN) -> SGAN:
@@ -96,7 +96,9 @@ def stirred(model: SGAN) -> SGAN:
 
 def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureFixture[str]) -> None:
     plain = TrajectoryDataModule()
-    data = TrajectoryDataModule(unroll=12, unroll_batch_size=16, rotate=True, goal="window_end")
+    data = TrajectoryDataModule(
+        goal="window_end", loading=Loading(rotate=True), imitated=Imitated(steps=12, batch_size=16)
+    )
     data.setup("fit")
     assert "train, unrolled for 12 steps" in capsys.readouterr().out
     loaders = data.train_dataloader()
@@ -117,7 +119,10 @@ def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureF
 
 def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> None:
     data = TrajectoryDataModule(
-        "zara1", str(shared / "data"), clock="true", unroll=6, one_recording_per_batch=True
+        "zara1",
+        str(shared / "data"),
+        clock="true",
+        imitated=Imitated(steps=6, one_recording_per_batch=True),
     )
     data.setup("fit")
     assert data.unrolled is not None
@@ -133,7 +138,7 @@ def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
     path = tmp_path / "long.txt"
     path.write_text("".join(f"{i} 1 {i} 0\n" for i in range(100)))
     options: dict[str, Any] = {"files": [str(path)], "dt": 0.4, "min_people": 1, "split": "0.5,0.25,0.25"}
-    data = TrajectoryDataModule(**options, unroll=20)
+    data = TrajectoryDataModule(**options, imitated=Imitated(steps=20))
     data.setup("fit")
     batches = list(data.train_dataloader()["unrolled"])
     last = max(float(agents_of(b)[key][..., 0].max()) for b in batches for key in ("future", "goal"))
@@ -145,7 +150,9 @@ def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
     """biwi_eth's steps are really 0.667 s: by the benchmark's clock its people would run."""
     speeds = {}
     for clock in ("benchmark", "true"):
-        data = TrajectoryDataModule("zara1", str(shared / "data"), clock=cast("Any", clock), unroll=20)
+        data = TrajectoryDataModule(
+            "zara1", str(shared / "data"), clock=cast("Any", clock), imitated=Imitated(20)
+        )
         data.setup("fit")
         assert data.unrolled is not None
         speeds[clock] = data.unrolled.speeds()
@@ -153,10 +160,10 @@ def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
 
 
 def test_bad_options_of_unrolling_are_refused() -> None:
-    with pytest.raises(UserError, match=r"--data.unroll -1: expected steps"):
-        TrajectoryDataModule(unroll=-1)
-    with pytest.raises(UserError, match=r"unroll_batch_size must be at least 1"):
-        TrajectoryDataModule(unroll=8, unroll_batch_size=0)
+    with pytest.raises(UserError, match=r"--data.imitated.steps -1: expected steps"):
+        TrajectoryDataModule(imitated=Imitated(steps=-1))
+    with pytest.raises(UserError, match=r"imitated.batch_size 0: expected at least 1"):
+        TrajectoryDataModule(imitated=Imitated(steps=8, batch_size=0))
 
 
 # -- walking
@@ -475,7 +482,7 @@ class _Losses(PlainModule):
 
 
 def test_a_lightning_module_gets_both_batches(tmp_path: Path) -> None:
-    data = TrajectoryDataModule(goal="destination", unroll=4, batch_size=8, unroll_batch_size=4)
+    data = TrajectoryDataModule(goal="destination", loading=Loading(batch_size=8), imitated=Imitated(4, 4))
     module = _Losses(plain_sgan(residual="bent_line"))
     trainer = L.Trainer(
         max_steps=2,

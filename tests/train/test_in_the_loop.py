@@ -22,6 +22,7 @@ from torch import Tensor, nn
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
@@ -34,7 +35,7 @@ from pedzoo.train.loop.segments import Segment, unrolled
 CONFIG = "closed_loop/sgan_goal_map"
 COURSES = '[{"scenario": "door:width=0.9", "scenes": 3}, {"scenario": "circle:people=2", "scenes": 2}]'
 QUICK = ["--model.courses", COURSES, "--model.steps", "3", "--model.samples", "2", "--data.fold", "embedded"]
-QUICK += ["--data.batch_size", "4", "--data.unroll_batch_size", "4", "--data.unroll", "5"]
+QUICK += ["--data.loading.batch_size", "4", "--data.imitated.batch_size", "4", "--data.imitated.steps", "5"]
 QUICK += ["--trainer.limit_train_batches", "3", "--trainer.limit_val_batches", "1"]
 QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
 STILL = ["--rollout.scenarios", "null", "--monitor", "val/ade", "--monitor_mode", "min"]
@@ -66,7 +67,7 @@ def test_people_learn_to_keep_clear_of_each_other() -> None:
     """Those who met head-on touched each other in all scenes; a few updates later, in hardly any."""
     model = small()
     before, cost = walked(model)
-    train(module(model, lr=5e-3), 15, batch_size=2, unroll=2, unroll_batch_size=2)
+    train(module(model, lr=5e-3), 15, scenes=2)
     after, less = walked(model)
     touched = [segment.agent_contact.any(0).any(1).float().mean() for segment in (before, after)]
     assert touched[0] > 0.9 and touched[1] < 0.3
@@ -126,7 +127,7 @@ def test_a_discriminator_of_walks_is_trained_beside_the_model() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_dropout_is_what_the_generator_says(share: float) -> None:
-    model = SGAN(goal_dim=4, goal_protocol="window_end", map="rings", map_dropout=share)
+    model = SGAN.of(goal_dim=4, goal_protocol="window_end", map="rings", map_dropout=share)
     trained = module(model)
     found = [part.p for part in trained.modules() if isinstance(part, nn.Dropout)]
     assert found == [trained.generator.config["map_dropout"]] == [share]
@@ -157,11 +158,11 @@ def test_a_run_saves_the_dropout_that_it_ran_with(named: bool, monkeypatch: pyte
     (run,) = Path().glob("runs/*/*")
     saved = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]["init_args"]
     kept = pedzoo.load(str(run / "checkpoints" / "last.ckpt"))
-    assert {saved["map_dropout"], kept.config["map_dropout"], *ran} == {0.0}
+    assert {saved["losses"]["map_dropout"], kept.config["map_dropout"], *ran} == {0.0}
 
 
 def as_earlier(run: Path) -> None:
-    """Rewrite a run as earlier versions wrote it: the generator twice, and a dropout that was not used."""
+    """Rewrite a run as earlier versions did: the generator twice, a dropout without use, no groups."""
     file = run / "checkpoints" / "last.ckpt"
     checkpoint = torch.load(file, weights_only=True)
     own = checkpoint["state_dict"]
@@ -171,7 +172,9 @@ def as_earlier(run: Path) -> None:
     torch.save(checkpoint, file)
     written = run / "config.yaml"
     settings = yaml.safe_load(written.read_text())
-    settings["model"]["init_args"]["generator"]["init_args"]["map_dropout"] = 0.5
+    generator = settings["model"]["init_args"]["generator"]
+    plain = {key: value for group in generator["init_args"].values() for key, value in group.items()}
+    generator["init_args"] = plain | {"map_dropout": 0.5}
     written.write_text(yaml.safe_dump(settings))
 
 
@@ -187,7 +190,7 @@ def test_runs_of_earlier_versions_go_on_as_they_began() -> None:
     one, two = (torch.load(r / "checkpoints" / "last.ckpt", weights_only=True) for r in (run, whole))
     assert one["state_dict"].keys() == two["state_dict"].keys() and one["epoch"] == two["epoch"] == 1
     settings = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]
-    assert settings["init_args"]["map_dropout"] == 0 == one["pedzoo"]["init"]["map_dropout"]
+    assert settings["init_args"]["losses"]["map_dropout"] == 0 == one["pedzoo"]["init"]["map_dropout"]
 
 
 def leaves(tree: Any) -> Iterator[Any]:
@@ -221,7 +224,8 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     generator = config["model"]["init_args"]["generator"]
     held = {"safety": True, "extend_goal": True, "map_dropout": 0.0}
     held = {key: value for key, value in held.items() if key in before.config}
-    assert generator["init_args"] == before.config | held == after.config
+    assert generator["init_args"] == grouped(type(before), before.config | held)
+    assert before.config | held == after.config
     assert after.walking_safety is after.walking_extend_goal is ("safety" in held)
     assert not before.walking_safety and not before.walking_extend_goal
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
@@ -289,7 +293,7 @@ def test_every_weight_is_an_option(capsys: pytest.CaptureFixture[str]) -> None:
             "scenes 0, share 1.0: expected",
         ),
         (["--model.courses", '[{"scenario": "door", "shares": 2}]'], "courses"),
-        (["--data.unroll", "0"], "set --data.unroll, such as 12"),
+        (["--data.imitated.steps", "0"], "set --data.imitated.steps, such as 12"),
         (["--monitor", "rollout/clean", "--monitor_mode", "min"], "add --monitor_mode max"),
         (["--monitor", "rollout/clean", "--rollout.scenarios", "null"], "set --rollout.scenarios"),
     ],

@@ -21,15 +21,16 @@ from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.core.groups import made
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.sim.make import make_env, make_scenario
+from pedzoo.sim.make import make_env, prepare_scenario
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic
 from pedzoo.train.rl.experience import Gatherer, rated
 from pedzoo.train.rl.objective import advantages, clipped
-from pedzoo.train.rl.ppo import PPOModule
+from pedzoo.train.rl.ppo import Collection, Optimisation, PPOModule
 from pedzoo.train.rl.rewards import Reward
 
 CPU = torch.device("cpu")
@@ -43,7 +44,7 @@ pytestmark = [
 def small(**more: Any) -> SGAN:
     """Return an untrained generator whose output is not zero."""
     torch.manual_seed(0)
-    model = SGAN(
+    model = SGAN.of(
         embedding_dim=4, encoder_dim=8, decoder_dim=8, mlp_dim=8, noise_dim=4, goal_dim=4, best_k=2,
         goal_protocol="window_end", frame="heading", residual="bent_line", **more,
     )  # fmt: skip
@@ -54,7 +55,7 @@ def small(**more: Any) -> SGAN:
 def gatherer(model: SGAN, scenario: str = "hallway", scenes: int = 3, steps: int = 5) -> Gatherer:
     """Return scenes in which a model gathers experience."""
     acting = actor(Walker(model), Spread(0.2))
-    return Gatherer(make_scenario(scenario), acting, scenes, steps)
+    return Gatherer(prepare_scenario(scenario), acting, scenes, steps)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +221,7 @@ def test_experience_depends_on_seed_and_weights_alone() -> None:
 def test_processes_share_the_scenes_of_a_seed() -> None:
     model = small()
     acting = actor(Walker(model), Spread(0.2))
-    scenario = make_scenario("hallway")
+    scenario = prepare_scenario("hallway")
     keys = [
         Gatherer(scenario, acting, 2, 1, rank=rank, processes=2).gather(0)["scene_key"][:, 0, 0]
         for rank in range(2)
@@ -344,7 +345,7 @@ class Broken(Reward):
 
 def trained(module: PPOModule, iterations: int, **settings: Any) -> dict[str, float]:
     """Train without a validation, and return what was logged last."""
-    data = TrajectoryDataModule("embedded", goal="window_end", batch_size=8)
+    data = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8))
     trainer = L.Trainer(
         max_epochs=1, limit_train_batches=iterations, limit_val_batches=0, logger=False, accelerator="cpu",
         enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False, **settings,
@@ -355,14 +356,21 @@ def trained(module: PPOModule, iterations: int, **settings: Any) -> dict[str, fl
 
 def recordings() -> TensorDict:
     """Return the first batch that `trained` is given."""
-    data = TrajectoryDataModule("embedded", goal="window_end", batch_size=8)
+    data = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8))
     data.setup("fit")
     return next(iter(data.train_dataloader()))
 
 
 def test_learns_from_a_reward_without_a_gradient() -> None:
     module = PPOModule(
-        small(), ["hallway"], Slow(), envs=16, steps=8, lr=1e-2, warmup=1, std=0.3, gamma=0.5, final_lr=1.0
+        small(),
+        ["hallway"],
+        Slow(),
+        Collection(envs=16, steps=8, std=0.3),
+        Optimisation(gamma=0.5),
+        lr=1e-2,
+        warmup=1,
+        final_lr=1.0,
     )
     first = trained(module, 1)["train/reward"]
     trained(module, 14)
@@ -371,7 +379,9 @@ def test_learns_from_a_reward_without_a_gradient() -> None:
 
 
 def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
-    module = PPOModule(small(), ["hallway"], Broken(), envs=2, steps=4, passes=2, minibatches=3)
+    module = PPOModule(
+        small(), ["hallway"], Broken(), Collection(envs=2, steps=4), Optimisation(passes=2, minibatches=3)
+    )
     before = {key: value.clone() for key, value in module.generator.state_dict().items()}
     found = trained(module, 2)
     assert int(module.skipped) == 2 * 2 * 3 and found["train/skipped"] > 0
@@ -382,8 +392,8 @@ def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
     """The generator's own loss of the batch that the data give, per scene and weighed."""
     batch, weights = recordings(), []
     for weight in (0.0, 20.0):
-        settings: dict[str, Any] = {"passes": 1, "minibatches": 1, "recorded": weight}
-        module = PPOModule(small(), ["hallway"], Reward(), envs=2, steps=2, **settings)
+        optimisation = Optimisation(passes=1, minibatches=1, recorded=weight)
+        module = PPOModule(small(), ["hallway"], Reward(), Collection(envs=2, steps=2), optimisation)
         random = module.random()
         torch.randperm(4, generator=random)
         expected = weight * module.generator.loss(batch, random).item() / 8
@@ -393,9 +403,17 @@ def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
     assert not torch.equal(*weights)
 
 
-FIT = ["fit", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false", "--data.batch_size=8"]
+FIT = [
+    "fit",
+    "--data.fold",
+    "embedded",
+    "--trainer.enable_progress_bar",
+    "false",
+    "--data.loading.batch_size=8",
+]
 FIT += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--rollout.episodes=2"]
-FIT += ["--model.envs=2", "--model.steps=3", "--model.samples=2", "--model.passes=2", "--model.minibatches=2"]
+FIT += ["--model.collection.envs=2", "--model.collection.steps=3", "--model.samples=2"]
+FIT += ["--model.optimisation.passes=2", "--model.optimisation.minibatches=2"]
 FIT += ["--model.scenarios", "[hallway,circle:people=3]", "--monitor=val/ade", "--monitor_mode=min"]
 FIT += ["--rollout.scenarios", "hallway", "--trainer.check_val_every_n_epoch=1"]
 CONFIG = str(Path(__file__).parents[2] / "configs" / "ppo" / "sgan_goal.yaml")
@@ -428,17 +446,16 @@ def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest
     [
         ({"scenarios": []}, "at least one"),
         ({"scenarios": ["dor"]}, "door"),
-        ({"envs": 0}, "--model.envs 0"),
-        ({"envs": 1, "steps": 2}, "--model.minibatches 4"),
-        ({"std": 0.0}, "--model.std 0.0"),
-        ({"clip_ratio": 1.0}, "--model.clip_ratio 1.0"),
-        ({"gamma": 1.5}, "--model.gamma 1.5"),
+        ({"envs": 0}, "--model.collection.envs 0"),
+        ({"envs": 1, "steps": 2}, "--model.optimisation.minibatches 4"),
+        ({"std": 0.0}, "--model.collection.std 0.0"),
+        ({"clip_ratio": 1.0}, "--model.optimisation.clip_ratio 1.0"),
+        ({"gamma": 1.5}, "--model.optimisation.gamma 1.5"),
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
-    settings = {"scenarios": ["hallway"], "reward": Reward()} | options
     with pytest.raises(UserError, match=said):
-        PPOModule(small(), **settings)
+        made(PPOModule, {"generator": small(), "scenarios": ["hallway"], "reward": Reward()} | options)
 
 
 def test_negative_weights_are_refused() -> None:

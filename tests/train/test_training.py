@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +21,7 @@ import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks.discriminator import Discriminator
@@ -37,8 +38,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
 ]
 
-QUICK = ["--data.fold", "embedded", "--data.batch_size", "8", "--model.samples", "2"]
-QUICK += ["--model.generator.best_k", "3", "--trainer.limit_train_batches", "3"]
+QUICK = ["--data.fold", "embedded", "--data.loading.batch_size", "8", "--model.samples", "2"]
+QUICK += ["--model.generator.losses.best_k", "3", "--trainer.limit_train_batches", "3"]
 QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.limit_val_batches", "1"]
 QUICK += ["--trainer.enable_progress_bar", "false"]
 CONSTANT = ["--model.warmup", "1", "--model.final_lr", "1"]
@@ -47,7 +48,7 @@ CONSTANT = ["--model.warmup", "1", "--model.final_lr", "1"]
 def make_module(kind: str, **options: Any) -> ForecastModule:
     """Return a small training of ``kind`` gan, global or plain, always the same."""
     torch.manual_seed(0)
-    model = SGAN(best_k=3, bottleneck_dim=8)
+    model = SGAN.of(best_k=3, bottleneck_dim=8)
     options = {"warmup": 2, "samples": 2} | options
     if kind == "plain":
         return PlainModule(model, **options)
@@ -55,7 +56,7 @@ def make_module(kind: str, **options: Any) -> ForecastModule:
 
 
 def make_data(**options: Any) -> TrajectoryDataModule:
-    return TrajectoryDataModule(**{"batch_size": 8, "rotate": True, "mirror": True} | options)
+    return TrajectoryDataModule(loading=Loading(batch_size=8, rotate=True, mirror=True), **options)
 
 
 def make_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
@@ -189,8 +190,11 @@ def test_the_command_line_wins_over_a_checkpoint_and_strangers_are_refused(
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     capsys.readouterr()
     for options, message in (
-        (["--model.generator.encoder_dim", "48"], "another architecture (encoder_dim: 32 there, 48 here)"),
-        (["--model.generator.noise", "agent"], "noise: scene there, agent here"),
+        (
+            ["--model.generator.architecture.encoder_dim", "48"],
+            "another architecture (encoder_dim: 32 there, 48 here)",
+        ),
+        (["--model.generator.architecture.noise", "agent"], "noise: scene there, agent here"),
         (["--model.discriminator.kind", "global"], "of another training than GANModule as configured"),
         (["--model.discriminator.hidden_dim", "32"], "discriminator.classifier.0.weight"),
     ):
@@ -220,8 +224,8 @@ def test_losses_may_change_when_a_run_goes_on(tmp_path: Path) -> None:
     saver = ModelCheckpoint(tmp_path, "last", save_on_train_epoch_end=True)
     make_trainer(saver, max_epochs=1).fit(make_module("gan"), make_data())
     module = make_module("gan", adversarial_weight=0.0)
-    cast("SGAN", module.generator).config["best_k"] = 2
-    cast("SGAN", module.generator).losses.best_k = 2
+    generator = cast("SGAN", module.generator)
+    generator.config["best_k"], generator.losses = 2, replace(generator.losses, best_k=2)
     make_trainer(max_epochs=2).fit(module, make_data(), ckpt_path=tmp_path / "last.ckpt")
     assert int(module.iteration) == 6
 
@@ -336,18 +340,18 @@ def test_checkpoints_within_an_epoch_count_their_iteration(kind: str, tmp_path: 
 
 def test_another_goal_protocol_than_the_models_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     module = make_module("plain")
-    module.generator = SGAN(goal_dim=4, goal_protocol="window_end")
+    module.generator = SGAN.of(goal_dim=4, goal_protocol="window_end")
     for goal in ("destination", "none"):
         with pytest.raises(UserError, match=f"goals by '{goal}', but the model is built for 'window_end'"):
             make_trainer().fit(module, make_data(goal=goal))
     assert main(["fit", "--config", "sgan_goal", *QUICK, "--data.goal", "destination"]) == 2
-    assert "--model.generator.goal_protocol destination" in capsys.readouterr().err
+    assert "--model.generator.architecture.goal_protocol destination" in capsys.readouterr().err
     make_trainer(max_epochs=1, limit_train_batches=1).fit(module, make_data(goal="random_future"))
 
 
 def test_batches_bring_the_floor_plans_of_the_data() -> None:
     module, seen = make_module("gan"), []
-    module.generator = SGAN(map="patch", best_k=2)
+    module.generator = SGAN.of(map="patch", best_k=2)
     assert module.generator.map is not None
     module.generator.map.register_forward_pre_hook(lambda part, given: seen.append(given[0]))
     data = make_data()

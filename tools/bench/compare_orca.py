@@ -43,7 +43,7 @@ from tools.bench.rvo2_peer import Rvo2
 from tools.bench.scenes import plan
 
 SPEED, TOP_SPEED = 1.3, 1.69
-SETTINGS = OrcaSettings(time_step=0.1, max_obstacles=1000)
+SETTINGS = OrcaSettings(dt=0.1, max_obstacles=1000)
 APART = 1e-3
 
 
@@ -119,7 +119,7 @@ class Walk:
         self.peer.prepare(state.position, state.velocity, state.preferred)
         self.peer.step()
         self.velocity = self.peer.velocity()
-        self.place = self.place + SETTINGS.time_step * self.velocity
+        self.place = self.place + SETTINGS.dt * self.velocity
         tired = torch.rand(distance.shape, generator=self.random) < 0.02
         self.goal = torch.where((distance < 0.3) | tired, self.draw(*self.place.shape[:2]), self.goal)
         return state, self.velocity
@@ -185,7 +185,7 @@ def agreement(name: str, plans: list[OccupancyGrid], walled: bool, agents: int, 
             apart.append(found.flatten())
             if walk.walls:
                 on_pieces.append((state.ours(walk.pieces) - theirs).norm(dim=-1).flatten())
-                few = state.ours(walk.walls, replace(SETTINGS, max_obstacles=OrcaSettings.max_obstacles))
+                few = state.ours(walk.walls, replace(SETTINGS, max_obstacles=OrcaSettings().max_obstacles))
                 capped.append((few - state.ours(walk.walls)).norm(dim=-1).flatten())
             for scene, agent in (found >= APART).nonzero().tolist():
                 classes[classify(state, walk, scene, agent, theirs[scene, agent])] += 1

@@ -32,8 +32,8 @@ class Rvo2:
     ) -> None:
         """Set up the simulators with the same walls in all of them, polygons (V, 2)."""
         most = EVERYBODY if settings.max_neighbors is None else settings.max_neighbors
-        values = (settings.time_step, settings.neighbor_dist, most, settings.time_horizon)
-        self.time_step = settings.time_step
+        values = (settings.dt, settings.neighbor_dist, most, settings.time_horizon)
+        self.time_step = settings.dt
         self.simulators = []
         for _ in range(scenes):
             one = RVOSimulator(*values, settings.time_horizon_obst, settings.radius, top_speed)

@@ -16,7 +16,7 @@ from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.make import CLEARANCE
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.sim.scenarios.goals import SPACING, Goals
 from tools.bench.peer import Scenes
 from tools.bench.section import Settings
@@ -72,7 +72,7 @@ class Hall(Goals):
         return [rectangles(walls, 0.1, name="hall")]
 
 
-def scenario(people: int, maps: Sequence[str]) -> Scenario:
+def scenario(people: int, maps: Sequence[str]) -> PreparedScenario:
     """Return people who walk from goal to goal on the first of the floor plans that has room for them.
 
     Without one that has, small groups walk in the four rooms of ``flat`` and crowds in a `Hall`.
@@ -83,13 +83,9 @@ def scenario(people: int, maps: Sequence[str]) -> Scenario:
     for file in maps:
         starts = spread_points(load_plan(file), Goals.unknown, CLEARANCE, SPACING, seed=0)
         if len(starts) >= people:
-            return _ready(Goals(file, people, pool=POOL))
-    return _ready(Goals("flat", people, pool=POOL) if people <= FEW else Hall(people=people, pool=POOL))
-
-
-def _ready(scenario: Scenario) -> Scenario:
-    scenario.ready(CLEARANCE)
-    return scenario
+            return Goals(file, people, pool=POOL).prepare(CLEARANCE)
+    made = Goals("flat", people, pool=POOL) if people <= FEW else Hall(people=people, pool=POOL)
+    return made.prepare(CLEARANCE)
 
 
 def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:

@@ -95,7 +95,7 @@ def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
     ways = {}
     for episode, person in state.mask.nonzero().tolist():
         here, row = past[episode, person, -1], grids.get(int(state.map_id[episode]), (-1, None))[0]
-        way = env.scenario.planner.path(here, goal[episode, person], row)
+        way = env.prepared.planner.path(here, goal[episode, person], row)
         ways[episode, person] = torch.cat((here[None], torch.from_numpy(way).to(here)))
     if plan is not None:
         draw_floor_plan(axes, plan)

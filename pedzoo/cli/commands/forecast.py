@@ -14,7 +14,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.core.versions import versions
-    from pedzoo.data.datamodule import TrajectoryDataModule
+    from pedzoo.data.datamodule import Loading, TrajectoryDataModule
     from pedzoo.eval.forecast import forecast
     from pedzoo.models.zoo.loading import load
 
@@ -23,13 +23,14 @@ def run(argv: list[str]) -> int:
     parser.add_argument(
         "models", nargs="+", type=str, help="Zoo names, .safetensors, .ckpt or file.py:Class."
     )
-    parser.add_class_arguments(TrajectoryDataModule, "data", skip={"rotate", "mirror", "seed"})
+    parser.add_class_arguments(TrajectoryDataModule, "data", skip={"imitated"})
     parser.add_function_arguments(forecast, as_group=False, skip={"names", "data", "progress"})
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     options = parse(parser, argv)
     check_outputs(json=options.json)
 
     settings = options.data.as_dict()
+    settings["loading"] = Loading(**settings["loading"])
     if not given(argv, "--data.goal"):  # then every model that has a goal protocol is asked for its own
         own = (load(name).goal_protocol for name in options.models)
         settings["goal"] = next((goal for goal in own if goal not in (None, "none")), "none")

@@ -20,7 +20,7 @@ from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import has_noise
-from pedzoo.sim.scenarios.replay import Replay as Recorded
+from pedzoo.sim.scenarios.replay import PreparedReplay
 
 EMBEDDED = "embedded"
 """The fold that needs no recordings."""
@@ -140,7 +140,7 @@ class Replay(Suite):
 
     def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
         """Walk one unit; policies without noise walk once."""
-        case, scenario = unit.case, cast(Recorded, prepared(unit.case.scenario, unit.case.inputs))
+        case, scenario = unit.case, cast(PreparedReplay, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
             return [
                 row | {"people": scenario.persons.counts} for row in reference_rows(scenario, unit.metrics)

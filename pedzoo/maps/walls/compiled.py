@@ -72,8 +72,9 @@ def _cell(x, y, frame):
 @jit
 def _number(cell_x, cell_y, place):
     """Return the number of the quarter of a cell that a place in half cells lies in."""
-    column = min(max(int(min(max(cell_x, -1.0), 2e9)), 0), place[0] - 1)
-    row = min(max(int(min(max(cell_y, -1.0), 2e9)), 0), place[1] - 1)
+    # the order of the arguments makes the first number of what is not a number
+    column = int(min(max(0.0, cell_x), place[0] - 1.0))
+    row = int(min(max(0.0, cell_y), place[1] - 1.0))
     return place[2] + row * place[0] + column
 
 
@@ -115,23 +116,14 @@ def _sees(home, corner, end, part, frame, place, least, clearance):
     to_x = corner[0] + part * (end[0] - corner[0]) - home[0]
     to_y = corner[1] + part * (end[1] - corner[1]) - home[1]
     steps = math.ceil(1 / spacing - 1e-6)
-    length = max(math.sqrt(to_x * to_x + to_y * to_y), _EPSILON)
-    stride = spacing * length
     cell_x, cell_y = _cell(home[0], home[1], frame)
     over, up = frame[0] * to_x + frame[2] * to_y, frame[1] * to_x + frame[3] * to_y
-    # what hides a carrot is the corner that the way goes round: look there first
-    before = math.sqrt((corner[0] - home[0]) ** 2 + (corner[1] - home[1]) ** 2)
-    middle = min(max(int(before / stride), 1), steps)
-    for way in (1, -1):
-        i = middle if way > 0 else middle - 1
-        while 1 <= i <= steps:
-            t = min(i * spacing, 1.0)
-            room = least[_number(cell_x + t * over, cell_y + t * up, place)] - clearance
-            if room < 0:
-                return False
-            # in the midst of much room the next points need no look
-            i += way * (1 + max(int((room - 3 * frame[6]) / stride), 0))
-    return True
+    hidden = False
+    for i in range(1, steps + 1):
+        t = min(i * spacing, 1.0)
+        # a look that depends on the one before would wait for memory
+        hidden |= least[_number(cell_x + t * over, cell_y + t * up, place)] < clearance
+    return not hidden
 
 
 @compiled(
@@ -154,7 +146,8 @@ def guidance_loop(
     first_goal = len(xs) - goal_table.shape[1] + 1
     frame, quarters = np.empty(7), np.empty(3, np.int64)
     corner, end = np.empty(2), np.empty(2)
-    homes, entries = np.empty((scenes, agents, 2)), np.empty((2, scenes, agents), np.int64)
+    homes, entries = np.empty((scenes, agents, 2)), np.empty((3, scenes, agents), np.int64)
+    onwards = np.empty((scenes, agents), np.float32)
     # one look-up after the other waits for memory: each is made for all agents before the next
     for b in range(scenes):
         number = rows[b] + 1
@@ -174,6 +167,10 @@ def guidance_loop(
             entry = goal_table[0, goal + 1] + (entries[0, b, a] if goal >= 0 else 0)
             entries[1, b, a] = waypoints[entry]
     for b in range(scenes):
+        for a in range(agents):
+            entry = goal_table[0, goals[b, a] + 1] + entries[1, b, a]
+            entries[2, b, a], onwards[b, a] = waypoints[entry], lengths[entry]
+    for b in range(scenes):
         row = rows[b]
         number = row + 1
         wall_row = row if row >= 0 else affine.shape[1] - 1
@@ -184,10 +181,10 @@ def guidance_loop(
         cos, sin, mirror = math.cos(poses[b, 0]), math.sin(poses[b, 0]), poses[b, 1]
         shift_x, shift_y = poses[b, 2], poses[b, 3]
         for a in range(agents):
-            home, cell, first = homes[b, a], entries[0, b, a], entries[1, b, a]
+            home, onward = homes[b, a], onwards[b, a]
+            cell, first, second = entries[0, b, a], entries[1, b, a], entries[2, b, a]
             goal = goals[b, a]
-            start, count, of_map = goal_table[0, goal + 1], goal_table[1, goal + 1], goal_table[2, goal + 1]
-            second, onward = waypoints[start + first], lengths[start + first]
+            count, of_map = goal_table[1, goal + 1], goal_table[2, goal + 1]
             final = goal + first_goal
             opens = begin[2, number]
             is_last = second == count

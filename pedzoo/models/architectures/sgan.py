@@ -7,6 +7,7 @@ variant: an option that is off costs nothing and leaves the published network.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 
 import torch
@@ -15,9 +16,10 @@ from torch import Tensor, nn
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import flat
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.goals import TIMED
-from pedzoo.models.base import Forecaster, arguments
+from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
@@ -30,7 +32,6 @@ from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
-from pedzoo.models.blocks.scene_error import Kind
 from pedzoo.models.blocks.trait import Trait
 from pedzoo.models.blocks.variety import VarietyLoss
 
@@ -53,6 +54,66 @@ class Encoded(NamedTuple):
     crowd: Crowd
 
 
+@dataclass(frozen=True)
+class Architecture:
+    """What the network is made of; with it weights belong together.
+
+    Attributes:
+        embedding_dim: Width of embedded displacements.
+        encoder_dim: Width of the encoder LSTM.
+        decoder_dim: Width of the decoder LSTM.
+        mlp_dim: Width of the hidden layer between encoder and decoder.
+        noise_dim: Width of the noise z.
+        noise: One z per ``scene`` (published models) or per ``agent``; ``mixed`` likewise, and half of it
+            is drawn anew at every step of those who walk.
+        bottleneck_dim: Width of social pooling; 0 for none.
+        goal_dim: Width of the goal's linear layer; 0 for no goal.
+        goal_protocol: The goal protocol of the training data.
+        map: Floor plan encoder; None for no floor plan.
+        map_dim: Width of its features.
+        approach_dim: Width of what people see of each other's closest approach; 0 for none.
+        trait_dim: Width of the network by which noise changes what is made of a situation; 0 for none.
+        frame: Directions in the ``world``, in everybody's own ``heading``, so that turning the scene
+            turns the answer (pooling stays in the world), or likewise in that of their ``way`` to the
+            goal, which does not turn with every small step.
+        residual: The trivial continuation that the output is added to.
+    """
+
+    embedding_dim: int = 16
+    encoder_dim: int = 32
+    decoder_dim: int = 32
+    mlp_dim: int = 64
+    noise_dim: int = 8
+    noise: Literal["scene", "agent", "mixed"] = "scene"
+    bottleneck_dim: int = 0
+    goal_dim: int = 0
+    goal_protocol: GoalProtocol = "none"
+    map: Literal["patch", "alexnet", "rings"] | None = None
+    map_dim: int = 32
+    approach_dim: int = 0
+    trait_dim: int = 0
+    frame: Literal["world", "heading", "way"] = "world"
+    residual: Literal["none", "constant_velocity", "bent_line"] = "none"
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            UserError: Settings that do not go together.
+        """
+        if not 0 < self.noise_dim < self.decoder_dim:
+            raise UserError(
+                f"noise_dim {self.noise_dim}: expected 1 to {self.decoder_dim - 1}, a part of decoder_dim "
+                f"{self.decoder_dim}"
+            )
+        if self.residual == "bent_line" and not self.goal_dim:
+            raise UserError(
+                "residual bent_line bends to the goal: set goal_dim, or residual constant_velocity"
+            )
+        if self.frame == "way" and not self.goal_dim:
+            raise UserError("frame way is that of the way to the goal: set goal_dim, or frame heading")
+
+
 class SGAN(Forecaster):
     """Encoder, pooling, conditions, noise, decoder."""
 
@@ -60,110 +121,49 @@ class SGAN(Forecaster):
 
     def __init__(
         self,
-        embedding_dim: int = 16,
-        encoder_dim: int = 32,
-        decoder_dim: int = 32,
-        mlp_dim: int = 64,
-        noise_dim: int = 8,
-        noise: Literal["scene", "agent", "mixed"] = "scene",
-        bottleneck_dim: int = 0,
-        goal_dim: int = 0,
-        goal_protocol: GoalProtocol = "none",
-        map: Literal["patch", "alexnet", "rings"] | None = None,
-        map_dim: int = 32,
-        map_dropout: float = 0.0,
-        approach_dim: int = 0,
-        trait_dim: int = 0,
-        frame: Literal["world", "heading", "way"] = "world",
-        residual: Literal["none", "constant_velocity", "bent_line"] = "none",
-        best_k: int = 20,
-        error: Kind = "squared_displacement",
-        variety_weight: float = 1.0,
-        mode_weight: float = 0.0,
-        energy_weight: float = 0.0,
-        safety: bool = False,
-        extend_goal: bool = False,
+        architecture: Architecture = Architecture(),
+        losses: VarietyLoss = VarietyLoss(),
+        walking: Walking = Walking(),
     ) -> None:
         """Create the parameters.
 
         Args:
-            embedding_dim: Width of embedded displacements.
-            encoder_dim: Width of the encoder LSTM.
-            decoder_dim: Width of the decoder LSTM.
-            mlp_dim: Width of the hidden layer between encoder and decoder.
-            noise_dim: Width of the noise z.
-            noise: One z per ``scene`` (published models) or per ``agent``; ``mixed`` likewise, and half of it
-                is drawn anew at every step of those who walk.
-            bottleneck_dim: Width of social pooling; 0 for none.
-            goal_dim: Width of the goal's linear layer; 0 for no goal.
-            goal_protocol: The goal protocol of the training data.
-            map: Floor plan encoder; None for no floor plan.
-            map_dim: Width of its features.
-            map_dropout: Share of them left out in training: recordings have few floor plans, which a
-                network soon knows by heart.
-            approach_dim: Width of what people see of each other's closest approach; 0 for none.
-            trait_dim: Width of the network by which noise changes what is made of a situation; 0 for none.
-            frame: Directions in the ``world``, in everybody's own ``heading``, so that turning the scene
-                turns the answer (pooling stays in the world), or likewise in that of their ``way`` to the
-                goal, which does not turn with every small step.
-            residual: The trivial continuation that the output is added to.
-            best_k: Samples of the variety loss.
-            error: What losses are made of; see `pedzoo.models.blocks.scene_error`.
-            variety_weight: Weight of the variety loss.
-            mode_weight: Weight of the same loss on the noise-free prediction.
-            energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
-                minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
-            safety: Whether those who walk are kept clear of others and walls: see
-                `pedzoo.policies.learned.safety`.
-            extend_goal: Whether those who walk do not slow down for goals round a corner: see
-                `pedzoo.policies.learned.extended_goals`.
-
-        Raises:
-            UserError: Options that do not go together.
+            architecture: What the network is made of.
+            losses: What it is trained by.
+            walking: How it walks.
         """
         super().__init__()
-        self.config = arguments(locals())
-        if not 0 < noise_dim < decoder_dim:
-            raise UserError(
-                f"noise_dim {noise_dim}: expected 1 to {decoder_dim - 1}, a part of decoder_dim {decoder_dim}"
-            )
-        if residual == "bent_line" and not goal_dim:
-            raise UserError(
-                "residual bent_line bends to the goal: set goal_dim, or residual constant_velocity"
-            )
-        if frame == "way" and not goal_dim:
-            raise UserError("frame way is that of the way to the goal: set goal_dim, or frame heading")
-        self.goal_protocol = goal_protocol
-        self.noise_dim, self.noise, self.frame, self.residual = noise_dim, noise, frame, residual
-        self.walking_noise = "mixed" if noise == "mixed" else "episode"
-        self.walking_safety, self.walking_extend_goal = safety, extend_goal
-        self.losses = VarietyLoss(best_k, error, variety_weight, mode_weight, energy_weight)
-        self.needs = frozenset(["goal"] * (goal_dim > 0) + ["map"] * (map is not None))
-        self.encoder = DisplacementEncoder(embedding_dim, encoder_dim)
+        self.config = flat(architecture, losses, walking)
+        a = architecture
+        self.goal_protocol = a.goal_protocol
+        self.noise_dim, self.noise, self.frame, self.residual = a.noise_dim, a.noise, a.frame, a.residual
+        self.walking_noise = "mixed" if a.noise == "mixed" else "episode"
+        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
+        self.losses = losses
+        map_dim = a.map_dim if a.map else 0
+        self.needs = frozenset(["goal"] * (a.goal_dim > 0) + ["map"] * (a.map is not None))
+        self.encoder = DisplacementEncoder(a.embedding_dim, a.encoder_dim)
         self.pooling = (
-            SocialPooling(encoder_dim, embedding_dim, 512, bottleneck_dim) if bottleneck_dim else None
+            SocialPooling(a.encoder_dim, a.embedding_dim, 512, a.bottleneck_dim) if a.bottleneck_dim else None
         )
-        self.goal = nn.Linear(4, goal_dim) if goal_dim else None
-        self.to_decoder = mlp(
-            encoder_dim + bottleneck_dim + goal_dim + (map_dim if map else 0) + approach_dim,
-            mlp_dim,
-            decoder_dim - noise_dim,
-        )
-        self.decoder = DisplacementDecoder(embedding_dim, decoder_dim)
+        self.goal = nn.Linear(4, a.goal_dim) if a.goal_dim else None
+        seen = a.encoder_dim + a.bottleneck_dim + a.goal_dim + map_dim + a.approach_dim
+        self.to_decoder = mlp(seen, a.mlp_dim, a.decoder_dim - a.noise_dim)
+        self.decoder = DisplacementDecoder(a.embedding_dim, a.decoder_dim)
         self._parameter_cache = ParameterCache(_fuse, NOTHING)
         init_like_sgan(self)
         # after the published initialisation: a map encoder brings its own
         encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder, "rings": RingEncoder}
-        self.map = encoders[map](dim=map_dim) if map else None
-        self.map_dropout = nn.Dropout(map_dropout)
-        self.approach = ApproachPooling(encoder_dim, approach_dim) if approach_dim else None
-        if late := (map_dim if map else 0) + approach_dim:
+        self.map = encoders[a.map](dim=map_dim) if a.map else None
+        self.map_dropout = nn.Dropout(losses.map_dropout)
+        self.approach = ApproachPooling(a.encoder_dim, a.approach_dim) if a.approach_dim else None
+        if late := map_dim + a.approach_dim:
             # the untrained network looks at neither: they are listened to as far as they help
             nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -late:])
-        self.trait = Trait(decoder_dim - noise_dim, noise_dim, trait_dim) if trait_dim else None
+        self.trait = Trait(a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim) if a.trait_dim else None
         if self.trait is not None:
             self.trait.reset()
-        if residual != "none":
+        if a.residual != "none":
             # the untrained network is the trivial continuation itself
             nn.init.zeros_(self.decoder.output.weight)
             nn.init.zeros_(self.decoder.output.bias)

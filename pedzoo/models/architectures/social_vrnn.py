@@ -16,6 +16,7 @@ its loss, is left out here too.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import torch
@@ -25,7 +26,8 @@ from torch.distributions import Normal, kl_divergence
 
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.models.base import Forecaster, arguments, known_displacements, true_displacements
+from pedzoo.core.groups import flat
+from pedzoo.models.base import Forecaster, known_displacements, true_displacements
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.latent import LatentHead
 from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
@@ -54,64 +56,87 @@ class Seen(NamedTuple):
     crowd: Crowd
 
 
+@dataclass(frozen=True)
+class Architecture:
+    """What the network is made of; with it weights belong together.
+
+    Attributes:
+        embedding_dim: Width of embedded displacements.
+        state_dim: Width of the LSTM over what a person did.
+        others_dim: Width of what the others do; 0 to leave them out.
+        map: Encoder of the occupancy map around the person; None to leave it out.
+        map_dim: Width of its features.
+        latent_dim: Width of the latent z.
+        hidden_dim: Width of everything between.
+        components: Futures in the mixture.
+        min_scale: Smallest standard deviation, metres per step. Who stands is recorded at exactly one
+            place, and the likelihood of that would have no bound.
+    """
+
+    embedding_dim: int = 16
+    state_dim: int = 32
+    others_dim: int = 16
+    map: Literal["patch"] | None = "patch"
+    map_dim: int = 8
+    latent_dim: int = 8
+    hidden_dim: int = 64
+    components: int = 3
+    min_scale: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            UserError: A value is out of range.
+        """
+        if self.latent_dim < 1 or self.components < 1 or self.min_scale <= 0:
+            raise UserError(
+                f"latent_dim {self.latent_dim}, components {self.components}, min_scale {self.min_scale}: "
+                "expected at least 1, at least 1, and above 0 m"
+            )
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What the network is trained by.
+
+    Attributes:
+        kl_weight: Weight of the divergence of posterior and prior; at 1 the loss is the bound itself.
+        mode_weight: Weight of the mean distance, metres, of the one most likely future from the truth.
+        map_dropout: Share of a floor plan's features left out in training: recordings have few floor plans,
+            which a network soon knows by heart.
+    """
+
+    kl_weight: float = 1.0
+    mode_weight: float = 0.0
+    map_dropout: float = 0.0
+
+
 class SocialVRNN(Forecaster):
     """Encoders of state, others and map; prior and posterior of one latent; a decoder of mixtures."""
 
-    def __init__(
-        self,
-        embedding_dim: int = 16,
-        state_dim: int = 32,
-        others_dim: int = 16,
-        map: Literal["patch"] | None = "patch",
-        map_dim: int = 8,
-        map_dropout: float = 0.0,
-        latent_dim: int = 8,
-        hidden_dim: int = 64,
-        components: int = 3,
-        min_scale: float = 0.02,
-        kl_weight: float = 1.0,
-        mode_weight: float = 0.0,
-    ) -> None:
+    def __init__(self, architecture: Architecture = Architecture(), losses: Losses = Losses()) -> None:
         """Compose a model.
 
         Args:
-            embedding_dim: Width of embedded displacements.
-            state_dim: Width of the LSTM over what a person did.
-            others_dim: Width of what the others do; 0 to leave them out.
-            map: Encoder of the occupancy map around the person; None to leave it out.
-            map_dim: Width of its features.
-            map_dropout: Share of them left out in training: recordings have few floor plans, which a
-                network soon knows by heart.
-            latent_dim: Width of the latent z.
-            hidden_dim: Width of everything between.
-            components: Futures in the mixture.
-            min_scale: Smallest standard deviation, metres per step. Who stands is recorded at exactly one
-                place, and the likelihood of that would have no bound.
-            kl_weight: Weight of the divergence of posterior and prior; at 1 the loss is the bound itself.
-            mode_weight: Weight of the mean distance, metres, of the one most likely future from the truth.
-
-        Raises:
-            UserError: Options out of range.
+            architecture: What the network is made of.
+            losses: What it is trained by.
         """
         super().__init__()
-        self.config = arguments(locals())
-        if latent_dim < 1 or components < 1 or min_scale <= 0:
-            raise UserError(
-                f"latent_dim {latent_dim}, components {components}, min_scale {min_scale}: expected at "
-                "least 1, at least 1, and above 0 m"
-            )
-        self.latent_dim, self.noise_dim = latent_dim, latent_dim + 1
-        self.kl_weight, self.mode_weight = kl_weight, mode_weight
-        self.needs = frozenset(["map"] * (map is not None))
-        self.state = DisplacementEncoder(embedding_dim, state_dim)
-        self.others = RelativePooling(hidden_dim, others_dim) if others_dim else None
-        self.map = PatchEncoder(dim=map_dim) if map else None
-        self.map_dropout = nn.Dropout(map_dropout)
-        width = state_dim + others_dim + (map_dim if map else 0)
-        self.future = DisplacementEncoder(embedding_dim, state_dim)
-        self.prior = LatentHead(width, hidden_dim, latent_dim)
-        self.posterior = LatentHead(width + state_dim, hidden_dim, latent_dim)
-        self.decoder = MixtureDecoder(width, latent_dim, hidden_dim, components, min_scale)
+        self.config = flat(architecture, losses)
+        a = architecture
+        self.latent_dim, self.noise_dim = a.latent_dim, a.latent_dim + 1
+        self.losses = losses
+        self.needs = frozenset(["map"] * (a.map is not None))
+        self.state = DisplacementEncoder(a.embedding_dim, a.state_dim)
+        self.others = RelativePooling(a.hidden_dim, a.others_dim) if a.others_dim else None
+        self.map = PatchEncoder(dim=a.map_dim) if a.map else None
+        self.map_dropout = nn.Dropout(losses.map_dropout)
+        width = a.state_dim + a.others_dim + (a.map_dim if a.map else 0)
+        self.future = DisplacementEncoder(a.embedding_dim, a.state_dim)
+        self.prior = LatentHead(width, a.hidden_dim, a.latent_dim)
+        self.posterior = LatentHead(width + a.state_dim, a.hidden_dim, a.latent_dim)
+        self.decoder = MixtureDecoder(width, a.latent_dim, a.hidden_dim, a.components, a.min_scale)
 
     def see(self, batch: TensorDict) -> Seen:
         """Return what is known about everybody."""
@@ -180,13 +205,13 @@ class SocialVRNN(Forecaster):
         posterior = self._infer(seen, truth, known)
         mixture = self.mixture(seen, _draw(posterior, 1, generator), truth.shape[1])
         divergence = kl_divergence(posterior, seen.prior).sum(-1) * known.any(-1)
-        cost = self.kl_weight * divergence - mixture.log_prob(truth, known).squeeze(0)
-        if self.mode_weight:
+        cost = self.losses.kl_weight * divergence - mixture.log_prob(truth, known).squeeze(0)
+        if self.losses.mode_weight:
             wrong = (self._most_likely(seen, truth.shape[1]).squeeze(0) - truth).cumsum(1)
             # the root has no slope at zero
             distance = (wrong.square().sum(-1) + 1e-8).sqrt()
             # after a gap in the displacements the way is not known any more
-            cost = cost + self.mode_weight * (distance * known.cumprod(1)).sum(-1)
+            cost = cost + self.losses.mode_weight * (distance * known.cumprod(1)).sum(-1)
         return cost.sum() / truth.shape[1]
 
     @torch.no_grad()

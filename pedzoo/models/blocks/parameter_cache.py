@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import chain
-from operator import attrgetter, is_
+from operator import is_
 from typing import Any, Generic, TypeVar
 
 import torch
 from torch import Tensor, nn
 
+from pedzoo.core.adapters import parameters_of, submodules_of, tensor_version
+
 M = TypeVar("M", bound=nn.Module)
 T = TypeVar("T")
-
-_version = attrgetter("_version")
 
 
 class ParameterCache(Generic[M, T]):
@@ -64,8 +64,8 @@ class _Origin:
         """Note all parameters."""
         parts = list(module.modules())
         self.module = module
-        self.parents = [part._modules for part in parts]
-        self.owners = [part._parameters for part in parts if part._parameters]
+        self.parents = [submodules_of(part) for part in parts]
+        self.owners = [owned for part in parts if (owned := parameters_of(part))]
         self.children, self.parameters = _values(self.parents), _values(self.owners)
         self.state = _state(self.parameters)
         # held so that their addresses are not given to other numbers
@@ -89,4 +89,4 @@ def _values(parts: list[dict[str, Any]]) -> list[Any]:
 
 
 def _state(parameters: list[Tensor]) -> list[int]:
-    return [*map(_version, parameters), *map(Tensor.data_ptr, parameters)]
+    return [*map(tensor_version, parameters), *map(Tensor.data_ptr, parameters)]

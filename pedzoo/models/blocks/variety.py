@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
@@ -15,31 +16,44 @@ if TYPE_CHECKING:
     from pedzoo.models.architectures.sgan import SGAN, Encoded
 
 
+@dataclass(frozen=True)
 class VarietyLoss:
     """The variety loss, the energy score and the error of the most likely forecast, weighed.
 
     For each scene the error of the best of ``best_k`` samples, best for all its people together (Gupta et
     al., CVPR 2018, eq. 8). Only the winners have a gradient, so the candidates are drawn without one and just
     the winners run again.
+
+    Attributes:
+        best_k: Samples of the variety loss.
+        error: What losses are made of; see `pedzoo.models.blocks.scene_error`.
+        variety_weight: Weight of the variety loss.
+        mode_weight: Weight of the same loss on the noise-free prediction.
+        energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
+            minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
+        map_dropout: Share of a floor plan's features left out in training: recordings have few floor plans,
+            which a network soon knows by heart.
     """
 
-    def __init__(
-        self, best_k: int, error: Kind, variety_weight: float, mode_weight: float, energy_weight: float
-    ) -> None:
-        """Weigh the terms; arguments as of `pedzoo.models.architectures.sgan.SGAN`.
+    best_k: int = 20
+    error: Kind = "squared_displacement"
+    variety_weight: float = 1.0
+    mode_weight: float = 0.0
+    energy_weight: float = 0.0
+    map_dropout: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values.
 
         Raises:
             UserError: No sample, or an energy score of squared errors.
         """
-        if best_k < 1:
-            raise UserError(f"best_k {best_k}: expected at least 1 sample")
-        if energy_weight and error != "distance":
+        if self.best_k < 1:
+            raise UserError(f"best_k {self.best_k}: expected at least 1 sample")
+        if self.energy_weight and self.error != "distance":
             raise UserError(
                 "energy_weight needs error: distance; a squared error's energy score rewards the mean alone"
             )
-        self.best_k = best_k
-        self.error: Kind = error
-        self.variety_weight, self.mode_weight, self.energy_weight = variety_weight, mode_weight, energy_weight
 
     def __call__(
         self,

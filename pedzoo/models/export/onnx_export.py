@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from pedzoo import __version__
+from pedzoo.core.adapters import untraceable_error
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS
@@ -115,7 +116,6 @@ def check_packages() -> None:
 
 def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
     """Return the ONNX file of a graph."""
-    from torch._dynamo.exc import UserError as NotTraceable
     from torch.fx.experimental.symbolic_shapes import GuardOnDataDependentSymNode
 
     free = {name: torch.export.Dim(name) for name in _SIZES}
@@ -134,7 +134,7 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
                 dynamic_shapes={"inputs": shapes},  # gives the free sizes their names
                 verbose=False,
             )
-    except (NotTraceable, GuardOnDataDependentSymNode, torch.onnx.OnnxExporterError) as error:
+    except (untraceable_error(), GuardOnDataDependentSymNode, torch.onnx.OnnxExporterError) as error:
         reason = str(error).strip().splitlines()[0]
         raise UserError(
             f"{type(graph.model).__name__} cannot be made an ONNX graph ({reason}): what it does must depend "

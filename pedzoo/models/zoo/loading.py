@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from pedzoo.core import renamed
+from pedzoo.core import groups, renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.registry import MODELS
@@ -60,8 +60,8 @@ def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
         return _from_checkpoint(Path(name))
     if name not in MODELS.names() and ".py:" not in name:
         raise no_model(name, baselines())
-    model = MODELS.get(name)
-    asks = "goal_protocol" in inspect.signature(model).parameters
+    model = MODELS.get(name, Forecaster)
+    asks = "goal_protocol" in {*inspect.signature(model).parameters, *groups.homes(model)}
     built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
     if any(True for _ in built.parameters()) and ".py:" not in name:
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
@@ -87,9 +87,15 @@ def build(config: dict[str, Any]) -> Forecaster:
     """
     name, init = config["architecture"], config["init"]
     try:
-        return _made(MODELS.get(name), init, name)
+        return _made(MODELS.get(name, Forecaster), init, name)
     except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
+
+
+def architecture_in(config: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings in a config that its weights depend on: all of them in a model without groups."""
+    cls, init = MODELS.get(config["architecture"]), config["init"]
+    return groups.grouped(cls, init)["architecture"] if "architecture" in groups.groups(cls) else init
 
 
 def architecture_of(model: Forecaster) -> str:
@@ -180,15 +186,13 @@ def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Fore
 
 
 def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
-    if not issubclass(model, Forecaster):
-        raise UserError(f"{name!r} is no model: expected a subclass of pedzoo.models.base.Forecaster")
     try:
-        inspect.signature(model).bind(**init)
+        inspect.signature(model).bind(**groups.grouped(model, init))
     except TypeError as error:
         raise UserError(
             f"{name!r} cannot be built with the arguments {init}: {error}; is it of another version?"
         ) from error
-    return model(**init)
+    return model.of(**init)
 
 
 def baselines() -> list[str]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import cast
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn import functional
 
+from pedzoo.core.adapters import copied
+from pedzoo.core.batch import agents_of
 from pedzoo.core.types import AHEAD_SECONDS
 
 
@@ -22,7 +24,7 @@ def extend_goals(batch: TensorDictBase) -> TensorDictBase:
     Args:
         batch: Scenes with goals; those without are returned as they are. Not changed.
     """
-    agents = cast("TensorDict", batch["agents"])
+    agents = agents_of(batch)
     if "goal" not in agents.keys():
         return batch
     position = cast("Tensor", agents["history"])[:, :, -1]
@@ -31,8 +33,6 @@ def extend_goals(batch: TensorDictBase) -> TensorDictBase:
     # an agent on its goal goes on as desired
     ahead = functional.normalize(away + 0.1 * functional.normalize(desired, dim=-1), dim=-1)
     lacking = AHEAD_SECONDS * desired.norm(dim=-1, keepdim=True) - away.norm(dim=-1, keepdim=True)
-    extended = agents.copy()
-    extended["goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
-    scenes = batch.copy()
-    scenes["agents"] = extended
+    scenes = copied(batch)
+    scenes["agents", "goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
     return scenes

@@ -46,7 +46,7 @@ def agent_lines(
     distance2 = dot(place, place)
     overlap = at_most(distance2, combined2)
     # Those who overlap are to be apart after one step, the others for the whole horizon.
-    rate = (overlap * (1 / settings.time_step)).add_((1 - overlap).mul_(1 / settings.time_horizon))
+    rate = (overlap * (1 / settings.dt)).add_((1 - overlap).mul_(1 / settings.time_horizon))
     w = current - rate * place
     w2, ahead = dot(w, w), dot(w, place)
     # the projection is on the round end where w points away from its centre by more than the legs' angle

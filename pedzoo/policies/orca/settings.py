@@ -3,63 +3,73 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.batch import usual_body
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
+
+OF_PRESET: Any = None
+"""Default of a setting that has the value of the preset."""
 
 
 @dataclass(frozen=True)
 class OrcaSettings:
-    """Parameters of ORCA, in RVO2's meaning and mostly with its names.
+    """Settings of ORCA; its parameters are in RVO2's meaning and mostly with its names.
 
     Attributes:
         radius: Of the disk of every person that ORCA moves, metres. It is ORCA's own: bodies and planners
             have theirs.
-        time_step: Seconds in which people who already overlap are to be apart again: the time for which
-            the velocities are held.
+        walls: Whether walls are avoided. iGibson's ORCA never sees them.
+        dt: Seconds between decisions, in which people who already overlap are to be apart again.
+        jitter: Standard deviation of noise on the preferred velocity, m/s.
+        preset: ``pedzoo``, or ``igibson`` for the constants of iGibson's social navigation. They have the
+            settings of `PRESETS`.
         neighbor_dist: Metres between centres from which on others are ignored.
-        max_neighbors: So many nearest others are heeded; None: all within ``neighbor_dist``.
+        max_neighbors: So many nearest others are heeded; the preset ``igibson`` heeds all.
         time_horizon: Seconds for which velocities are safe with respect to others.
         time_horizon_obst: Seconds for which they are safe with respect to walls.
         max_obstacles: So many nearest wall segments are heeded (RVO2: all of them).
+        top_speed_ratio: Top speed, divided by the preferred one; iGibson's people have no other.
     """
 
-    radius: float = 0.2
-    time_step: float = 0.4
+    radius: float = OF_PRESET
+    walls: bool = True
+    dt: float = TRACE_SECONDS
+    jitter: float = 0.02
+    preset: Literal["pedzoo", "igibson"] = "pedzoo"
     neighbor_dist: float = 5.0
-    max_neighbors: int | None = 10
+    max_neighbors: int | None = OF_PRESET
     time_horizon: float = 2.0
     time_horizon_obst: float = 2.0
     max_obstacles: int = 16
+    top_speed_ratio: float = OF_PRESET
 
     def __post_init__(self) -> None:
-        """Check the values.
+        """Take what is not given from the preset, and check the values.
 
         Raises:
-            UserError: A length or time is not positive, or a count is negative.
+            UserError: No such preset, a length or time that is not positive, or a count that is negative.
         """
-        for name, value in asdict(self).items():
-            if name in ("max_neighbors", "max_obstacles"):
-                if value is not None and value < 0:
-                    raise UserError(f"orca: {name} {value} must be 0 or more")
-            elif not (math.isfinite(value) and value > 0):
+        if self.preset not in PRESETS:
+            raise unknown("ORCA preset", self.preset, PRESETS)
+        for name, value in PRESETS[self.preset].items():
+            if getattr(self, name) is OF_PRESET:
+                object.__setattr__(self, name, value)
+        if self.jitter < 0 or self.top_speed_ratio <= 0:
+            raise UserError(
+                f"orca: jitter {self.jitter}, top_speed_ratio {self.top_speed_ratio}: expected >= 0, > 0"
+            )
+        for name in ("max_neighbors", "max_obstacles"):
+            if (count := getattr(self, name)) is not None and count < 0:
+                raise UserError(f"orca: {name} {count} must be 0 or more")
+        for name in ("radius", "dt", "neighbor_dist", "time_horizon", "time_horizon_obst"):
+            if not (math.isfinite(value := getattr(self, name)) and value > 0):
                 raise UserError(f"orca: {name} {value} must be a number above 0")
-
-    @classmethod
-    def preset(cls, name: str, **changes: Any) -> OrcaSettings:
-        """Return a named set of parameters with ``changes``; top speeds (iGibson: 0.5 m/s) are not here.
-
-        Raises:
-            UserError: There is no preset of this name, or a value is wrong.
-        """
-        if name not in PRESETS:
-            raise unknown("ORCA preset", name, PRESETS)
-        return cls(**(PRESETS[name] | changes))
 
     def radii(self, body: Tensor, robot: Tensor, controlled: Tensor) -> Tensor:
         """Return the radii (...) of the disks that ORCA avoids, metres.
@@ -86,8 +96,8 @@ class OrcaSettings:
 
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "pedzoo": {},
+    "pedzoo": {"radius": 0.2, "max_neighbors": 10, "top_speed_ratio": TOP_SPEED_RATIO},
     # iGibson 2.0's social navigation; everybody in the scene is a neighbour there
-    "igibson": {"radius": 0.5, "time_step": 0.1, "max_neighbors": None},
+    "igibson": {"radius": 0.5, "max_neighbors": None, "top_speed_ratio": 1.0},
 }
-"""Departures from the defaults, by name."""
+"""Settings of the presets."""

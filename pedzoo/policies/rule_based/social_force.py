@@ -11,13 +11,12 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of, usual_body
-from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.social_force.borders import wall_points
 from pedzoo.policies.social_force.forces import closer, wall_force
-from pedzoo.policies.social_force.settings import Anisotropy, SocialForceSettings
+from pedzoo.policies.social_force.settings import SocialForceSettings
 from pedzoo.policies.social_force.velocity import social_force_velocity
 
 
@@ -30,60 +29,10 @@ class SocialForce(Policy):
     one decision to the next, and forces know no future: where they cancel, people stop.
     """
 
-    def __init__(
-        self,
-        tau: float | None = None,
-        walls: bool = True,
-        dt: float = TRACE_SECONDS,
-        preset: str = "1995",
-        strength: float | None = None,
-        sigma: float | None = None,
-        step_time: float | None = None,
-        wall_strength: float | None = None,
-        wall_range: float | None = None,
-        anisotropy: Anisotropy | None = None,
-        view_angle: float | None = None,
-        out_of_view: float | None = None,
-        behind: float | None = None,
-        top_speed_ratio: float | None = None,
-        neighbor_dist: float | None = None,
-        max_neighbors: int | None = None,
-        fluctuation: float | None = None,
-    ) -> None:
-        """Set the parameters; what is not given is the preset's.
-
-        Args:
-            tau: Relaxation time, seconds.
-            walls: Whether walls are avoided.
-            dt: Seconds between decisions, at most ``tau``; forces are integrated in steps of 0.1 s or less.
-            preset: ``1995`` for the paper's parameters, ``indoor`` for doors.
-            strength: Of the potential around people (V0), m^2/s^2.
-            sigma: Its range, metres.
-            step_time: How far ahead of a walking person it reaches (Delta t), seconds of their way.
-            wall_strength: Of the potential of walls (U0), m^2/s^2.
-            wall_range: Its range (R), metres.
-            anisotropy: How much less what is behind counts: ``view``, ``smooth`` or ``none``.
-            view_angle: Half of the angle of sight for ``view`` (phi), degrees.
-            out_of_view: Weight of what is out of sight for ``view`` (c).
-            behind: Weight of who is straight behind for ``smooth`` (lambda).
-            top_speed_ratio: Top speed, divided by the preferred one.
-            neighbor_dist: Metres from which on others are ignored.
-            max_neighbors: So many nearest others are heeded.
-            fluctuation: Standard deviation of random accelerations, m/s^2.
-
-        Raises:
-            UserError: A setting is out of range.
-        """
-        names = SocialForceSettings.__dataclass_fields__
-        given = {name: value for name, value in locals().items() if name in names and value is not None}
-        super().__init__(dt)
-        self.settings = SocialForceSettings.preset(preset, **given)
-        if dt > self.settings.tau:
-            raise UserError(
-                f"social_force: dt {dt}: expected at most tau, {self.settings.tau} s: who holds a velocity "
-                "for longer than it takes to change it follows no forces"
-            )
-        self._sees_walls = walls
+    def __init__(self, settings: SocialForceSettings = SocialForceSettings()) -> None:
+        """Take the settings."""
+        super().__init__(settings.dt)
+        self.settings = settings
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write everybody's velocity."""
@@ -107,7 +56,7 @@ class SocialForce(Policy):
             self.settings,
             self.decision_dt,
             identity,
-            self._walls(tensordict) if self._sees_walls else None,
+            self._walls(tensordict) if self.settings.walls else None,
             fluctuation,
             self._radius(agents),
         )

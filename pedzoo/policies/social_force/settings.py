@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 
 Anisotropy = Literal["view", "smooth", "none"]
 """How much less people heed what is behind them; see `SocialForceSettings`."""
@@ -15,10 +15,13 @@ Anisotropy = Literal["view", "smooth", "none"]
 NEGLIGIBLE = 0.01
 """Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
 
+OF_PRESET: Any = None
+"""Default of a setting that has the value of the preset."""
+
 
 @dataclass(frozen=True)
 class SocialForceSettings:
-    """Parameters of the social force model; the symbols are those of the paper.
+    """Settings of the social force model; the symbols are those of the paper.
 
     Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
     arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
@@ -31,6 +34,10 @@ class SocialForceSettings:
 
     Attributes:
         tau: Relaxation time in which people take up their desired velocity, seconds (tau, eq. 2).
+        walls: Whether walls are avoided.
+        dt: Seconds between decisions, at most ``tau``; forces are integrated in steps of 0.1 s or less.
+        preset: ``1995`` for the paper's parameters, ``indoor`` for doors. They have the settings of
+            `PRESETS`.
         strength: Of the potential around people, m^2/s^2 (V0, eq. 3).
         sigma: Its range, metres (sigma).
         step_time: The potential's ellipses reach so far ahead of a walking person, seconds of their way
@@ -57,11 +64,14 @@ class SocialForceSettings:
     """
 
     tau: float = 0.5
+    walls: bool = True
+    dt: float = TRACE_SECONDS
+    preset: str = "1995"
     strength: float = 2.1
     sigma: float = 0.3
-    step_time: float = 2.0
-    wall_strength: float = 10.0
-    wall_range: float = 0.2
+    step_time: float = OF_PRESET
+    wall_strength: float = OF_PRESET
+    wall_range: float = OF_PRESET
     anisotropy: Anisotropy = "view"
     view_angle: float = 100.0
     out_of_view: float = 0.5
@@ -72,11 +82,16 @@ class SocialForceSettings:
     fluctuation: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the values.
+        """Take what is not given from the preset, and check the values.
 
         Raises:
-            UserError: A value is out of its range.
+            UserError: There is no such preset, or a value is out of its range.
         """
+        if self.preset not in PRESETS:
+            raise unknown("preset of social_force", self.preset, PRESETS)
+        for name, value in PRESETS[self.preset].items():
+            if getattr(self, name) is OF_PRESET:
+                object.__setattr__(self, name, value)
         for name in ("tau", "sigma", "wall_range", "top_speed_ratio", "neighbor_dist"):
             self._expect(name, "a number above 0", above=0.0)
         for name in ("strength", "step_time", "wall_strength", "fluctuation"):
@@ -88,22 +103,16 @@ class SocialForceSettings:
             raise UserError(f"social_force: max_neighbors {self.max_neighbors}: expected 0 or more, or none")
         if self.anisotropy not in get_args(Anisotropy):
             raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
+        if self.dt > self.tau:
+            raise UserError(
+                f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: who holds a velocity "
+                "for longer than it takes to change it follows no forces"
+            )
 
     def _expect(self, name: str, what: str, most: float = math.inf, above: float | None = None) -> None:
-        value = asdict(self)[name]
+        value = getattr(self, name)
         if not (math.isfinite(value) and 0 <= value <= most) or value == above:
             raise UserError(f"social_force: {name} {value}: expected {what}")
-
-    @classmethod
-    def preset(cls, name: str, **changes: Any) -> SocialForceSettings:
-        """Return a named set of parameters with ``changes``.
-
-        Raises:
-            UserError: There is no preset of this name, or a value is wrong.
-        """
-        if name not in PRESETS:
-            raise unknown("preset of social_force", name, PRESETS)
-        return cls(**(PRESETS[name] | changes))
 
     @property
     def wall_reach(self) -> float:
@@ -113,7 +122,7 @@ class SocialForceSettings:
 
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "1995": {},
+    "1995": {"step_time": 2.0, "wall_strength": 10.0, "wall_range": 0.2},
     "indoor": {
         # walls of Helbing et al. 2005, fitted to a bottleneck: A exp((r - d) / B) with A = 5 m/s^2, B = 0.1 m
         # and r, a body's radius, as here
@@ -124,7 +133,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "step_time": 0.5,
     },
 }
-"""Departures from the defaults, by name.
+"""Settings of the presets.
 
 In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06 with
 ``indoor``; who walks at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.

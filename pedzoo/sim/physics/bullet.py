@@ -3,50 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.physics_parts.bullet_scene import BulletScene
+from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved
 from pedzoo.sim.physics_parts.camera import Camera
-from pedzoo.sim.physics_parts.frames import Affine, scene_to_grid
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""
 
-_AFFINES = 1024
-"""Maps between frames that are kept."""
-
 _VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
 """Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
-
-
-class _Asked(NamedTuple):
-    """One scene of a question.
-
-    Attributes:
-        index: Which of the B scenes.
-        bullet: Where its floor plan is built.
-        affine: From the scene to pybullet's frame.
-        places: Where agents are in pybullet's frame (A, 2), metres.
-        present: Numbers of the agents that are there, in ascending order.
-    """
-
-    index: int
-    bullet: BulletScene
-    affine: Affine
-    places: NDArray[np.float64]
-    present: list[int]
 
 
 class Bullet(Physics):
@@ -68,56 +45,16 @@ class Bullet(Physics):
         """
         super().__init__(bank, body_radius)
         load_pybullet()
-        self._scenes: dict[int, BulletScene] = {}
-        self._affines: dict[tuple[float, ...], Affine] = {}
-        self._closed = False
+        self._scenes = BulletScenes(bank, body_radius)
 
     @classmethod
     def check(cls) -> None:
         """Check that pybullet is there; errors as of `load_pybullet`."""
         load_pybullet()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_scenes": {}}
-
     def close(self) -> None:
         """Disconnect all clients."""
-        for scene in self._scenes.values():
-            scene.close()
-        self._scenes.clear()
-        self._closed = True
-
-    def _asked(self, people: Bodies, present: Tensor) -> Iterator[_Asked]:
-        """Yield scene after scene.
-
-        Raises:
-            UserError: The backend was closed, or a client is gone.
-        """
-        rows = self.bank.index(people.map_id[:, 0]).tolist()
-        places, poses = _array(people.position), people.pose.tolist()
-        for index, (row, pose, here) in enumerate(zip(rows, poses, present.tolist(), strict=True)):
-            affine = self._affine(row, pose)
-            present_people = [person for person, there in enumerate(here) if there]
-            yield _Asked(index, self._bullet(row), affine, _move(affine, places[index]), present_people)
-
-    def _affine(self, row: int, pose: list[float]) -> Affine:
-        """Return the map from a scene to pybullet's frame, made once: poses stay as they are."""
-        key = (row, *pose)
-        if key not in self._affines:
-            if len(self._affines) >= _AFFINES:
-                self._affines.clear()
-            grid = self.bank.grids[row] if row >= 0 else None
-            self._affines[key] = scene_to_grid(torch.tensor(pose), grid)
-        return self._affines[key]
-
-    def _bullet(self, row: int) -> BulletScene:
-        if self._closed:
-            raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
-        if row not in self._scenes:
-            grid = self.bank.grids[row] if row >= 0 else None
-            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius)
-        self._scenes[row].check()
-        return self._scenes[row]
+        self._scenes.close()
 
     @torch.no_grad()
     def distances(self, people: Bodies, reach: float = REACH) -> Distances:
@@ -126,7 +63,7 @@ class Bullet(Physics):
         shape = people.mask.shape
         gaps = np.full((2, *shape), reach)
         normals = np.zeros((2, *shape, 2))
-        for asked in self._asked(people, self._present(people)):
+        for asked in self._scenes.placed(people, self._present(people)):
             for person in asked.present:
                 asked.bullet.place(person, *asked.places[person])
             for person in asked.present:
@@ -139,7 +76,9 @@ class Bullet(Physics):
         )
         return Distances(agent, wall, agent_normal, wall_normal)
 
-    def _nearest_person(self, asked: _Asked, person: int, reach: float) -> tuple[float, NDArray[np.float64]]:
+    def _nearest_person(
+        self, asked: PlacedScene, person: int, reach: float
+    ) -> tuple[float, NDArray[np.float64]]:
         others = [other for other in asked.present if other != person]
         apart = np.linalg.norm(asked.places[others] - asked.places[person], axis=1)
         if not len(apart) or apart.min() >= reach:
@@ -148,7 +87,9 @@ class Bullet(Physics):
         result = asked.bullet.person_gap(person, others[int(apart.argmin())], max(reach - both, 0.0))
         return (result[0] + both, result[1]) if result else (reach, np.zeros(2))
 
-    def _nearest_wall(self, asked: _Asked, person: int, reach: float) -> tuple[float, NDArray[np.float64]]:
+    def _nearest_wall(
+        self, asked: PlacedScene, person: int, reach: float
+    ) -> tuple[float, NDArray[np.float64]]:
         best, away = reach, np.zeros(2)
         place, boxes = asked.places[person], asked.bullet.boxes
         beyond = np.maximum(np.maximum(boxes[:, :2] - place, place - boxes[:, 2:]), 0)
@@ -183,10 +124,10 @@ class Bullet(Physics):
         columns = (of[pair], first[pair], second[pair], trace, step)
         for scene, *meeting in torch.stack(columns, 1).tolist():
             meetings[scene].append(tuple(meeting))
-        ways, rooms, wider = _array(path), far.cpu().numpy(), _array(extra)
-        for asked in self._asked(people, present):
+        ways, rooms, wider = as_array(path), far.cpu().numpy(), as_array(extra)
+        for asked in self._scenes.placed(people, present):
             if asked.present:
-                way, more = _move(asked.affine, ways[asked.index]), wider[asked.index]
+                way, more = moved(asked.affine, ways[asked.index]), wider[asked.index]
                 self._meet(asked.bullet, way, more, meetings[asked.index], agent[asked.index])
                 self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
@@ -212,7 +153,7 @@ class Bullet(Physics):
 
     def _hit(
         self,
-        asked: _Asked,
+        asked: PlacedScene,
         way: NDArray[np.float64],
         extra: NDArray[np.float64],
         far: NDArray[Any],
@@ -238,11 +179,11 @@ class Bullet(Physics):
     def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
         """See `Physics.rays`: pybullet's batched ray test, at the height of the chest."""
         result = np.full(origin.shape[:2], reach)
-        starts = _array(origin)
+        starts = as_array(origin)
         widths = self._radius(people).tolist()
-        for asked in self._asked(people, self._present(people)):
+        for asked in self._scenes.placed(people, self._present(people)):
             width = [round(radius, 6) for radius in widths[asked.index]]
-            start = _move(asked.affine, starts[asked.index])
+            start = moved(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
             result[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
@@ -250,7 +191,7 @@ class Bullet(Physics):
 
     def _scene_rays(
         self,
-        asked: _Asked,
+        asked: PlacedScene,
         radius: list[float],
         start: NDArray[np.float64],
         along: NDArray[np.float64],
@@ -282,7 +223,7 @@ class Bullet(Physics):
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
-        (asked,) = self._asked(one, self._present(one))
+        (asked,) = self._scenes.placed(one, self._present(one))
         camera = self._framed(people, scene, size, camera)
         linear, shift = asked.affine[:, :2], asked.affine[:, 2]
         angle = _VIEW_ANGLE[camera.view]
@@ -298,11 +239,3 @@ class Bullet(Physics):
         picture = asked.bullet.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
         # in a mirrored scene, left is right
         return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
-
-
-def _array(points: Tensor) -> NDArray[np.float64]:
-    return points.detach().cpu().double().numpy()
-
-
-def _move(affine: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return points @ affine[:, :2].T + affine[:, 2]

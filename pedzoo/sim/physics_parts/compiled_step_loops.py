@@ -96,7 +96,9 @@ def move(
                 y = min(max(commands[b, a, 1], -_MOST), _MOST)
             x, y = _limited(x, y, top_speed[b, a])
             _blended(velocity[b, a, 0], velocity[b, a, 1], x, y, top_speed[b, a], speeds, b, a)
-            new_past[b, a, : length - ticks] = past[b, a, ticks:]
+            for n in range(length - ticks):
+                new_past[b, a, n, 0] = past[b, a, n + ticks, 0]
+                new_past[b, a, n, 1] = past[b, a, n + ticks, 1]
     advance(
         past[:, :, length - 1], speeds, radius, mask, moving, np.empty((0, 0, 0, 0, 2), np.float32),
         goal_point, walking, goal_radius2, steps, strides, skin, wall_rounding, creep, tick_seconds,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -85,6 +86,16 @@ class Script:
         people = RecordedPeople(*(value.to(device) for value in self.people))
         scenes = Scenes(*(value.to(device) for value in self.scenes))
         return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
+
+    @cached_property
+    def fastest(self) -> float:
+        """The largest preferred speed, m/s, or a faster one that was recorded: it decides about sub-steps."""
+        people = self.people
+        person = torch.arange(len(people.first), device=self.xy.device)
+        person = person.repeat_interleave(people.last - people.first + 1)
+        recorded = (self.xy[1:] - self.xy[:-1])[person[1:] == person[:-1]].norm(dim=1)
+        fastest = max(float(recorded.max()) / STEP_SECONDS / TOP_SPEED_RATIO, 0.0) if len(recorded) else 0.0
+        return max(fastest, float(people.pref_speed.max()))
 
     def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
         """Return the person in each slot (B, A) long at a recording's frame (B,); -1 for none."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.data.tensor_specs import TensorSpec
-from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.batch import agents_of
@@ -20,7 +19,8 @@ from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Crowd, Teams
-from pedzoo.sim import kernel, specs
+from pedzoo.sim import kernel
+from pedzoo.sim import observation as specs
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import observed
@@ -31,6 +31,7 @@ from pedzoo.sim.robot_parts.reward import WeightedSum
 from pedzoo.sim.robot_parts.scenes import RobotScenes
 from pedzoo.sim.robot_parts.sensor import Sensor
 from pedzoo.sim.robot_parts.view import RobotView
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.sim.state import State
 
 INFO = ("success", "person_contact", "robot_contact", "wall_contact", "timeout", "failed")
@@ -52,11 +53,12 @@ class RobotEnv(PedestrianEnv):
         scenes: What is walked in.
     """
 
-    policy_name: ClassVar[str] = "the robot's policy"
+    group = "robots"
+    policy_name = "the robot's policy"
 
     def __init__(
         self,
-        scenes: RobotScenes,
+        prepared: PreparedScenario,
         physics: Physics,
         people: Policy | Walker | Crowd,
         sensors: Sequence[Sensor],
@@ -70,7 +72,7 @@ class RobotEnv(PedestrianEnv):
         """Take the parts; `pedzoo.make_robot_env` makes them from their names.
 
         Args:
-            scenes: People and robots.
+            prepared: People and robots: what `RobotScenes.prepare` returned.
             physics: Moves them.
             people: Moves the people.
             sensors: What robots observe.
@@ -88,6 +90,8 @@ class RobotEnv(PedestrianEnv):
         check_ends_at(ends_at)
         if time_limit is not None and not time_limit > 0:
             raise UserError(f"time_limit {time_limit}: expected seconds above 0")
+        scenes = prepared.scenario
+        assert isinstance(scenes, RobotScenes)
         self.robots, self.scenes = scenes.robots, scenes
         crowd = people if isinstance(people, list) else [(people, 1.0)]
         part = min(decision_dt, *(policy.decision_dt for policy, _ in crowd))
@@ -96,7 +100,7 @@ class RobotEnv(PedestrianEnv):
             raise UserError(
                 f"robots decide every {decision_dt:g} s and people every {part:g} s: expected a multiple"
             )
-        super().__init__(scenes, physics, num_envs, decision_dt=part, **settings)
+        super().__init__(prepared, physics, num_envs, decision_dt=part, **settings)
         self.decision_dt = decision_dt
         self.group_map = {"robots": [f"robot_{number}" for number in range(self.robots)]}
         self.fleet = scenes.fleet.to(self.device)
@@ -106,9 +110,9 @@ class RobotEnv(PedestrianEnv):
         self._set_specs(num_envs, sensors)
 
     def _set_specs(self, scenes: int, sensors: Sequence[Sensor]) -> None:
-        shape, agents = (scenes, self.robots), self.scenario.people
+        shape, agents = (scenes, self.robots), self.prepared.people
         points = round(self.decision_dt / TRACE_SECONDS)
-        full = specs.observation(scenes, agents, points, self.bank)
+        full = specs.observation_spec(scenes, agents, points, self.bank)
         info = Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape)
         seen = Composite(self._readings.spec(shape), shape=shape)
         self._body = TensorDict(self.fleet._asdict(), (self.robots,), device=self.device).expand(shape)
@@ -128,7 +132,7 @@ class RobotEnv(PedestrianEnv):
         self.observation_spec = full.to(self.device)
         self.action_spec = group(action=action).to(self.device)
         self.reward_spec = group(reward=specs.real(*shape, 1)).to(self.device)
-        done = specs.done(scenes)
+        done = specs.done_spec(scenes)
         done["robots"] = Composite(ends, shape=shape)
         self.done_spec = done.to(self.device)
 
@@ -136,14 +140,13 @@ class RobotEnv(PedestrianEnv):
         """Return what sensors look at."""
         return RobotView(state, guidance, self.physics, self.robots)
 
-    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """See `EnvBase.step_and_maybe_reset`."""
-        return EnvBase.step_and_maybe_reset(self, tensordict)
-
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
         self._begun = None if flags is None or self._scenes is None else flags.view(-1)
-        return super()._reset(tensordict, **kwargs)
+        observation = super()._reset(tensordict, **kwargs)
+        over = ~self.state.controlled[:, -self.robots :]
+        self._set_ends(observation, over, over & self.state.overdue[:, -self.robots :])
+        return observation
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -157,7 +160,7 @@ class RobotEnv(PedestrianEnv):
         for _ in range(self._parts):
             seen = observed(state, guidance, self.bank)
             agents_of(seen)["command"] = torch.nn.functional.pad(
-                command, (0, 0, self.scenario.people - self.robots, 0)
+                command, (0, 0, self.prepared.people - self.robots, 0)
             )
             # how the robots' policy explores is no matter of people's
             with set_exploration_type(ExplorationType.RANDOM):
@@ -182,15 +185,19 @@ class RobotEnv(PedestrianEnv):
         reward = self._reward(first, self.view(state, guidance), together.trace, outcome)
         over = ~state.controlled[:, -self.robots :]
         late = outcome.timeout | outcome.failed | (over & state.overdue[:, -self.robots :])
-        robots = cast("TensorDict", observation["robots"])
-        robots["reward"] = reward.unsqueeze(-1)
-        ends = {"done": over, "terminated": over & ~late, "truncated": over & late}
+        observation["robots", "reward"] = reward.unsqueeze(-1)
         ended = over.all(1)
-        cut = ended & late.any(1)
-        for (name, value), whole in zip(ends.items(), (ended, ended & ~cut, cut), strict=True):
-            robots[name] = value.unsqueeze(-1)
-            observation[name] = whole.unsqueeze(-1)
+        self._set_ends(observation, over, late)
+        observation["done"] = ended.unsqueeze(1)
+        observation["truncated"] = (ended & late.any(1)).unsqueeze(1)
+        observation["terminated"] = (ended & ~late.any(1)).unsqueeze(1)
         return observation
+
+    def _set_ends(self, observation: TensorDictBase, over: Tensor, late: Tensor) -> None:
+        """Write which robots' episodes are over (B, R) bool, and which of them are so without an end."""
+        robots = cast("TensorDict", observation["robots"])
+        for name, value in (("done", over), ("terminated", over & ~late), ("truncated", over & late)):
+            robots[name] = value.unsqueeze(-1)
 
     def _observation(
         self, state: State, guidance: Guidance, happened: Events | None = None, outcome: Outcome | None = None

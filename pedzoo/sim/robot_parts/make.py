@@ -65,10 +65,10 @@ def make_robot_env(
     made = with_robots(scenario, bodies, robot_goals, present)
     if clearance is None:
         clearance = max(CLEARANCE, *(body.radius + GAP for body in bodies))
-    made.ready(clearance)
+    prepared = made.prepare(clearance)
     return RobotEnv(
-        made,
-        make_physics(physics, made, settings.get("body_radius", 0.15)),
+        prepared,
+        make_physics(physics, prepared.bank, settings.get("body_radius", 0.15)),
         crowd_of(people) if isinstance(people, str) else people,
         [one if isinstance(one, Sensor) else build(SENSORS, one, Sensor) for one in sensors],
         reward if isinstance(reward, WeightedSum) else WeightedSum(reward),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -19,7 +20,7 @@ from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
 
 
 class RobotScenes(Scenario):
@@ -68,25 +69,27 @@ class RobotScenes(Scenario):
         """Return the floor plans of the scenario."""
         return self.inner.plans()
 
-    def prepare(self, clearance: float) -> None:
-        """Find the ways of people and robots, all of which keep ``clearance`` metres from walls."""
-        self.inner.ready(clearance)
-        self.bank, self.planner = self.inner.bank, self.inner.planner
+    def prepare(self, clearance: float) -> PreparedScenario:
+        """Return the scenes with the ways of people and robots, ``clearance`` metres from walls."""
+        inner = self.inner.prepare(clearance)
+        return replace(inner, scenario=self, tables=inner)
 
     def gate(self, draws: Draws) -> Tensor | None:
         """Return the door of the scenario."""
         return self.inner.gate(draws)
 
-    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+    def next_goal(
+        self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
+    ) -> Tensor:
         """Return the next goals of agents; robots have as many as they have to reach."""
-        goal = self.inner.next_goal(draws, agent, number, last)
-        finished = (agent >= self.people - self.robots) & (number >= self.robot_goals)
+        goal = self.inner.next_goal(prepared.tables, draws, agent, number, last)
+        finished = (agent >= prepared.people - self.robots) & (number >= self.robot_goals)
         return torch.where(finished, -1, goal)
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people as the scenario has them, and robots in the last places."""
-        layout, fleet = self.inner.layout(draws), self.fleet.to(draws.key.device)
-        people, scenes = self.people - self.robots, len(draws.key)
+        layout, fleet = prepared.tables.layout(draws), self.fleet.to(draws.key.device)
+        people, scenes = prepared.people - self.robots, len(draws.key)
 
         def joined(values: Tensor, robots: Tensor) -> Tensor:
             theirs = robots.to(values).expand(scenes, self.robots)
@@ -97,7 +100,7 @@ class RobotScenes(Scenario):
         whole = torch.zeros_like(layout.goal)
         top_speed = _or(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
         # a scene of fewer people leaves out the last ones, which are robots here
-        mask = layout.mask if people == 0 or self.inner.script else layout.mask.roll(-self.robots, 1)
+        mask = layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1)
         layout = layout._replace(
             mask=joined(mask, torch.tensor(self.present)),
             pref_speed=joined(layout.pref_speed, fleet.top_speed),
@@ -132,7 +135,7 @@ def with_robots(
     """
     spec = parse(scenario) if isinstance(scenario, str) else scenario
     settings = dict(spec.settings)
-    parameter = inspect.signature(SCENARIOS.get(spec.name)).parameters.get("people")
+    parameter = inspect.signature(SCENARIOS.get(spec.name, Scenario)).parameters.get("people")
     if spec.name == "replay":
         if len(bodies) > 1 or settings.setdefault("simulated", "one") != "one":
             raise UserError(

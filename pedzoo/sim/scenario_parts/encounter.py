@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -23,7 +24,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import Rectangle, rectangles
 from pedzoo.sim.scenario_parts.lanes import ABREAST, APART, SPACING, Lane, Places
-from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant, Variants
 
 MEET = 2.5
@@ -50,6 +51,28 @@ def whole_cells(length: float) -> float:
     return math.ceil(length / CELL - 1e-6) * CELL
 
 
+@dataclass(frozen=True)
+class EncounterSettings:
+    """What all encounters can be told.
+
+    Attributes:
+        people: How many; most encounters take 2 to 50.
+        speed: Mean preferred speed, m/s.
+        speed_std: Its standard deviation.
+        jitter: Metres that starts are off their places at most, in x and in y, evenly distributed.
+        aside: Metres that all from one side start to the left or right of their lanes at most, evenly
+            distributed; less where walls or others are near. Their goals stay.
+        delay: Seconds that the first of a lane comes late at most, evenly distributed.
+    """
+
+    people: int = 2
+    speed: float = 1.3
+    speed_std: float = 0.2
+    jitter: float = 0.1
+    aside: float = 0.5
+    delay: float = 0.5
+
+
 class Encounter(Scenario):
     """People in lanes who meet; subclasses say which, and on what floor plans.
 
@@ -69,34 +92,19 @@ class Encounter(Scenario):
     stray: float = 0.0
     together: bool = False
 
-    def __init__(
-        self,
-        people: int,
-        speed: float,
-        speed_std: float,
-        jitter: float,
-        aside: float,
-        delay: float,
-        meet: float = MEET,
-        **variants: Numbers,
-    ) -> None:
+    def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:
         """Check what all encounters have.
 
         Args:
-            people: How many.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, in x and in y, evenly distributed.
-            aside: Metres that all from one side start to the left or right of their lanes at most, evenly
-                distributed; less where walls or others are near. Their goals stay.
-            delay: Seconds that the first of a lane comes late at most, evenly distributed.
+            common: Their settings.
             meet: Seconds after the warm start at which those in front meet.
             variants: Settings of which every scene draws a value.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std)
+        people, jitter, aside, delay = common.people, common.jitter, common.aside, common.delay
+        super().__init__(people, common.speed, common.speed_std)
         self.name = type(self).__module__.rpartition(".")[2]
         if not self.fewest <= people <= self.most:
             raise UserError(
@@ -143,6 +151,11 @@ class Encounter(Scenario):
         """Where people come from, for every variant."""
         return [self.lanes_on(variant) for variant in self.variants]
 
+    @cached_property
+    def places(self) -> Places:
+        """Each person's place in a lane, for every variant."""
+        return Places.of(self.lanes)
+
     def check_share(self, setting: str, value: float) -> None:
         """Raise the error of a ``setting`` that is no share."""
         if not 0 <= value <= 1:
@@ -171,23 +184,23 @@ class Encounter(Scenario):
         longest = max(lane.before + (lane.people - 1) * SPACING + lane.delay * self.fastest for lane in lanes)
         return longest + (WARM_SECONDS + self.meet) * self.fastest + self.jitter
 
-    def prepare(self, clearance: float) -> None:
-        """Find the ways to the lanes' goals, and give each person a place in a lane."""
-        super().prepare(clearance)
-        walls, names = bool(self.bank.grids), map(self.variants.name, self.variants)
+    def prepare(self, clearance: float) -> PreparedScenario:
+        """Find the ways to the goals; tables: floor plans (V,) and goals (V, lanes, goals) of variants."""
+        prepared = super().prepare(clearance)
+        bank, names = prepared.bank, map(self.variants.name, self.variants)
         # variants may share a floor plan
-        self._map_id = torch.tensor([self.bank.id_of(name) if walls else -1 for name in names])
-        goals = max(len(lane.goals) for lanes in self.lanes for lane in lanes)
-        self._goals = torch.full((len(self.lanes), max(map(len, self.lanes)), goals), -1)
-        for number, row in enumerate(self.bank.index(self._map_id).tolist()):
+        map_id = torch.tensor([bank.id_of(name) if bank.grids else -1 for name in names])
+        most = max(len(lane.goals) for lanes in self.lanes for lane in lanes)
+        goals = torch.full((len(self.lanes), max(map(len, self.lanes)), most), -1)
+        for number, row in enumerate(bank.index(map_id).tolist()):
             lanes = self.lanes[number]
             points = torch.tensor([point for lane in lanes for point in lane.goals], dtype=torch.float64)
-            ids = self.planner.add_goals(row, points).split([len(lane.goals) for lane in lanes])
+            ids = prepared.planner.add_goals(row, points).split([len(lane.goals) for lane in lanes])
             for place, mine in enumerate(ids):
-                self._goals[number, place, : len(mine)] = mine
-        self.places = Places.of(self.lanes)
+                goals[number, place, : len(mine)] = mine
+        return replace(prepared, tables=(map_id, goals))
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return all people as far from the middle of their lane as they walk until they meet."""
         scenes, agents, device = len(draws.key), self.people, draws.key.device
         variant = self.variants.drawn(draws)
@@ -208,8 +221,9 @@ class Encounter(Scenario):
         along, across = mine.heading, torch.stack((mine.heading[..., 1], -mine.heading[..., 0]), dim=-1)
         start = mine.middle - away.unsqueeze(-1) * along + right.unsqueeze(-1) * across + off
         mask = torch.ones(scenes, agents, dtype=torch.bool, device=device)
-        goal = self._goal(draws, self._goals.to(device)[variant.unsqueeze(1), mine.lane])
-        return Layout(self._map_id.to(device)[variant], start, mask, speed, goal)
+        map_id, goals = (table.to(device) for table in prepared.tables)
+        goal = self._goal(draws, goals[variant.unsqueeze(1), mine.lane])
+        return Layout(map_id[variant], start, mask, speed, goal)
 
     def _goal(self, draws: Draws, goals: Tensor) -> Tensor:
         """Return people's goals (B, A) long, of those of their lane (B, A, G), -1 where there are fewer."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -82,10 +83,12 @@ def door_at_origin(width: Tensor) -> Tensor:
 
 
 class Scenario(ABC):
-    """A family of scenes. All of its randomness comes from the draws that it is given.
+    """A family of scenes: its settings, and how scenes begin. It stays as ``__init__`` made it.
+
+    What takes time or files is in what `prepare` returns. All randomness comes from draws.
 
     Attributes:
-        people: A, the largest number of people in a scene.
+        people: A, the largest number of people in a scene; where there is a script, that says it.
         goals: Goals that each agent has to reach.
         finished: An agent that has reached them all will ``leave`` the scene, ``continue`` to later goals
             until all agents have, or ``stand``.
@@ -93,10 +96,7 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
-        script: Plays people back and lets them come and go; None where all are there from the beginning.
         unknown: What unknown cells of the floor plans count as.
-        bank: The floor plans; there after `prepare`.
-        planner: Ways to goals; there after `prepare`.
     """
 
     unknown: Unknown = "wall"
@@ -106,9 +106,6 @@ class Scenario(ABC):
     later: int = 0
     goals: int = 1
     people: int
-    script: Script | None = None
-    bank: MapBank
-    planner: Planner
 
     def __init__(self, people: int, speed: float = 1.3, speed_std: float = 0.2) -> None:
         """Say how many people there are and how fast they like to walk.
@@ -144,15 +141,18 @@ class Scenario(ABC):
         """Return the floor plans, possibly none."""
 
     @abstractmethod
-    def layout(self, draws: Draws) -> Layout:
-        """Return the beginning of the scenes of ``draws``."""
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
+        """Return the beginning of the scenes of ``draws``; `prepare` returned ``prepared``."""
 
-    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+    def next_goal(
+        self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
+    ) -> Tensor:
         """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
 
         Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
 
         Args:
+            prepared: What `prepare` returned.
             draws: One entry per person: that of their scene.
             agent: Their slots in it (P,) long.
             number: How many goals they have reached (P,) long.
@@ -167,24 +167,64 @@ class Scenario(ABC):
         """
         return None
 
-    def adopt(self, other: Scenario) -> bool:
-        """Take floor plans and ways from a prepared scenario that has the same; return whether it has.
+    def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
+        """Return the scenario prepared with the floor plans and ways of another; None if it has others.
 
-        Several scenarios on one floor plan are prepared once.
+        So several scenarios on one floor plan are prepared once.
         """
-        return False
+        return None
 
-    def ready(self, clearance: float) -> None:
-        """Prepare the scenario, unless it is: environments may share one, and fields of ways take time."""
-        if not hasattr(self, "planner") or self.planner.clearance != clearance:
-            self.prepare(clearance)
+    def prepare(self, clearance: float) -> PreparedScenario:
+        """Return the scenario with its floor plans, and with ways to all goals.
 
-    def prepare(self, clearance: float) -> None:
-        """Read the floor plans and find the ways to all goals, keeping ``clearance`` metres from walls."""
-        self.bank = MapBank(self.plans(), self.unknown)
-        self.planner = Planner(self.bank, clearance)
+        Args:
+            clearance: Metres that ways keep from walls.
+        """
+        planner = Planner(MapBank(self.plans(), self.unknown), clearance)
+        return PreparedScenario(scenario=self, planner=planner)
 
     def speeds(self, draws: Draws) -> Tensor:
         """Return the preferred speeds (B, A), m/s."""
         deviation = draws.normal("speed", self.people).clamp(-3, 3) * self.speed_std
         return (self.speed + deviation).clamp_min(SLOWEST)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PreparedScenario:
+    """What `Scenario.prepare` returns. Environments of one clearance may share it: fields of ways take time.
+
+    Attributes:
+        scenario: The settings.
+        planner: Ways to goals.
+        tables: What the scenario's own methods look up, such as the planner's numbers of goals.
+        script: Plays people back and lets them come and go; None where all are there from the beginning.
+    """
+
+    scenario: Scenario
+    planner: Planner
+    tables: Any = None
+    script: Script | None = None
+
+    @property
+    def bank(self) -> MapBank:
+        """The floor plans."""
+        return self.planner.bank
+
+    @property
+    def people(self) -> int:
+        """A, the largest number of people in a scene."""
+        return self.scenario.people if self.script is None else self.script.occupants.shape[1]
+
+    @property
+    def fastest(self) -> float:
+        """The largest preferred speed, m/s; with a script, see `Script.fastest`."""
+        return self.scenario.fastest if self.script is None else self.script.fastest
+
+    @property
+    def fastest_agent(self) -> float:
+        """The largest top speed of any agent, m/s."""
+        return self.scenario.fastest_agent if self.script is None else TOP_SPEED_RATIO * self.script.fastest
+
+    def layout(self, draws: Draws) -> Layout:
+        """Return the beginning of the scenes of ``draws``."""
+        return self.scenario.layout(self, draws)

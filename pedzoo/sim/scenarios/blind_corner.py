@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pedzoo.maps.plain import Rectangle, room
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
@@ -20,31 +20,18 @@ class BlindCorner(Encounter):
     most = 20
 
     def __init__(
-        self,
-        width: Numbers = (1.2, 1.5, 2.0),
-        people: int = 2,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 0.5,
-        delay: float = 0.5,
+        self, width: Numbers = (1.2, 1.5, 2.0), common: EncounterSettings = EncounterSettings()
     ) -> None:
         """Set the scene.
 
         Args:
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
-            people: 2 to 20, half of them from the left, the others from below.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each lane comes late at most.
+            common: At most 20 people, half of them from the left, the others from below.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay, meet=3.0, width=width)
+        super().__init__(common, meet=3.0, width=width)
         self.variants.check_lengths(CELL, "width")
 
     def lanes_on(self, variant: Variant) -> list[Lane]:

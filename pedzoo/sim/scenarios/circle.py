@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.encounter import Encounter, EncounterSettings
 from pedzoo.sim.scenario_parts.lanes import APART, Lane
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
@@ -28,29 +28,19 @@ class Circle(Encounter):
     def __init__(
         self,
         radius: Numbers | None = None,
-        people: int = 4,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 1.0,
-        delay: float = 0.5,
+        common: EncounterSettings = EncounterSettings(people=4, aside=1.0),
     ) -> None:
         """Set the scene.
 
         Args:
             radius: Of the circle, metres; a list: one per scene; None: 3, 4 and 5, without those at which
                 neighbours would be closer than 1 m, or the least at which they are not.
-            people: 2 to 50.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, in x and in y.
-            aside: Metres that people start to the left or right of the line to the middle at most, less where
-                neighbours are near; their goals stay.
-            delay: Seconds that people come late, at most.
+            common: People are late and start aside each on their own.
 
         Raises:
             UserError: A setting that gives no scene.
         """
+        people = common.people
         # neighbours are a chord apart
         self.half_chord = math.sin(math.pi / max(people, 2))
         room = CHORD / (2 * self.half_chord)
@@ -62,7 +52,7 @@ class Circle(Encounter):
                     f"circle: radius {given} for {people} people: expected at least "
                     f"{max(room, LEAST_RADIUS):.2f} m, which puts them {CHORD} m apart or more"
                 )
-        super().__init__(people, speed, speed_std, jitter, aside, delay, meet=0.0, radius=radius)
+        super().__init__(common, meet=0.0, radius=radius)
 
     @property
     def most_jitter(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import torch
@@ -13,7 +14,14 @@ from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.sim.scenario_parts.ranges import Drawn, Range
-from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, Scenario, door_at_origin
+from pedzoo.sim.scenario_parts.scenario import (
+    SLOWEST,
+    WARM_SECONDS,
+    Layout,
+    PreparedScenario,
+    Scenario,
+    door_at_origin,
+)
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant, Variants
 
 BEFORE = 2.5
@@ -162,24 +170,23 @@ class Door(Scenario):
     def _whole_cells(self, length: float) -> float:
         return math.ceil(length / self.resolution) * self.resolution
 
-    def prepare(self, clearance: float) -> None:
-        """Find the ways through the door."""
-        super().prepare(clearance)
+    def prepare(self, clearance: float) -> PreparedScenario:
+        """Find the ways through the door; tables: the floor plans (V,) and goals (V, 2) of variants."""
+        prepared = super().prepare(clearance)
         # variants that differ in the offset alone share a floor plan
-        self._map_id = torch.tensor([self.bank.id_of(self.variants.name(one)) for one in self.variants])
+        map_id = torch.tensor([prepared.bank.id_of(self.variants.name(one)) for one in self.variants])
         goals = []
-        for variant, row in zip(self.variants, self.bank.index(self._map_id).tolist(), strict=True):
+        for variant, row in zip(self.variants, prepared.bank.index(map_id).tolist(), strict=True):
             # people keep to their side of the axis: from the left, y = -offset to y = -offset
             points = [(BEHIND, -variant["offset"]), (-BEHIND, variant["offset"])]
-            goals.append(self.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)))
-        self._goals = torch.stack(goals)
-        self._offset = torch.tensor([variant["offset"] for variant in self.variants])
+            goals.append(prepared.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)))
+        return replace(prepared, tables=(map_id, torch.stack(goals)))
 
     def gate(self, draws: Draws) -> Tensor:
         """Return the door in the middle, (B, 5)."""
         return door_at_origin(self.variants.of("width", draws))
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people on both sides, as far away as they walk before the episode begins."""
         device, agents = draws.key.device, len(self._row)
         right, row, leader = (table.to(device) for table in (self._right, self._row, self._leader))
@@ -192,15 +199,15 @@ class Door(Scenario):
         pace[:, row, right] = speed
         pace = pace.cummax(1).values[:, row, right]
         away = self.away.of(draws, 2)[:, right] + WARM_SECONDS * pace + SPACING * row + PUSH * (row.max() > 0)
-        offset = self._offset.to(device)[variant].unsqueeze(1)
+        offset = self.variants.of("offset", draws).unsqueeze(1)
         lateral = side * (offset + self._left_of_row.to(device))
         lateral = lateral + self.jitter * draws.normal("jitter", agents)[:, leader].clamp(-3, 3)
         if self.sync is not None:
             away = away + self._later(draws, away, lateral, speed)[:, right]
         start = torch.stack((side * away, lateral), dim=-1)
-        goal = self._goals.to(device)[variant][:, right]
+        map_id, goals = (table.to(device)[variant] for table in prepared.tables)
         mask = torch.ones_like(away, dtype=torch.bool)
-        return Layout(self._map_id.to(device)[variant], start, mask, speed, goal)
+        return Layout(map_id, start, mask, speed, goals[:, right])
 
     def _later(self, draws: Draws, away: Tensor, lateral: Tensor, speed: Tensor) -> Tensor:
         """Return how many metres farther back each side starts (B, 2), so that both come to the door in time.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -10,10 +11,12 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
+from pedzoo.maps.bank import MapBank
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
-from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, Scenario
+from pedzoo.maps.planning.planner import Planner
+from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, Scenario
 
 SPACING = 0.8
 """Metres between any two starts."""
@@ -75,84 +78,89 @@ class Goals(Scenario):
         """Return the floor plans."""
         return [load_plan(name) for name in self.files]
 
-    def adopt(self, other: Scenario) -> bool:
-        """Take places and ways of the same floor plans: how many people walk to how many goals is no matter.
+    def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
+        """Return places and ways of the same floor plans, whatever the numbers of people and of their goals.
 
         Raises:
             UserError: So many people do not fit.
         """
-        same = type(other) is type(self) and (other.files, other.pool) == (self.files, self.pool)
-        if same:
-            made = {key: value for key, value in vars(other).items() if key not in vars(self)}
-            vars(self).update(made)
-            self._check_room()
-        return same
+        theirs = other.scenario
+        if type(theirs) is not type(self) or (theirs.files, theirs.pool) != (self.files, self.pool):
+            return None
+        self._check_room(other.bank, other.tables.counts)
+        return replace(other, scenario=self)
 
-    def prepare(self, clearance: float) -> None:
+    def prepare(self, clearance: float) -> PreparedScenario:
         """Spread places over the floor plans and find the ways to those that are goals."""
-        super().prepare(clearance)
+        prepared = super().prepare(clearance)
         places, goals = [], []
-        for row, grid in enumerate(self.bank.grids):
+        for row, grid in enumerate(prepared.bank.grids):
             spread = torch.from_numpy(spread_points(grid, self.unknown, clearance, SPACING, seed=0))
             places.append(spread)
-            goals.append(self.planner.add_goals(row, spread[: self.pool]))
-        self._map_ids = torch.tensor([grid.map_id for grid in self.bank.grids])
-        self._places = _padded(places, float("nan"))
-        self._counts = torch.tensor([len(spread) for spread in places])
-        self._check_room()
-        self._goals = _padded(goals, -1)
-        self._first_choice = _Choice([self._far(row, places[row]) for row in range(len(places))])
-        ids = range(len(places))
-        self._next_choice = _Choice([self._far(row, places[row][: self.pool]) for row in ids])
-        self._row_of_goal = torch.cat([torch.full_like(ids, row) for row, ids in enumerate(goals)])
-        self._place_of_goal = torch.cat([torch.arange(len(ids)) for ids in goals])
+            goals.append(prepared.planner.add_goals(row, spread[: self.pool]))
+        counts = torch.tensor([len(spread) for spread in places])
+        self._check_room(prepared.bank, counts)
+        choices = []
+        for starts in (places, [spread[: self.pool] for spread in places]):
+            pairs = zip(prepared.bank.grids, starts, goals, strict=True)
+            choices.append(_Choice([_far(prepared.planner, *given) for given in pairs]))
+        tables = _Tables(
+            map_id=torch.tensor([grid.map_id for grid in prepared.bank.grids]),
+            places=_padded(places, float("nan")),
+            counts=counts,
+            goals=_padded(goals, -1),
+            first=choices[0],
+            following=choices[1],
+            row_of_goal=torch.cat([torch.full_like(ids, row) for row, ids in enumerate(goals)]),
+            place_of_goal=torch.cat([torch.arange(len(ids)) for ids in goals]),
+        )
+        return replace(prepared, tables=tables)
 
-    def _check_room(self) -> None:
+    def _check_room(self, bank: MapBank, counts: Tensor) -> None:
         """Raise the error of people who do not fit."""
-        for grid, room in zip(self.bank.grids, self._counts.tolist(), strict=True):
+        for grid, room in zip(bank.grids, counts.tolist(), strict=True):
             if room < self.people:
                 raise UserError(
                     f"{self.people} people do not fit on map {grid.name!r}: its free space has room for "
                     f"{room} starts {SPACING} m apart"
                 )
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people at places of their own, each with a goal that is some way off."""
-        device = draws.key.device
-        row = draws.integers("map", len(self._map_ids)).to(device)
+        device, tables = draws.key.device, prepared.tables
+        row = draws.integers("map", len(tables.map_id)).to(device)
         # each person gets another place: those with the smallest numbers of a whole row of them
-        lottery = draws.uniform("place", self._places.shape[1])
-        absent = torch.arange(self._places.shape[1], device=device) >= self._counts.to(device)[row].unsqueeze(
-            1
-        )
-        place = lottery.masked_fill(absent, 2.0).topk(self.people, largest=False).indices
-        start = self._places.to(device)[row.unsqueeze(1), place]
+        slots = tables.places.shape[1]
+        absent = torch.arange(slots, device=device) >= tables.counts.to(device)[row].unsqueeze(1)
+        lottery = draws.uniform("place", slots).masked_fill(absent, 2.0)
+        place = lottery.topk(self.people, largest=False).indices
+        start = tables.places.to(device)[row.unsqueeze(1), place]
         number = self.fewest + draws.integers("people", self.people - self.fewest + 1)
         mask = torch.arange(self.people, device=device) < number.unsqueeze(1)
-        chosen = self._first_choice(row.unsqueeze(1), place, draws.uniform("goal", self.people))
-        goal = self._goals.to(device)[row.unsqueeze(1), chosen]
-        return Layout(self._map_ids.to(device)[row], start.float(), mask, self.speeds(draws), goal)
+        chosen = tables.first(row.unsqueeze(1), place, draws.uniform("goal", self.people))
+        goal = tables.goals.to(device)[row.unsqueeze(1), chosen]
+        return Layout(tables.map_id.to(device)[row], start.float(), mask, self.speeds(draws), goal)
 
-    def next_goal(self, draws: Draws, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
+    def next_goal(
+        self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
+    ) -> Tensor:
         """Return another goal that is some way off the last one."""
-        row, place = (table.to(last.device)[last] for table in (self._row_of_goal, self._place_of_goal))
+        tables = prepared.tables
+        row, place = (table.to(last.device)[last] for table in (tables.row_of_goal, tables.place_of_goal))
         lot = draws.uniform_at("goal", agent, number)
-        return self._goals.to(last.device)[row, self._next_choice(row, place, lot)]
+        return tables.goals.to(last.device)[row, tables.following(row, place, lot)]
 
-    def _far(self, row: int, places: Tensor) -> Tensor:
-        """Return which goals are some way off each place (S, G)."""
-        goals = self._goals[row][self._goals[row] >= 0]
-        pairs = len(places) * len(goals)
-        points = places.float().repeat_interleave(len(goals), 0)
-        map_id = self._map_ids[row].expand(pairs)
-        way = self.planner.next_waypoints(
-            points, goals.repeat(len(places)), map_id, identity_pose(pairs)
-        ).distance
-        far = ((way > NEAREST) & way.isfinite()).view(len(places), len(goals))
-        if not far.any(1).all():
-            name = self.bank.grids[row].name
-            raise UserError(f"map {name!r} has no two places with more than {NEAREST} m of way between them")
-        return far
+
+def _far(planner: Planner, grid: OccupancyGrid, places: Tensor, goals: Tensor) -> Tensor:
+    """Return which goals (G,) of a floor plan are some way off each place (S, G)."""
+    pairs = len(places) * len(goals)
+    points = places.float().repeat_interleave(len(goals), 0)
+    map_id = torch.full((pairs,), grid.map_id)
+    way = planner.next_waypoints(points, goals.repeat(len(places)), map_id, identity_pose(pairs)).distance
+    far = ((way > NEAREST) & way.isfinite()).view(len(places), len(goals))
+    if not far.any(1).all():
+        raise UserError(f"map {grid.name!r} has no two places with more than {NEAREST} m of way between them")
+    return far
 
 
 class _Choice:
@@ -169,6 +177,30 @@ class _Choice:
         count = self._counts.to(lot.device)[row, place]
         index = (lot * count).long().clamp_max(count - 1)
         return self._columns.to(lot.device)[row, place, index]
+
+
+class _Tables(NamedTuple):
+    """What is drawn from, for M floor plans with at most S places and G goals.
+
+    Attributes:
+        map_id: The floor plans (M,) long.
+        places: Starts (M, S, 2), metres; NaN where there are fewer.
+        counts: How many places there are (M,) long.
+        goals: The planner's numbers of goals (M, G) long, -1 where there are fewer.
+        first: The goals that are some way off each place.
+        following: The goals that are some way off each goal.
+        row_of_goal: Floor plan of every goal of the planner.
+        place_of_goal: Its place on that.
+    """
+
+    map_id: Tensor
+    places: Tensor
+    counts: Tensor
+    goals: Tensor
+    first: _Choice
+    following: _Choice
+    row_of_goal: Tensor
+    place_of_goal: Tensor
 
 
 def _padded(tables: list[Tensor], value: float) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.plain import Rectangle, room
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, FREE, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
@@ -22,13 +22,8 @@ class Hallway(Encounter):
         self,
         width: Numbers = (1.5, 2.0, 3.0),
         offset: Numbers = 0.0,
-        people: int = 2,
         against: int | None = None,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 0.8,
-        delay: float = 1.0,
+        common: EncounterSettings = EncounterSettings(aside=0.8, delay=1.0),
         together: bool = False,
     ) -> None:
         """Set the scene.
@@ -37,21 +32,16 @@ class Hallway(Encounter):
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
             offset: Metres that people keep to the right of the corridor's middle on their whole way; 0 is
                 head-on; a list: one per scene.
-            people: 2 to 50, side by side where the corridor has room, and one behind the other.
-            against: How many of them come from the right; None: half of them.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each lane comes late at most.
+            against: How many of the people come from the right; None: half of them.
+            common: People are side by side where the corridor has room, and one behind the other.
             together: Those who come side by side walk together: equally fast, and equally late.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay, width=width, offset=offset)
+        super().__init__(common, width=width, offset=offset)
         self.variants.check_lengths(CELL, "width")
+        people = self.people
         against = people // 2 if against is None else against
         if not 1 <= against < people:
             raise UserError(f"hallway: against {against} of {people} people: expected 1 to {people - 1}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.plain import Point, Rectangle, room
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
@@ -24,12 +24,7 @@ class Intersection(Encounter):
         width: Numbers = (1.5, 2.5),
         arms: int = 4,
         turn: float = 0.0,
-        people: int = 2,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 0.5,
-        delay: float = 0.5,
+        common: EncounterSettings = EncounterSettings(),
     ) -> None:
         """Set the scene.
 
@@ -37,18 +32,12 @@ class Intersection(Encounter):
             width: Of both corridors, metres, a multiple of 0.05; a list: one per scene.
             arms: From how many arms people come, 2 (from the left and from below) to 4.
             turn: Share of people who turn left or right there; all others go straight on.
-            people: 2 to 50, shared out evenly over the arms.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each lane comes late at most.
+            common: People are shared out evenly over the arms.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay, width=width)
+        super().__init__(common, width=width)
         self.variants.check_lengths(CELL, "width")
         self.check_share("turn", turn)
         if not 2 <= arms <= 4:

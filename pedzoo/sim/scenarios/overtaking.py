@@ -7,7 +7,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plain import Rectangle, room
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import SPACING, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
@@ -31,33 +31,23 @@ class Overtaking(Encounter):
         self,
         width: Numbers = (1.8, 2.4, 3.0),
         speed_ratio: float = 1.6,
-        people: int = 2,
         slow: int | None = None,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 0.35,
-        delay: float = 0.5,
+        common: EncounterSettings = EncounterSettings(aside=0.35),
     ) -> None:
         """Set the scene.
 
         Args:
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
             speed_ratio: By how much each of the fast is faster than each of the slow, at least; above 1.2.
-            people: 2 to 20.
-            slow: How many of them are slow; None: half of them.
-            speed: Mean preferred speed of the fast, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each of the fast lanes comes late at most.
+            slow: How many of the people are slow; None: half of them.
+            common: At most 20 people; speeds and delays are those of the fast.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay, meet=3.0, width=width)
+        super().__init__(common, meet=3.0, width=width)
         self.variants.check_lengths(CELL, "width")
+        people = self.people
         slow = people // 2 if slow is None else slow
         if not 1 <= slow < people:
             raise UserError(f"overtaking: slow {slow} of {people} people: expected 1 to {people - 1}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.encounter import Encounter, EncounterSettings
 from pedzoo.sim.scenario_parts.lanes import ABREAST, APART, Lane, abreast, block
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 
@@ -23,12 +23,7 @@ class Parallel(Encounter):
         opposite: bool = False,
         gap: Numbers = (0.8, 1.2, 1.6),
         change: float = 0.3,
-        people: int = 6,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 0.5,
-        delay: float = 0.5,
+        common: EncounterSettings = EncounterSettings(people=6),
     ) -> None:
         """Set the scene.
 
@@ -36,18 +31,12 @@ class Parallel(Encounter):
             opposite: The second stream walks the other way.
             gap: Metres between the nearest lanes of the two streams; a list: one per scene.
             change: Share of people whose goal is in a lane of the other stream's, in their own direction.
-            people: 2 to 50, half of them in each stream, five abreast at most.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each lane comes late at most.
+            common: Half of the people are in each stream, five abreast at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay, gap=gap)
+        super().__init__(common, gap=gap)
         self.check_share("change", change)
         for least in self.variants.values["gap"]:
             if not least >= ABREAST:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.encounter import Encounter, EncounterSettings
 from pedzoo.sim.scenario_parts.lanes import ABREAST, BEYOND, Lane, abreast, block
 from pedzoo.sim.scenario_parts.variants import Variant
 
@@ -13,30 +13,16 @@ class Perpendicular(Encounter):
     *Perpendicular traffic* of Francis et al. 2023 (Fig. 7, Table 3).
     """
 
-    def __init__(
-        self,
-        people: int = 6,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 1.0,
-        delay: float = 0.5,
-    ) -> None:
+    def __init__(self, common: EncounterSettings = EncounterSettings(people=6, aside=1.0)) -> None:
         """Set the scene.
 
         Args:
-            people: 2 to 50, half of them from the left, the others from below, five abreast at most.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each lane comes late at most.
+            common: Half of the people are from the left, the others from below, five abreast at most.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay)
+        super().__init__(common)
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes from the left and from below."""

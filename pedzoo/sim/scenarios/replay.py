@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal, get_args
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.randomness import Draws
-from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Dataset, find_fold, open_fold
+from pedzoo.data.recordings import Dataset, Recording, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
@@ -22,7 +23,7 @@ from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of
 from pedzoo.sim.replay.script import Scenes, Script
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
+from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
 
 Simulated = Literal["all", "one"]
 
@@ -44,17 +45,9 @@ class Replay(Scenario):
     A recording is cut where no person is left (in a recording of sparse crowds), so that its parts run side
     by side: part i of R is scene i, i + R, ... of every seed; what differs is the policy's noise. With
     ``simulated=one`` every person has a scene of their own in which all others are played back.
-
-    Attributes:
-        persons: The recorded people: row p is ``person`` p of states and rollouts. There after `prepare`.
-        recordings: Names of the recordings. There after `prepare`.
-        scenes: R, scenes of one round. There after `prepare`.
     """
 
     unknown: Unknown = "free"
-    persons: RecordedPeople
-    recordings: list[str]
-    scenes: int
 
     def __init__(
         self,
@@ -105,23 +98,15 @@ class Replay(Scenario):
             OwnFiles(files, dt, "0,0,1", map, homography) if files else open_fold(fold, root, "true")
         )
         self._data = (fold, root, files, dt, map, homography, share, speed)
-        self._grids: list[OccupancyGrid | None] = []
-
-    @property
-    def fastest(self) -> float:
-        """What decides about sub-steps: the largest preferred speed, or a faster one that was recorded."""
-        recorded = (self._xy[1:] - self._xy[:-1])[self._person[1:] == self._person[:-1]].norm(dim=1)
-        fastest = max(float(recorded.max()) / STEP_SECONDS / TOP_SPEED_RATIO, 0.0) if len(recorded) else 0.0
-        return max(fastest, float(self.persons.pref_speed.max()))
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the floor plans of the recordings."""
-        return [grid for grid in self._grids if grid is not None]
+        return [grid for grid in _plans_of(self._source.recordings("test")) if grid is not None]
 
-    def prepare(self, clearance: float) -> None:
+    def prepare(self, clearance: float) -> PreparedReplay:
         """Read the recordings, find people's paths to their exits, and give them slots.
 
-        Prints how many people are simulated and played back.
+        Prints how many people are simulated and played back. Its table has the floor plan of each recording.
 
         Raises:
             UserError: A recording is refused, or no person can be simulated.
@@ -129,99 +114,72 @@ class Replay(Scenario):
         recordings = self._source.recordings("test")
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
         tracks = [recording.tracks.resampled(STEP_SECONDS) for recording in recordings]
-        self.recordings = [recording.name for recording in tracks]
-        read = {recording.plan: load_plan(recording.plan) for recording in recordings if recording.plan}
-        self._grids = [read[recording.plan] if recording.plan else None for recording in recordings]
-        self.bank = MapBank(self.plans(), self.unknown)
-        planner = Planner(self.bank, clearance, cell=CELL, share=SHARE)
-        self._map_id = torch.tensor([grid.map_id if grid else -1 for grid in self._grids])
-        rows = self.bank.index(self._map_id).tolist()
-        self.persons, self._xy = people_of(tracks, rows, planner, self.share, self.speed_of)
-        sizes = self.persons.last - self.persons.first + 1
-        self._person = torch.arange(len(sizes)).repeat_interleave(sizes)
-        if not self.persons.controlled.any():
-            raise UserError(f"replay: no person in {self.name!r} can be simulated: {self.persons.counts}")
-        self.planner = planner
-        self._stage()
+        grids = _plans_of(recordings)
+        bank = MapBank([grid for grid in grids if grid is not None], self.unknown)
+        planner = Planner(bank, clearance, cell=CELL, share=SHARE)
+        map_id = torch.tensor([grid.map_id if grid else -1 for grid in grids])
+        people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, self.share, self.speed_of)
+        if not people.controlled.any():
+            raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
+        return self._with_slots(planner, map_id, people, xy)
 
-    def adopt(self, other: Scenario) -> bool:
-        """Take people and their ways of the same recordings, whether all are simulated there or one."""
-        if not isinstance(other, Replay) or other._data != self._data:
-            return False
-        own = vars(self).keys() | {"script", "scenes"}
-        vars(self).update({key: value for key, value in vars(other).items() if key not in own})
-        self._grids = other._grids
-        self._stage()
-        return True
+    def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
+        """Return people and their ways of the same recordings, whether all are simulated there or one."""
+        if not isinstance(other.scenario, Replay) or other.scenario._data != self._data or not other.script:
+            return None
+        return self._with_slots(other.planner, other.tables, other.script.people, other.script.xy)
 
-    def _stage(self) -> None:
+    def _with_slots(
+        self, planner: Planner, map_id: Tensor, people: RecordedPeople, xy: Tensor
+    ) -> PreparedReplay:
         """Give people slots, and print how many are simulated and played back."""
-        self.script = self._all() if self.simulated == "all" else self._one()
-        self.scenes = len(self.script.scenes.table)
-        self.people = self.script.occupants.shape[1]
-        print(f"replay {self.name}: {self.summary()}")
+        scripted = _all_simulated if self.simulated == "all" else _one_simulated
+        script = Script(people, xy, *scripted(people, len(map_id)))
+        result = PreparedReplay(scenario=self, planner=planner, tables=map_id, script=script)
+        kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
+        print(
+            f"replay {self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
+            f"{result.people}: {kinds}"
+        )
+        return result
 
-    def summary(self) -> str:
-        """Return in one line how many people are simulated and played back."""
-        kinds = ", ".join(f"{count} {name}" for name, count in self.persons.counts.items())
-        return f"{len(self.persons.agent)} people in {self.scenes} scenes of at most {self.people}: {kinds}"
-
-    def _all(self) -> Script:
-        """Return the script that simulates all people that it can."""
-        people = self.persons
-        frames = int(people.until.max()) + 1
-        slot, scene_rows = torch.full_like(people.first, -1), []
-        for recording in range(len(self._map_id)):
-            mine = (people.recording == recording).nonzero()[:, 0]
-            slot[mine] = slots(people.first[mine], people.until[mine])
-            for piece in pieces(people.first[mine], people.until[mine]):
-                group = mine[piece]
-                scored = group[people.controlled[group]]
-                if len(scored):
-                    origin = people.first[group].min() + OBS_LEN - 1
-                    last, left = people.taken[scored].max(), people.last[scored].max()
-                    scene_rows.append((recording, origin, people.until[group].max(), last, left, -1))
-        return self._scripted(slot, people.until, frames, int(slot.max()) + 1, scene_rows)
-
-    def _one(self) -> Script:
-        """Return the script with a scene for each person, ordered by how long they stay."""
-        people = self.persons
-        frames = int(people.last.max()) + 1
-        slot = torch.full_like(people.first, -1)
-        for recording in range(len(self._map_id)):
-            mine = (people.recording == recording).nonzero()[:, 0]
-            slot[mine] = slots(people.first[mine], people.last[mine])
-        leads = people.controlled.nonzero()[:, 0]
-        leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
-        scene_rows = [
-            (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p)
-            for p in leads
-        ]
-        return self._scripted(slot, people.last, frames, int(slot.max()) + 2, scene_rows)
-
-    def _scripted(self, slot: Tensor, end: Tensor, frames: int, most: int, scene_rows: list[tuple]) -> Script:
-        people = self.persons
-        mine = (people.recording == number for number in range(len(self._map_id)))
-        tables = [table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine]
-        columns = (torch.tensor([int(value) for value in column]) for column in zip(*scene_rows, strict=True))
-        return Script(people, self._xy, torch.stack(tables), Scenes(*columns))
-
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return the recorded beginning of scenes; they follow one another in the order of episodes."""
-        if draws.episode is None or self.script is None:
+        script = prepared.script
+        if draws.episode is None or script is None:
             raise ValueError("a replay needs the numbers of its episodes, Draws.for_episodes(seed, episode)")
-        scene = draws.episode % self.scenes
-        opening, history = self.script.opening(scene)
+        scene = draws.episode % len(script.scenes.table)
+        opening, history = script.opening(scene)
         there = opening.person >= 0
         return Layout(
-            map_id=self._map_id[self.script.scenes.table[scene]],
+            map_id=prepared.tables[script.scenes.table[scene]],
             start=history[:, :, 0],
             mask=there,
-            pref_speed=torch.where(there, self.persons.pref_speed[opening.person], self.speed),
-            goal=torch.where(there, self.persons.goal_id[opening.person], -1),
+            pref_speed=torch.where(there, script.people.pref_speed[opening.person], self.speed),
+            goal=torch.where(there, script.people.goal_id[opening.person], -1),
             history=history,
             opening=opening,
         )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PreparedReplay(PreparedScenario):
+    """A replay with its people, and the recorded crowd itself."""
+
+    @property
+    def persons(self) -> RecordedPeople:
+        """The recorded people: row p is ``person`` p of states and rollouts."""
+        return self._recorded.people
+
+    @property
+    def scenes(self) -> int:
+        """R, scenes of one round."""
+        return len(self._recorded.scenes.table)
+
+    @property
+    def _recorded(self) -> Script:
+        assert self.script is not None
+        return self.script
 
     def real(self) -> Rollout:
         """Return the recorded crowd as a rollout of one round: on the same slots and trace.
@@ -234,3 +192,55 @@ class Replay(Scenario):
     def real_parts(self) -> Iterator[Rollout]:
         """Yield `real` in parts of some scenes, each only as long as these take."""
         return real_parts(self, self.scenes)
+
+
+def _plans_of(recordings: Sequence[Recording]) -> list[OccupancyGrid | None]:
+    """Return the floor plan of each recording, every file read once; None where there is none."""
+    read = {recording.plan: load_plan(recording.plan) for recording in recordings if recording.plan}
+    return [read[recording.plan] if recording.plan else None for recording in recordings]
+
+
+def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scenes]:
+    """Return who is in which slot, and the scenes, where all people are simulated that can be."""
+    frames = int(people.until.max()) + 1
+    slot, scene_rows = torch.full_like(people.first, -1), []
+    for recording in range(recordings):
+        mine = (people.recording == recording).nonzero()[:, 0]
+        slot[mine] = slots(people.first[mine], people.until[mine])
+        for piece in pieces(people.first[mine], people.until[mine]):
+            group = mine[piece]
+            scored = group[people.controlled[group]]
+            if len(scored):
+                origin = people.first[group].min() + OBS_LEN - 1
+                last, left = people.taken[scored].max(), people.last[scored].max()
+                scene_rows.append((recording, origin, people.until[group].max(), last, left, -1))
+    occupants = _occupants(people, slot, people.until, frames, int(slot.max()) + 1, recordings)
+    return occupants, _scenes_of(scene_rows)
+
+
+def _one_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scenes]:
+    """Return the same with a scene for each person, ordered by how long they stay."""
+    frames = int(people.last.max()) + 1
+    slot = torch.full_like(people.first, -1)
+    for recording in range(recordings):
+        mine = (people.recording == recording).nonzero()[:, 0]
+        slot[mine] = slots(people.first[mine], people.last[mine])
+    leads = people.controlled.nonzero()[:, 0]
+    leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
+    scene_rows = [
+        (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p)
+        for p in leads
+    ]
+    occupants = _occupants(people, slot, people.last, frames, int(slot.max()) + 2, recordings)
+    return occupants, _scenes_of(scene_rows)
+
+
+def _occupants(
+    people: RecordedPeople, slot: Tensor, end: Tensor, frames: int, most: int, recordings: int
+) -> Tensor:
+    mine = (people.recording == number for number in range(recordings))
+    return torch.stack([table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine])
+
+
+def _scenes_of(rows: list[tuple[Any, ...]]) -> Scenes:
+    return Scenes(*(torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True)))

@@ -9,7 +9,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plain import Rectangle, room, wall
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, whole_cells
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.scenario import door_at_origin
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
@@ -40,33 +40,23 @@ class RoomExit(Encounter):
         self,
         width: Numbers = (0.9, 1.2),
         corridor: Numbers = 2.4,
-        people: int = 4,
         entering: int = 1,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        jitter: float = 0.1,
-        aside: float = 0.5,
-        delay: float = 0.5,
+        common: EncounterSettings = EncounterSettings(people=4),
     ) -> None:
         """Set the scene.
 
         Args:
             width: Of the door, metres, a multiple of 0.05; a list: one per scene.
             corridor: Its width, metres, a multiple of 0.05; a list: one per scene.
-            people: 2 to 50.
-            entering: How many of them come in while the others leave.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            jitter: Metres that starts are off their places at most, along and across.
-            aside: Metres that all from one side start to the left or right of their lanes at most, less where
-                walls are near; their goals stay.
-            delay: Seconds that the first of each lane comes late at most.
+            entering: How many of the people come in while the others leave.
+            common: Of those who leave and those who enter.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std, jitter, aside, delay, width=width, corridor=corridor)
+        super().__init__(common, width=width, corridor=corridor)
         self.variants.check_lengths(CELL, "width", "corridor")
+        people = self.people
         if not 0 <= entering < people:
             raise UserError(f"room_exit: entering {entering} of {people} people: expected 0 to {people - 1}")
         self.entering, self.stray = entering, 0.5

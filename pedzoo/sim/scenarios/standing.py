@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.sim.scenario_parts.ranges import Drawn, Range
-from pedzoo.sim.scenario_parts.scenario import Layout
+from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario
 from pedzoo.sim.scenario_parts.variants import Numbers
 from pedzoo.sim.scenarios.door import BEFORE, NEAREST, Door
 
@@ -88,13 +88,13 @@ class Standing(Door):
                 "wall than others are when the warm start ends"
             )
 
-    def layout(self, draws: Draws) -> Layout:
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return those who come and, as the last, the one who stands."""
-        coming = super().layout(draws)
+        coming = super().layout(prepared, draws)
         width = self.variants.of("width", draws)
         beside = (width / 2 - ROOM).clamp_min(0.0) * (2 * draws.uniform("beside") - 1)
         place = torch.stack((self.at.of(draws, 1)[:, 0], beside), dim=-1)
-        goals = self._goals.to(width.device)[self.variants.drawn(draws)]
+        goals = prepared.tables[1].to(width.device)[self.variants.drawn(draws)]
         goal = goals.gather(1, draws.integers("goal", 2, 1))
         speed = self.speeds(draws)[:, -1:]
         return coming._replace(

@@ -112,8 +112,10 @@ class LoopModule(ForecastModule):
         """
         super().setup(stage)
         data: Any = getattr(self.trainer, "datamodule", None)
-        if stage == "fit" and data is not None and not data.hparams.unroll:
-            raise UserError("training in the loop imitates recorded walks: set --data.unroll, such as 12")
+        if stage == "fit" and data is not None and not data.imitated.steps:
+            raise UserError(
+                "training in the loop imitates recorded walks: set --data.imitated.steps, such as 12"
+            )
 
     def training_step(self, batch: dict[str, TensorDict], batch_idx: int) -> Tensor:
         """Return the loss of a segment and of two batches of recordings."""

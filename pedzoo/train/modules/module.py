@@ -14,9 +14,10 @@ from torch.optim import Optimizer
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
+from pedzoo.core.groups import groups
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
-from pedzoo.models.zoo.loading import config_of
+from pedzoo.models.zoo.loading import architecture_in, config_of
 
 
 class ForecastModule(L.LightningModule):
@@ -62,9 +63,10 @@ class ForecastModule(L.LightningModule):
             return
         asked, own = data.goal, self.generator.goal_protocol
         if stage == "fit" and "goal" in self.generator.needs and asked not in (own, "random_future"):
+            group = "architecture." * ("architecture" in groups(type(self.generator)))
             raise UserError(
                 f"the data give goals by {asked!r}, but the model is built for {own!r}: "
-                f"set both, --data.goal {asked} --model.generator.goal_protocol {asked}"
+                f"set both, --data.goal {asked} --model.generator.{group}goal_protocol {asked}"
             )
 
     def random(self) -> torch.Generator:
@@ -145,7 +147,7 @@ class ForecastModule(L.LightningModule):
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
-        changed = differences(renamed.new_init(theirs), ours, LOSSES)
+        changed = differences(renamed.new_init(theirs), ours)
         if changed:
             raise UserError(
                 f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"
@@ -167,26 +169,20 @@ def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
     return {key for key in checkpoint.get("state_dict", ()) if key.startswith("walker.model.")}
 
 
-LOSSES = frozenset(
-    {"best_k", "error", "variety_weight", "mode_weight", "energy_weight", "kl_weight", "map_dropout"}
-)
-"""Options of a model that may change when a run goes on: they are of its losses, not of its weights."""
-
-
-def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any], free: Set[str]) -> list[str]:
-    """Return what tells two models apart beyond the options that are ``free``, as readable texts.
+def differences(theirs: dict[str, Any], ours: dict[str, Any], free: Set[str] = frozenset()) -> list[str]:
+    """Return what tells the architectures of two models apart, as readable texts.
 
     Args:
         theirs: A config of `pedzoo.models.zoo.loading.config_of`.
         ours: Likewise.
-        free: Options whose values do not matter.
+        free: Settings whose values do not matter.
     """
-    given, wanted = (
-        {"architecture": config["architecture"], **{k: v for k, v in config["init"].items() if k not in free}}
-        for config in (theirs, ours)
-    )
+    names = theirs["architecture"], ours["architecture"]
+    if names[0] != names[1]:
+        return [f"architecture: {names[0]} there, {names[1]} here"]
+    given, wanted = architecture_in(theirs), architecture_in(ours)
     return [
         f"{key}: {given.get(key)} there, {wanted.get(key)} here"
         for key in given | wanted
-        if given.get(key) != wanted.get(key)
+        if key not in free and given.get(key) != wanted.get(key)
     ]

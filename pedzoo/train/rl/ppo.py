@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -13,11 +14,11 @@ from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Noise, Walker
-from pedzoo.sim.make import CLEARANCE, make_scenario
+from pedzoo.sim.make import make_scenario, prepare_scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic
@@ -40,6 +41,81 @@ class _Parts(NamedTuple):
     gatherers: list[Gatherer]
 
 
+@dataclass(frozen=True)
+class Collection:
+    """Where and how decisions are gathered.
+
+    Attributes:
+        envs: Scenes of an iteration.
+        steps: Decisions of 0.4 s in each of them.
+        physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
+        noise: Of the generator, as of `Walker`.
+        std: Standard deviation of velocities at the beginning, m/s.
+    """
+
+    envs: int = 32
+    steps: int = 32
+    physics: str = "compiled"
+    noise: Noise | None = None
+    std: float = 0.15
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UserError: One is out of range.
+        """
+        for name in ("envs", "steps"):
+            if getattr(self, name) < 1:
+                raise UserError(f"--model.collection.{name} {getattr(self, name)}: expected at least 1")
+        if self.std <= 0:
+            raise UserError(f"--model.collection.std {self.std}: expected above 0")
+
+
+@dataclass(frozen=True)
+class Optimisation:
+    """How much is learnt from the decisions of an iteration.
+
+    Attributes:
+        lr_critic: Learning rate of the critic's Adam, constant.
+        passes: Over the decisions of an iteration.
+        minibatches: Updates of one pass.
+        gamma: Discount of a decision.
+        gae_lambda: Of the generalised advantage: 0 trusts the critic, 1 the rewards.
+        clip_ratio: By how much the likelihood of a decision may change to a gain.
+        entropy: Weight of the distribution's entropy, which keeps it broad.
+        critic: Weight of the critic's loss.
+        recorded: Weight of the generator's own loss on recorded scenes, per scene; 0 leaves it out.
+    """
+
+    lr_critic: float = 1e-3
+    passes: int = 4
+    minibatches: int = 4
+    gamma: float = 0.97
+    gae_lambda: float = 0.95
+    clip_ratio: float = 0.2
+    entropy: float = 0.0
+    critic: float = 1.0
+    recorded: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UserError: One is out of range.
+        """
+        for name, fits, expected in (
+            ("passes", self.passes >= 1, "at least 1"),
+            ("minibatches", self.minibatches >= 1, "at least 1"),
+            ("clip_ratio", 0 < self.clip_ratio < 1, "in (0, 1)"),
+            ("gamma", 0 <= self.gamma <= 1, "0 to 1"),
+            ("gae_lambda", 0 <= self.gae_lambda <= 1, "0 to 1"),
+        ):
+            if not fits:
+                value = getattr(self, name)
+                raise UserError(f"--model.optimisation.{name} {value}: expected {expected}")
+
+
 class PPOModule(ForecastModule):
     """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by TorchRL's loss and collector.
 
@@ -49,9 +125,9 @@ class PPOModule(ForecastModule):
     al. 2016, arXiv:1506.02438). Losses, entropy, advantages and their normalisation are those of people
     whom the policy moves: padding, people who have left and people played back count nowhere.
 
-    An iteration gathers decisions in one of the scenarios, in turn, and makes ``passes`` over them in
-    ``minibatches``. The batch of recorded scenes that an iteration is given by the data can keep the
-    forecasts: ``recorded`` weighs the generator's own loss on it in every update.
+    An iteration gathers decisions in one of the scenarios, in turn, and learns from them as `Optimisation`
+    says. The batch of recorded scenes that an iteration is given by the data can keep the forecasts:
+    ``recorded`` weighs the generator's own loss on it in every update.
     """
 
     skipped: Tensor
@@ -61,21 +137,8 @@ class PPOModule(ForecastModule):
         generator: Forecaster,
         scenarios: list[str],
         reward: Reward,
-        envs: int = 32,
-        steps: int = 32,
-        physics: str = "compiled",
-        noise: Noise | None = None,
-        std: float = 0.15,
-        lr_critic: float = 1e-3,
-        passes: int = 4,
-        minibatches: int = 4,
-        gamma: float = 0.97,
-        gae_lambda: float = 0.95,
-        clip_ratio: float = 0.2,
-        entropy: float = 0.0,
-        critic: float = 1.0,
-        recorded: float = 0.0,
-        world: str | None = None,
+        collection: Collection = Collection(),
+        optimisation: Optimisation = Optimisation(),
         **options: Any,
     ) -> None:
         """Take a generator, where it walks and how it is optimised.
@@ -84,80 +147,59 @@ class PPOModule(ForecastModule):
             generator: The model, best with weights (``pedzoo fit --weights NAME``).
             scenarios: With settings, as ``door:people=4``.
             reward: What a decision is worth.
-            envs: Scenes of an iteration.
-            steps: Decisions of 0.4 s in each of them.
-            physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
-            noise: Of the generator, as of `Walker`.
-            std: Standard deviation of velocities at the beginning, m/s.
-            lr_critic: Learning rate of the critic's Adam, constant.
-            passes: Over the decisions of an iteration.
-            minibatches: Updates of one pass.
-            gamma: Discount of a decision.
-            gae_lambda: Of the generalised advantage: 0 trusts the critic, 1 the rewards.
-            clip_ratio: By how much the likelihood of a decision may change to a gain.
-            entropy: Weight of the distribution's entropy, which keeps it broad.
-            critic: Weight of the critic's loss.
-            recorded: Weight of the generator's own loss on recorded scenes, per scene; 0 leaves it out.
-            world: What ``physics`` was called before.
+            collection: How decisions are gathered there.
+            optimisation: What is learnt from them.
             options: Of the generator's optimisation and of validation; see `ForecastModule`.
 
         Raises:
-            UserError: No scenario, an unknown one, or a number out of range.
+            UserError: No scenario, an unknown one, or more minibatches than decisions.
         """
         super().__init__(generator, **options)
         if not scenarios:
             raise UserError("--model.scenarios: expected at least one, such as door")
-        counts = {"envs": envs, "steps": steps, "passes": passes, "minibatches": minibatches}
-        for name, count in counts.items():
-            if count < 1:
-                raise UserError(f"--model.{name} {count}: expected at least 1")
-        if minibatches > envs * steps:
-            raise UserError(f"--model.minibatches {minibatches}: there are {envs * steps} decisions in all")
-        if std <= 0 or not 0 < clip_ratio < 1:
+        decisions = collection.envs * collection.steps
+        if optimisation.minibatches > decisions:
             raise UserError(
-                f"--model.std {std} --model.clip_ratio {clip_ratio}: expected above 0 and in (0, 1)"
+                f"--model.optimisation.minibatches {optimisation.minibatches}: there are {decisions} "
+                "decisions in all"
             )
-        if not (0 <= gamma <= 1 and 0 <= gae_lambda <= 1):
-            raise UserError(f"--model.gamma {gamma} --model.gae_lambda {gae_lambda}: expected 0 to 1")
         self.automatic_optimization = False
         self.scenarios = [make_scenario(name) for name in scenarios]
-        self.reward, self.envs, self.steps = reward, envs, steps
-        self.physics = physics if world is None else renamed.old_world(world)
-        self.passes, self.minibatches, self.lr_critic = passes, minibatches, lr_critic
-        self.gamma, self.gae_lambda, self.clip_ratio = gamma, gae_lambda, clip_ratio
-        self.weights = entropy, critic
-        self.recorded = recorded
-        self.critic, self.spread = Critic(gamma), Spread(std)
-        self._walker = (Walker(generator, noise),)  # in a tuple: its parameters are registered already
+        self.reward, self.collection, self.optimisation = reward, collection, optimisation
+        self.critic, self.spread = Critic(optimisation.gamma), Spread(collection.std)
+        self._walker = (
+            Walker(generator, collection.noise),
+        )  # in a tuple: its parameters are registered already
         self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+        self._prepared: list[PreparedScenario] = []
         self._parts: _Parts | None = None
 
     def setup(self, stage: str) -> None:
         """Plan the scenes, too: errors are raised before anything is written."""
         super().setup(stage)
         if stage == "fit":
-            for scenario in self.scenarios:
-                scenario.ready(CLEARANCE)
+            self._prepared = [prepare_scenario(scenario) for scenario in self.scenarios]
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam; the actor's learning rate is set at every iteration."""
         acting = [*self.generator.parameters(), *self.spread.parameters()]
-        critic = {"params": list(self.critic.parameters()), "lr": self.lr_critic}
+        critic = {"params": list(self.critic.parameters()), "lr": self.optimisation.lr_critic}
         return torch.optim.Adam([{"params": acting}, critic], self.lr)
 
     def steps_per_iteration(self) -> float:
         """Return how many optimizer steps one iteration makes."""
-        return self.passes * self.minibatches
+        return self.optimisation.passes * self.optimisation.minibatches
 
     def on_fit_start(self) -> None:
         """Make environments, collectors and TorchRL's loss, on the device of the training."""
+        how, where = self.optimisation, self.collection
         acting = actor(self._walker[0], self.spread)
-        loss = clipped(acting, self.critic, self.clip_ratio, *self.weights, self.device)
-        estimate = advantages(self.gamma, self.gae_lambda, self.device)
+        loss = clipped(acting, self.critic, how.clip_ratio, how.entropy, how.critic, self.device)
+        estimate = advantages(how.gamma, how.gae_lambda, self.device)
         shares = self.trainer.global_rank, self.trainer.world_size
         gatherers = [
-            Gatherer(scenario, acting, self.envs, self.steps, self.physics, self.device, *shares)
-            for scenario in self.scenarios
+            Gatherer(scenario, acting, where.envs, where.steps, where.physics, self.device, *shares)
+            for scenario in self._prepared
         ]
         self._parts = _Parts(loss, estimate, gatherers)
 
@@ -179,14 +221,16 @@ class PPOModule(ForecastModule):
         seen = gatherer.gather(self._seed_of_iteration())
         lived = rated(seen.to(self.device), self.reward, self.critic, estimate)
         self.set_lr(optimizer, self.lr)
-        optimizer.param_groups[1]["lr"] = self.lr_critic
-        parts = _parts_of(batch, self.minibatches)
+        optimizer.param_groups[1]["lr"] = self.optimisation.lr_critic
+        parts = _parts_of(batch, self.optimisation.minibatches)
         logged = []
         for number, chosen in enumerate(self._minibatches(len(lived), random)):
             result = cast("TensorDict", loss(lived[chosen]))
-            if self.recorded:
+            if self.optimisation.recorded:
                 part = parts[number % len(parts)]
-                result["loss_recorded"] = self.recorded * self.generator.loss(part, random) / len(part)
+                result["loss_recorded"] = (
+                    self.optimisation.recorded * self.generator.loss(part, random) / len(part)
+                )
             terms = [result[key] for key in result.keys() if str(key).startswith("loss_")]
             self._update(optimizer, torch.stack(terms).sum())
             logged.append(result.select(*_LOGGED, strict=False).detach())
@@ -195,9 +239,9 @@ class PPOModule(ForecastModule):
 
     def _minibatches(self, count: int, random: torch.Generator) -> Iterator[Tensor]:
         """Yield which decisions (M,) long are in every update."""
-        for _ in range(self.passes):
+        for _ in range(self.optimisation.passes):
             order = torch.randperm(count, generator=random).to(self.device)
-            yield from order.tensor_split(self.minibatches)
+            yield from order.tensor_split(self.optimisation.minibatches)
 
     def _update(self, optimizer: Any, loss: Tensor) -> None:
         """Make a step, unless its gradient is not finite; the norms of actor and critic are cut apart."""

@@ -10,6 +10,7 @@ import lightning as L
 from lightning.pytorch.loggers import WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
+from pedzoo.core.adapters import logged_step
 from pedzoo.eval.comparison import PolicyRollout
 
 FILM = (480, 360)
@@ -40,7 +41,7 @@ def log_rollout_media(
 
     key = "rollout/" + re.sub(r"[^\w.,=-]", "_", scenario)  # names files, too
     shown = [walked._replace(name=f"{walked.name}, epoch {trainer.current_epoch}")]
-    step = trainer.fit_loop.epoch_loop._batches_that_stepped  # by which Lightning logs everything else
+    step = logged_step(trainer)
     with tempfile.TemporaryDirectory() as folder:
         ways, walk = Path(folder, "ways.png"), Path(folder, "walk.webm")
         if picture:

@@ -18,6 +18,7 @@ from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario, physics_class
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.validation.rollout_media import log_rollout_media
 from pedzoo.train.validation.validation_scenario import ValidationScenario, isolated, share, walking_copy
@@ -91,7 +92,7 @@ class ClosedLoopValidation(Callback):
         names = scenarios or []
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise UserError(f"--rollout.scenarios: {twice!r} is given twice")
-        self.scenarios = {name: make_scenario(name) for name in names}
+        self.scenarios: dict[str, Scenario | PreparedScenario] = {name: make_scenario(name) for name in names}
         self.every, self.episodes, self.seed = every, episodes, seed
         self.deterministic, self.picture, self.video = deterministic, picture, video
         self._validations = 0
@@ -154,6 +155,7 @@ class ClosedLoopValidation(Callback):
         walker = walking_copy(model)
         for name, scenario in self.scenarios.items():
             env = make_env(scenario, physics=self.physics, seed=self.seed)
+            self.scenarios[name] = env.prepared  # planned once
             with isolated(self.seed), closing(env.physics):
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):

@@ -14,7 +14,7 @@ from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import joined
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 
 
 class ValidationScenario:
@@ -27,7 +27,7 @@ class ValidationScenario:
     def __init__(
         self,
         name: str,
-        scenario: Scenario,
+        scenario: Scenario | PreparedScenario,
         physics: str,
         seed: int,
         first: int,

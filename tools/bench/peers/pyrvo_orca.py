@@ -27,7 +27,7 @@ def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
             name,
             scenes["scenes"],
             scenes["people"],
-            scenes["orca"]["time_step"],
+            scenes["orca"]["dt"],
             f"ORCA only, {walls(scenes)}, {about}",
             lambda scenes=scenes, bare=bare: built(scenes, bare),
             EVERY,
@@ -51,7 +51,7 @@ def built(scenes: dict[str, Any], bare: bool) -> tuple[Step, Step]:
     """Return what makes a step of all scenes, and what puts everybody back."""
     orca = scenes["orca"]
     most = EVERYBODY if orca["max_neighbors"] is None else orca["max_neighbors"]
-    common = orca["time_step"], orca["neighbor_dist"], most, orca["time_horizon"], orca["time_horizon_obst"]
+    common = orca["dt"], orca["neighbor_dist"], most, orca["time_horizon"], orca["time_horizon_obst"]
     simulators = []
     for speeds in scenes["top_speed"]:
         one = RVOSimulator(*common, orca["radius"], max(speeds))

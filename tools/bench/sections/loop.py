@@ -14,7 +14,7 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from tools.bench.figures import Measured, Row, Verdict
 from tools.bench.peer import Scenes, running
 from tools.bench.scenes import LARGEST, QUICK, SIZES, Size, for_peers, scenario, sizes
@@ -66,7 +66,7 @@ class Loop(Section):
 
     def rows(self) -> Iterator[Row]:
         """Measure every size."""
-        known: dict[int, tuple[Scenario, Measured]] = {}
+        known: dict[int, tuple[PreparedScenario, Measured]] = {}
         for size in sizes(self.settings, QUICK if self.settings.quick else SIZES):
             if size.people not in known:
                 begun = self.settings.clock()
@@ -74,7 +74,7 @@ class Loop(Section):
                 known[size.people] = made, Measured.of([self.settings.clock() - begun])
             yield from self._size(size, *known[size.people])
 
-    def _size(self, size: Size, scene: Scenario, prepared: Measured) -> Iterator[Row]:
+    def _size(self, size: Size, scene: PreparedScenario, prepared: Measured) -> Iterator[Row]:
         """Time all sides at one size."""
         where = {"size": str(size), "map": scene.bank.grids[0].name}
         walks = [Walk(scene, size, policy, self.settings.quick) for policy in POLICIES_TIMED]
@@ -131,7 +131,7 @@ def _metrics(speeds: list[float], step: float) -> dict[str, Measured]:
 class Walk:
     """An environment and who walks in it, in the middle of episodes."""
 
-    def __init__(self, scene: Scenario | str, size: Size, policy: str, quick: bool = False) -> None:
+    def __init__(self, scene: PreparedScenario | str, size: Size, policy: str, quick: bool = False) -> None:
         """Walk for about an episode, so that not all scenes are reset in the same step."""
         self.policy_name, self.title = policy, f"env + {policy}"
         self.policy = load_policy(policy)
@@ -157,7 +157,7 @@ class Walk:
         return for_peers(
             "loop",
             Size(*state.mask.shape),
-            OrcaSettings(time_step=self.env.decision_dt),
+            OrcaSettings(dt=self.env.decision_dt),
             WallSegments(bank),
             state.position,
             state.velocity,

@@ -23,7 +23,7 @@ from tools.bench.section import Section
 from tools.bench.turns import in_turns, ratio, repeated
 
 SPEED, TOP_SPEED = 1.3, 1.69
-SETTINGS = OrcaSettings(time_step=0.1)
+SETTINGS = OrcaSettings(dt=0.1)
 WARM = 20
 """Steps from the start to the states that are timed: people are on their ways then."""
 
@@ -89,7 +89,7 @@ class _Crowd(NamedTuple):
             wanted = SPEED * way / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)
             crowd = crowd._replace(preferred=wanted)
             velocity = crowd.velocities()
-            crowd = crowd._replace(position=crowd.position + SETTINGS.time_step * velocity, velocity=velocity)
+            crowd = crowd._replace(position=crowd.position + SETTINGS.dt * velocity, velocity=velocity)
         return crowd
 
     @torch.no_grad()

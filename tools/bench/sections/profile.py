@@ -140,7 +140,7 @@ class Split:
 @contextmanager
 def parts_timed(split: Split, env: PedestrianEnv) -> Iterator[None]:
     """Time the parts of an environment's steps within the block."""
-    planner = env.scenario.planner
+    planner = env.prepared.planner
     calls = (
         (PLANNER, planner, "guidance"),
         (PLANNER, planner, "next_waypoints"),

@@ -74,7 +74,7 @@ class Sgan(Section):
         yield _row("load the fold", *loading)
         for name, pooling in (("VP", True), ("V", False)):
             peers = peer.networks(pooling)
-            generator = architecture.SGAN(bottleneck_dim=8 if pooling else 0)
+            generator = architecture.SGAN.of(bottleneck_dim=8 if pooling else 0)
             mine = generator, Discriminator("global" if pooling else "local")
             for old, own in zip(peers, mine, strict=True):
                 copy_weights(old, own)
