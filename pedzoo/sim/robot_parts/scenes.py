@@ -12,6 +12,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from pedzoo.core import groups
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError
@@ -135,20 +136,24 @@ def with_robots(
     """
     spec = parse(scenario) if isinstance(scenario, str) else scenario
     settings = dict(spec.settings)
-    parameter = inspect.signature(SCENARIOS.get(spec.name, Scenario)).parameters.get("people")
+    cls = SCENARIOS.get(spec.name, Scenario)
     if spec.name == "replay":
         if len(bodies) > 1 or settings.setdefault("simulated", "one") != "one":
             raise UserError(
                 f"replay with {len(bodies)} robots, simulated={settings['simulated']}: expected one robot "
                 "in the place of one person, simulated=one"
             )
-    elif parameter is None:
+    elif "people" not in groups.settings(cls):
         raise UserError(
             f"{spec.name}: robots take the places of people, and this scenario has no setting people: "
             "expected goals, door, hallway, circle or another one that has"
         )
     else:
-        settings["people"] = _more(settings.get("people", parameter.default), len(bodies))
+        home = groups.homes(cls).get("people")
+        usual = (
+            groups.groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
+        )
+        settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
     return RobotScenes(inner, bodies, robot_goals, present)
 
