@@ -1,0 +1,1 @@
+"""Robots among people: one policy per file, from what a robot sees to its next velocity."""

@@ -1,0 +1,16 @@
+"""Baseline: the robot stands still."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pedzoo.policies.robot import People, Robot
+
+
+class Stop:
+    """Never moves."""
+
+    def __call__(self, robot: Robot, people: People) -> Tensor:
+        """Return zeros (B, 2)."""
+        return torch.zeros_like(robot.position)
