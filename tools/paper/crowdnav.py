@@ -106,7 +106,7 @@ class Crowdnav(Reproduction):
                 name: f"seeds {table.first} to {table.first + self.count - 1}"
                 for name, table in TABLES.items()
             },
-            "seeds": [table.first for table in TABLES.values()],
+            "seeds": sorted({table.first for table in TABLES.values()}),
             "notes": list(NOTES),
             "rows": rows,
             "published": {name: [row._asdict() for row in rows] for name, rows in PUBLISHED.items()},
@@ -114,7 +114,8 @@ class Crowdnav(Reproduction):
 
     def pages(self, report: Mapping[str, Any]) -> list[Page]:
         """Return a table for each setting, and how many cases end as in published logs."""
-        return [*(table_page(name, report["rows"]) for name in TABLES), agreement_page(report["rows"])]
+        pages = [*(table_page(name, report["rows"]) for name in TABLES), agreement_page(report["rows"])]
+        return [page for page in pages if page.rows]
 
     def legend(self) -> dict[str, str]:
         """Return what the metrics are."""

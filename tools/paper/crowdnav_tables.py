@@ -74,7 +74,7 @@ def table_page(name: str, rows: Sequence[Mapping[str, Any]]) -> Page:
     empty, names = ["-"] * (1 + len(table.columns)), {row["name"] for row in own}
     others = [row for row in PUBLISHED[name] if row.ours not in names]
     body += [[row.robot, *empty, _printed({"name": row.ours}, {row.ours: row})] for row in others]
-    head = ["robot", "n", *table.columns, "published: success / collision / time_s"]
+    head = ["robot", "n", *table.columns, "published (success / collision / time_s)"]
     return Page(table.title, head, body, 2)
 
 
