@@ -18,7 +18,7 @@ class Orca:
         self,
         time_step: float = 0.25,
         neighbor_dist: float = 10.0,
-        max_neighbors: int | None = 10,
+        max_neighbors: int = 10,
         time_horizon: float = 5.0,
         margin: float = 0.01,
         safety_space: float = 0.0,
@@ -28,7 +28,7 @@ class Orca:
         Args:
             time_step: Seconds for which the velocities are held.
             neighbor_dist: Metres between centres from which on people are ignored.
-            max_neighbors: So many nearest people are heeded; None: all of them.
+            max_neighbors: So many nearest people are heeded.
             time_horizon: Seconds for which velocities are safe.
             margin: Metres by which all radii are longer than they are.
             safety_space: Further metres, which CrowdNav's users tune.
@@ -37,7 +37,7 @@ class Orca:
             UserError: A setting is out of range.
         """
         self.settings = OrcaSettings(
-            time_step=time_step,
+            dt=time_step,
             neighbor_dist=neighbor_dist,
             max_neighbors=max_neighbors,
             time_horizon=time_horizon,

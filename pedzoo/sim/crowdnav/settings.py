@@ -55,7 +55,7 @@ class Setting:
     def orca(self) -> OrcaSettings:
         """The parameters of the people's ORCA."""
         return OrcaSettings(
-            time_step=TIME_STEP, neighbor_dist=10.0, max_neighbors=max(10, self.people), time_horizon=5.0
+            dt=TIME_STEP, neighbor_dist=10.0, max_neighbors=max(10, self.people), time_horizon=5.0
         )
 
 
