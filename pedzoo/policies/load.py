@@ -21,14 +21,19 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES
 from pedzoo.core.spec import build, make, name_of, parse, split
+from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.address import is_address
 from pedzoo.models.zoo.card import is_name
 from pedzoo.models.zoo.loading import baselines, list_models, load
 from pedzoo.models.zoo.store import find, is_file, names
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.local_planner import load_local_planner
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.robot_policy import AsPedestrian, RobotPolicy
+from pedzoo.policies.robot_policy import AsPedestrian, Planned, RobotPolicy
 from pedzoo.policies.teams import Crowd, Teams
+
+ROBOT_SECONDS = 0.2
+"""Seconds between two decisions of a robot, where nothing else is said."""
 
 _SHARE = "share"
 _ROUNDING = 1e-6
@@ -89,17 +94,22 @@ def load_robot_policy(name: str) -> RobotPolicy:
     """Return a policy of robots by its name with settings, or a policy of people that moves robots.
 
     Args:
-        name: ``stop``, ``straight``, ``file.py:Class``, or whatever `load_policy` takes: ``orca``,
-            ``social_force:preset=indoor``. Robots on wheels track the velocities of the latter.
+        name: ``stop``, ``straight``, ``sampling``, ``dwa``, ``file.py:Class``, or what `load_policy` takes:
+            ``orca``, ``social_force:preset=indoor``. Robots on wheels track the velocities of the latter.
 
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message.
     """
     spec = parse(name)
-    own = ".py:" in spec.name and issubclass(ROBOT_POLICIES.get(spec.name, object), RobotPolicy)
-    if own or spec.name in ROBOT_POLICIES.names():
+    if spec.name not in ROBOT_POLICIES.names() and (".py:" not in spec.name or _is_pedestrian(spec.name)):
+        return AsPedestrian(load_policy(name))
+    if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
         return build(ROBOT_POLICIES, name, RobotPolicy)
-    return AsPedestrian(load_policy(name))
+    return Planned(load_local_planner(name, ROBOT_SECONDS))
+
+
+def _is_pedestrian(file: str) -> bool:
+    return issubclass(POLICIES.get(file), Policy | Forecaster)
 
 
 class Member(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
 from typing import Any, ClassVar, cast
 
@@ -10,13 +11,15 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT, agents_of
+from pedzoo.core.batch import ROBOT, agents_of, maps_of
 from pedzoo.core.bodies import HOLONOMIC, Fleet
+from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import unrotate
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.local_planner import Clearance, Drive, LocalPlanner, People, Robot
 from pedzoo.policies.policy import Policy
 
-TURN_GAIN = 2.5
+TURN_GAIN = 4.0
 """Turning rate of a robot on wheels for each radian by which it faces away from where it should go, 1/s."""
 
 
@@ -24,7 +27,7 @@ class RobotPolicy(TensorDictModuleBase):
     """Reads what `pedzoo.make_robot_env` observes, and writes ``robots/action`` (B, R, 2).
 
     The bodies of the robots stand in the batch: `bodies_of`. A policy by name is a file in
-    `pedzoo.policies.robots`, or ``file.py:Class``.
+    `pedzoo.policies.robots`, or ``file.py:Class``: one of these, or a `LocalPlanner`.
     """
 
     in_keys: ClassVar[list[Any]] = ["agents", "robots", "maps", "map_id", "scene_pose", "scene_key", "time"]
@@ -73,6 +76,67 @@ class AsPedestrian(VelocityPolicy):
         return cast("Tensor", self.policy(seen)["agents", "action"])[:, -count:]
 
 
+class Planned(RobotPolicy):
+    """A local planner moves each robot: it sees all other agents, the walls, and the carrot as its goal."""
+
+    def __init__(self, planner: LocalPlanner) -> None:
+        """Take the planner."""
+        super().__init__()
+        self.planner = planner
+        self._takes_walls = "walls" in inspect.signature(planner).parameters
+
+    def action(self, scenes: TensorDictBase) -> Tensor:
+        """See `RobotPolicy.action`."""
+        bodies = bodies_of(scenes)
+        shape = bodies.radius.shape
+        robot, drive, people = _seen(scenes, bodies)
+        walls = _walls(scenes, shape[1])
+        if command := getattr(self.planner, "command", None):
+            if bool((bodies.drive == HOLONOMIC).any()):
+                name = type(self.planner).__name__.lower()
+                raise UserError(f"{name} plans for wheels: expected robot=diff_drive, unicycle or the like")
+            speed, turn = command(robot, drive, people, walls)
+            return bodies.from_speed(speed.view(shape), turn.view(shape))
+        more = {"walls": walls} if self._takes_walls else {}
+        velocity = self.planner(robot, people, **more)
+        return tracked(velocity.view(*shape, 2), drive.heading.view(shape), bodies)
+
+
+def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
+    """Return what each of the B * R robots knows of itself and of all other agents, in one row each."""
+    agents = agents_of(scenes)
+    count = bodies.radius.shape[-1]
+    position = cast("Tensor", agents["history"])[:, :, -1]
+    velocity, goal = (cast("Tensor", agents[name]) for name in ("velocity", "goal"))
+    radius, heading = (cast("Tensor", agents[name])[..., 0] for name in ("radius", "heading"))
+    mask = cast("Tensor", agents["mask"])
+
+    def own(value: Tensor) -> Tensor:
+        return value[:, -count:].flatten(0, 1)
+
+    def around(value: Tensor) -> Tensor:
+        return value.unsqueeze(1).expand(-1, count, *value.shape[1:]).flatten(0, 1)
+
+    slots = torch.arange(mask.shape[1], device=mask.device)
+    itself = slots == slots[-count:].unsqueeze(1)
+    others = around(mask) & ~itself.repeat(len(mask), 1)
+    robot = Robot(own(position), own(velocity), own(goal), own(radius), bodies.top_speed.flatten())
+    ahead = torch.stack((heading.cos(), heading.sin()), dim=-1)
+    # the scene batch has no turn rates; a planner's window begins at none
+    drive = Drive(own(heading), own((velocity * ahead).sum(-1)), torch.zeros_like(robot.radius))
+    return robot, drive, People(around(position), around(velocity), around(radius), others)
+
+
+def _walls(scenes: TensorDictBase, robots: int) -> Clearance | None:
+    """Return how far points (B * R, M, 2) are from walls; None where there are none."""
+    maps = maps_of(scenes)
+    if not maps.grids:
+        return None
+    map_id, pose = cast("Tensor", scenes["map_id"]), cast("Tensor", scenes["scene_pose"])
+    around = maps.walls_around(map_id[:, 0].repeat_interleave(robots), pose.repeat_interleave(robots, 0))
+    return lambda points: around.closest(points)[0]
+
+
 def bodies_of(scenes: TensorDictBase) -> Fleet:
     """Return the bodies of the robots (B, R) of a batch."""
     body = cast("TensorDictBase", scenes["robots", "body"])
@@ -83,8 +147,8 @@ def tracked(velocity: Tensor, heading: Tensor, bodies: Fleet) -> Tensor:
     """Return actions (B, R, 2) by which robots follow ``velocity`` (B, R, 2), m/s, over the ground.
 
     Holonomic robots just do. Robots on wheels turn towards it at `TURN_GAIN`. They drive the slower the
-    farther they face away, and not at all beyond 90 degrees. So they follow late what was decided for a disc
-    that moves in any direction: such a policy is a baseline, and not at its best.
+    farther they face away (cos^3), not at all beyond 90 degrees. So they follow late what was decided for a
+    disc that moves in any direction: such a policy is a baseline, and not at its best.
     """
     direction = torch.stack((heading.cos(), heading.sin()), dim=-1)
     own = unrotate(velocity, direction)
@@ -92,5 +156,5 @@ def tracked(velocity: Tensor, heading: Tensor, bodies: Fleet) -> Tensor:
     off = torch.atan2(own[..., 1], own[..., 0])
     off = torch.where(speed > 1e-3, off, 0.0)
     turn = (TURN_GAIN * off).clamp(-bodies.top_turn, bodies.top_turn)
-    wheels = bodies.from_speed(speed.minimum(bodies.top_speed) * off.cos().clamp_min(0), turn)
+    wheels = bodies.from_speed(speed.minimum(bodies.top_speed) * off.cos().clamp_min(0) ** 3, turn)
     return torch.where((bodies.drive == HOLONOMIC).unsqueeze(-1), own, wheels)

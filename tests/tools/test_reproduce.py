@@ -17,6 +17,8 @@ from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.loading import list_models
 from tools.paper import table1 as module
 from tools.paper.base import Reproduction, markdown
+from tools.paper.crowdnav_published import ORCA_LOG, SOCIAL_FORCE_LOG
+from tools.paper.crowdnav_tables import TABLES, agreement_page
 from tools.paper.figure4 import Figure4, outcome
 from tools.paper.folds import mean_errors, means
 from tools.paper.line_density import NATS
@@ -363,3 +365,55 @@ def test_paper_has_five_folds_and_models_of_the_zoo() -> None:
     assert Errors(0.21, 0.42) == RELEASED[0].errors[8]["zara1"]
     assert set(RELEASED[1].errors[12]) == set(FOLDS)
     assert any(name.startswith("sgan.") for name in list_models())
+
+
+# CrowdNav
+
+
+def test_crowdnav_makes_page_and_report_of_any_robot(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("class Still:\n    def __call__(self, robot, people):\n        return 0 * robot.goal\n")
+    argv = ["reproduce", "crowdnav", "--episodes", "3", "--models", f"{file}:Still", "--out", str(tmp_path)]
+    assert main(argv) == 0
+    report = json.loads((tmp_path / "CROWDNAV.json").read_text())
+    assert report["command"] == "reproduce" and "pedzoo" in report["versions"]
+    assert [row["case"]["setting"] for row in report["rows"]] == list(TABLES)
+    for row in report["rows"]:
+        assert row["n"] == 3 and len(row["outcomes"]) == 3 and row["metrics"]["success"] == 0
+        assert sum(row["metrics"][key] for key in ("collision", "timeout", "failed")) == pytest.approx(1)
+        assert row["ci95"]["success"] == pytest.approx([0, 1.959964**2 / (3 + 1.959964**2)])
+    page = (tmp_path / "CROWDNAV.md").read_text()
+    assert "| GST, attention |" in page and ".43 / .57 / 10.86" in page
+
+
+def test_cases_are_compared_with_a_published_log_one_by_one() -> None:
+    theirs = SOCIAL_FORCE_LOG.outcomes[:4]
+    other = {"s": "c", "c": "s", "t": "s"}[theirs[3]]
+    row = {"name": "crowdnav_social_force", "case": {"setting": "crowdnav_pp"}}
+    row["outcomes"] = "?".join((*theirs[:3], other))  # of the log is every second case
+    (line,) = agreement_page([row]).rows
+    assert line[:4] == ["SF_no_rand", "social_force", "4", "3"]
+    assert agreement_page([]).rows == []
+
+
+def test_published_logs_are_whole() -> None:
+    for log, shares in ((SOCIAL_FORCE_LOG, (0.34, 0.64)), (ORCA_LOG, (0.69, 0.29))):
+        assert len(log.outcomes) == 250 and set(log.outcomes) == set("sct")
+        found = tuple(round(log.outcomes.count(letter) / 250, 2) for letter in "sc")
+        assert found == shares
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--seeds", "1"], "seeds of its cases"),
+        (["--episodes", "0"], "expected 1 to 500"),
+        (["--models", "orka"], "did you mean 'orca'"),
+        (["--physics", "torch"], "no use for it in crowdnav"),
+    ],
+)
+def test_wrong_options_of_crowdnav_are_refused(
+    more: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "crowdnav", *more]) == 2
+    assert message in capsys.readouterr().err

@@ -17,8 +17,8 @@ ONLY = {
     "folds": ("table1",),
     "data_root": ("table1", "loop"),
     "maps": ("table2", "loop"),
-    "models": ("table2", "figure4", "loop"),
-    "episodes": ("table2", "figure4", "loop"),
+    "models": ("table2", "figure4", "loop", "crowdnav"),
+    "episodes": ("table2", "figure4", "loop", "crowdnav"),
     "physics": ("table2", "figure4", "loop"),
 }
 """Options that only some have a use for."""
@@ -32,10 +32,13 @@ table1   forecasts on ETH/UCY: five folds, 8 and 12 steps, every protocol, relea
 table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
 figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
 loop     what controllers trained in the loop have to show: doors, buildings, crowds, noise, recorded people
+crowdnav robots among CrowdNav's 5 and CrowdNav++'s 20 people; --models names robots, or FILE.py:Class
 
-Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP. What was interrupted goes on where it was."""
+Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV. What was interrupted goes on where it was."""
     parser = Arguments("reproduce", about, EXAMPLE)
-    parser.add_argument("what", choices=("table1", "table2", "figure4", "loop"), help="what is made")
+    parser.add_argument(
+        "what", choices=("table1", "table2", "figure4", "loop", "crowdnav"), help="what is made"
+    )
     parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
     parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
     parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (table1: one)")
@@ -116,6 +119,13 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
             if fold not in FOLDS:
                 raise unknown("fold", fold, FOLDS)
         return Table1(folds, seeds[0], options.data_root, journal)
+    if options.what == "crowdnav":
+        from tools.paper.crowdnav import CASES, Crowdnav
+
+        if seeds != [0]:
+            raise UserError(f"--seeds {options.seeds}: crowdnav has the seeds of its cases")
+        count = options.episodes if options.episodes is not None else CASES // 10 if options.quick else CASES
+        return Crowdnav(options.models or (), count, journal)
     if options.what == "table2":
         from tools.paper.table2 import Table2 as Walked
     elif options.what == "loop":

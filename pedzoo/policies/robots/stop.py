@@ -1,18 +1,16 @@
-"""A robot that never moves: what people do around it costs them nothing but the way."""
+"""Baseline: the robot stands still."""
 
 from __future__ import annotations
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
-from pedzoo.policies.robot_policy import RobotPolicy, bodies_of
+from pedzoo.policies.local_planner import People, Robot
 
 
-class Stop(RobotPolicy):
-    """A robot that never moves."""
+class Stop:
+    """Never moves."""
 
-    def action(self, scenes: TensorDictBase) -> Tensor:
-        """See `RobotPolicy.action`."""
-        radius = bodies_of(scenes).radius
-        return torch.zeros(*radius.shape, 2, device=radius.device)
+    def __call__(self, robot: Robot, people: People) -> Tensor:
+        """Return zeros (B, 2)."""
+        return torch.zeros_like(robot.position)

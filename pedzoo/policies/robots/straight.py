@@ -1,23 +1,16 @@
-"""A robot that goes its way at top speed, as if it were alone."""
+"""Baseline: straight to the goal, whatever is in the way."""
 
 from __future__ import annotations
 
-from typing import cast
-
-import torch
-from tensordict import TensorDictBase
 from torch import Tensor
+from torch.nn.functional import normalize
 
-from pedzoo.core.batch import agents_of
-from pedzoo.policies.robot_policy import VelocityPolicy, bodies_of
+from pedzoo.policies.local_planner import People, Robot
 
 
-class Straight(VelocityPolicy):
-    """A robot that goes the planner's way at top speed, straight in the open, as if it were alone."""
+class Straight:
+    """Goes to the goal at its preferred speed and sees no people."""
 
-    def velocity(self, scenes: TensorDictBase) -> Tensor:
-        """See `VelocityPolicy.velocity`."""
-        bodies = bodies_of(scenes)
-        last = slice(-bodies.radius.shape[-1], None)
-        desired = cast("Tensor", agents_of(scenes)["desired_velocity"])[:, last]
-        return torch.nn.functional.normalize(desired, dim=-1) * bodies.top_speed.unsqueeze(-1)
+    def __call__(self, robot: Robot, people: People) -> Tensor:
+        """Return the velocities (B, 2), m/s."""
+        return normalize(robot.goal - robot.position, dim=-1) * robot.v_pref[:, None]

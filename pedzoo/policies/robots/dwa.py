@@ -1,0 +1,215 @@
+"""The dynamic window approach for differential drives, with people as discs that walk on.
+
+Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE Robotics and Automation
+Magazine 4(1), 1997. B robots, S samples, N people.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import heading_of
+from pedzoo.policies.local_planner import Clearance, Drive, People, Robot
+
+
+@dataclass(frozen=True)
+class DwaSettings:
+    """What a robot can do, which arcs are tried, and what is good about one.
+
+    Attributes:
+        acceleration: Forwards and backwards, m/s^2.
+        turn_acceleration: Of the turn rate, rad/s^2.
+        top_turn_rate: To either side, rad/s.
+        speeds: Tried, from the least to the greatest that the next step can reach.
+        turn_rates: Tried, likewise.
+        step: Seconds between the places of an arc that are looked at.
+        horizon: So many places.
+        margin: Metres that are kept clear of everything.
+        heading_weight: Of facing the goal after the next step (alpha in the paper).
+        clearance_weight: Of the share of the horizon that is clear (beta).
+        speed_weight: Of the speed (gamma).
+    """
+
+    acceleration: float = 1.0
+    turn_acceleration: float = 3.0
+    top_turn_rate: float = 1.5
+    speeds: int = 7
+    turn_rates: int = 15
+    step: float = 0.1
+    horizon: int = 30
+    margin: float = 0.1
+    heading_weight: float = 0.8
+    clearance_weight: float = 0.8
+    speed_weight: float = 0.4
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            UserError: A count is below 1, a margin or weight below 0, or something else not above 0.
+        """
+        for name, value in asdict(self).items():
+            least = 1 if name in ("speeds", "turn_rates", "horizon") else 0
+            free = name == "margin" or name.endswith("_weight")
+            if not (math.isfinite(value) and value >= least and (value or free)):
+                raise UserError(f"dwa: {name} {value}: expected a number {'of 0 or more' if free else '> 0'}")
+
+
+def dwa_command(
+    robot: Robot,
+    drive: Drive,
+    people: People,
+    time_step: float,
+    settings: DwaSettings,
+    walls: Clearance | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Return the speeds and turn rates (B,) for the next step, m/s and rad/s.
+
+    An arc is admissible if the robot can stop before it comes nearer to anything than the margin. Of these
+    the one with the best sum of heading, clearance and speed is taken. Where there is none, the robot brakes.
+
+    Args:
+        robot: Places, goals, radii and top speeds; velocities are not looked at.
+        drive: How they move now.
+        people: Those whom they know of, who go on at constant velocity.
+        time_step: Seconds for which a command is held.
+        settings: Limits, samples and weights.
+        walls: How far points are from walls; None: there are none.
+    """
+    speed, turn_rate = window(drive, robot.v_pref, time_step, settings)
+    free = free_seconds(robot, drive, people, speed, turn_rate, settings, walls)
+    facing = drive.heading[:, None] + turn_rate * time_step
+    end = robot.position[:, None] + arc(drive.heading[:, None], speed, turn_rate, time_step)
+    off = heading_of(robot.goal[:, None] - end) - facing
+    off = torch.remainder(off + math.pi, 2 * math.pi) - math.pi
+    pace = speed / robot.v_pref[:, None].clamp_min(1e-9)
+    clear = free / (settings.horizon * settings.step)
+    score = settings.heading_weight * (1 - off.abs() / math.pi) + settings.clearance_weight * clear
+    score = score + settings.speed_weight * pace
+    admissible = speed <= settings.acceleration * free
+    best = torch.where(admissible, score, clear - pace - 1e3).argmax(1, keepdim=True)
+    return speed.gather(1, best)[:, 0], turn_rate.gather(1, best)[:, 0]
+
+
+def window(drive: Drive, top_speed: Tensor, time_step: float, settings: DwaSettings) -> tuple[Tensor, Tensor]:
+    """Return the speeds and turn rates (B, S) that can be reached in one step, S = speeds * turn_rates.
+
+    Args:
+        drive: How the robots move now.
+        top_speed: Forwards (B,), m/s; they do not go backwards.
+        time_step: Seconds until then.
+        settings: Accelerations and how many are tried.
+    """
+    more, turn_more = settings.acceleration * time_step, settings.turn_acceleration * time_step
+    top_rate = torch.full_like(top_speed, settings.top_turn_rate)
+    low, high = (drive.speed - more).clamp_min(0), (drive.speed + more).minimum(top_speed)
+    left, right = (
+        (drive.turn_rate + turn_more).minimum(top_rate),
+        (drive.turn_rate - turn_more).maximum(-top_rate),
+    )
+    share, turn_share = (
+        torch.linspace(0, 1, count, device=low.device, dtype=low.dtype)
+        for count in (settings.speeds, settings.turn_rates)
+    )
+    speed = low.minimum(high)[:, None] + (high - low.minimum(high))[:, None] * share
+    turn_rate = right.minimum(left)[:, None] + (left - right.minimum(left))[:, None] * turn_share
+    shape = (len(low), settings.speeds, settings.turn_rates)
+    return speed[:, :, None].expand(shape).flatten(1), turn_rate[:, None].expand(shape).flatten(1)
+
+
+def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | float) -> Tensor:
+    """Return how far (..., 2) constant speed and turn rate lead, metres.
+
+    Args:
+        heading: At the beginning (...), radians.
+        speed: Forwards (...), m/s.
+        turn_rate: To the left (...), rad/s.
+        seconds: For which they are held (...).
+    """
+    half = 0.5 * turn_rate * seconds
+    chord = speed * seconds * torch.sinc(half / math.pi)
+    return chord[..., None] * torch.stack(((heading + half).cos(), (heading + half).sin()), dim=-1)
+
+
+def free_seconds(
+    robot: Robot,
+    drive: Drive,
+    people: People,
+    speed: Tensor,
+    turn_rate: Tensor,
+    settings: DwaSettings,
+    walls: Clearance | None = None,
+) -> Tensor:
+    """Return for how long arcs are clear (B, S), seconds, up to the horizon.
+
+    Args:
+        robot: Where the robots are, and their radii.
+        drive: Where they face.
+        people: Those whom they know of.
+        speed: Of the arcs (B, S), m/s.
+        turn_rate: Of the arcs (B, S), rad/s.
+        settings: Places that are looked at, and the margin.
+        walls: How far points are from walls.
+    """
+    seconds = torch.arange(settings.horizon + 1, device=speed.device, dtype=speed.dtype) * settings.step
+    moved = arc(drive.heading[:, None, None], speed[..., None], turn_rate[..., None], seconds)
+    place = robot.position[:, None, None] + moved
+    gap = torch.full_like(place[..., 0], torch.inf)
+    if people.mask.shape[1]:
+        there = people.position[:, :, None] + people.velocity[:, :, None] * seconds[:, None]
+        apart = (place[:, :, None] - there[:, None]).norm(dim=-1) - people.radius[:, None, :, None]
+        gap = torch.where(people.mask[:, None, :, None], apart, torch.inf).amin(2)
+    if walls is not None:
+        gap = gap.minimum(walls(place.flatten(1, 2)).view(gap.shape))
+    gap = gap - robot.radius[:, None, None]
+    least = gap[..., :1].clamp_max(settings.margin)  # a robot that is nearer already may go away
+    return (gap[..., 1:] >= least).to(seconds.dtype).cumprod(-1).sum(-1) * settings.step
+
+
+class Dwa:
+    """A differential drive that faces its goal at first, and whose wheels follow the commands at once.
+
+    It remembers where it faces and how it moves. Its velocities lead to the ends of its arcs.
+    """
+
+    def __init__(
+        self,
+        time_step: float = 0.25,
+        acceleration: float = 1.0,
+        turn_acceleration: float = 3.0,
+        top_turn_rate: float = 1.5,
+        margin: float = 0.1,
+        heading_weight: float = 0.8,
+        clearance_weight: float = 0.8,
+        speed_weight: float = 0.4,
+    ) -> None:
+        """Set what `DwaSettings` has; ``time_step`` is in seconds.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        names = DwaSettings.__dataclass_fields__
+        given = {name: value for name, value in locals().items() if name in names}
+        self.settings, self.time_step = replace(DwaSettings(), **given), time_step
+        self._drive: Drive | None = None
+
+    def command(
+        self, robot: Robot, drive: Drive, people: People, walls: Clearance | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return speeds and turn rates (B,), m/s and rad/s, of robots whose motion is known."""
+        return dwa_command(robot, drive, people, self.time_step, self.settings, walls)
+
+    def __call__(self, robot: Robot, people: People) -> Tensor:
+        """Return the velocities (B, 2), m/s."""
+        drive = self._drive
+        if drive is None:
+            still = torch.zeros_like(robot.v_pref)
+            drive = Drive(heading_of(robot.goal - robot.position), still, still)
+        speed, turn_rate = self.command(robot, drive, people)
+        self._drive = Drive(drive.heading + turn_rate * self.time_step, speed, turn_rate)
+        return arc(drive.heading, speed, turn_rate, self.time_step) / self.time_step
