@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import gymnasium
@@ -12,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 from torchrl.envs.utils import check_env_specs
 
-import pedzoo.sim.gym  # noqa: F401 (registers the ids)
+import pedzoo.sim.gym
 from pedzoo.core.errors import UserError
 from pedzoo.sim.gym.ids import IDS
 from pedzoo.sim.gym.parallel import parallel_env
@@ -147,6 +148,22 @@ def test_a_person_who_is_met_is_a_collision() -> None:
     assert info["SPL"] == info["STL"] == 0
 
 
+def test_recorded_people_do_not_react_and_crowdnavs_are_as_wide_as_there() -> None:
+    """Whatever the robot does, the others walk as they were recorded; it is in the place of one of them."""
+    ways = []
+    for action in ([0.0, 0.0], [1.0, 0.3]):
+        env = made("pedzoo/Replay-v0", ends_at="none")
+        env.reset(seed=0)
+        for _ in range(8):
+            env.step(np.array(action))
+        state = env.unwrapped.batched.env.state
+        assert state.mask[0, -1] and state.kind[0].tolist() == [0] * (state.kind.shape[1] - 1) + [1]
+        ways.append(state.past[0])
+    assert torch.equal(ways[0][:-1], ways[1][:-1]) and not torch.equal(ways[0][-1], ways[1][-1])
+    seen, _ = made("pedzoo/CrowdNav-v0").reset(seed=0)
+    np.testing.assert_allclose(seen["people"][:, 4], 0.3, atol=1e-6)
+
+
 def test_settings_make_other_robots_and_spaces() -> None:
     sensors = ["goal", "lidar:beams=16,reach=4", "patch:cells=8"]
     env = made("pedzoo/Door-v0", robot="unicycle:reverse=false,top_turn=1.5", sensors=sensors)
@@ -189,6 +206,12 @@ def test_what_does_not_fit_is_named() -> None:
     env.reset(seed=1)
     with pytest.raises(UserError, match="action of shape"):
         env.step(np.zeros((2, 3)))
+
+
+def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install 'pedzoo\[gym\]'"):
+        importlib.reload(pedzoo.sim.gym)
 
 
 def test_several_robots_pass_pettingzoos_check() -> None:
