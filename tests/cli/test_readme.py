@@ -103,12 +103,13 @@ def test_python_snippets(somebodys_folder: Path) -> None:
     scopes: list[dict] = [{} for _ in blocks("python")]
     for snippet, scope in zip(blocks("python"), scopes, strict=True):
         exec(compile(snippet, "README.md", "exec"), scope)
-    forecast, compared, walk, own, beside_a_robot = scopes
+    forecast, compared, walk, robot, own, beside_a_robot = scopes
     scenes, samples, people, steps, _ = forecast["futures"].shape
     assert (samples, steps) == (20, 8)
     assert forecast["batch"]["agents", "mask"].shape == (scenes, people)
     assert compared["success"] == {"go_to_goal": 1.0, "orca:radius=0.3": 1.0}
     assert walk["trace"].shape == (8, 50, 5, 4, 2)
+    assert set(robot["observation"]) == {"robot", "people", "mask"}
     assert set(own["velocity"]) == {"anna", 7}
     assert own["people"]["anna"][0] > -3  # she set out from -9
     assert list(beside_a_robot["velocity"]) == ["anna"]

@@ -224,7 +224,7 @@ class Bullet(Physics):
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
         (asked,) = self._scenes.placed(one, self._present(one))
-        camera = self._framed(people, scene, size, camera)
+        camera = self.framed(people, scene, size, camera)
         linear, shift = asked.affine[:, :2], asked.affine[:, 2]
         angle = _VIEW_ANGLE[camera.view]
         eye, target, up = (np.array(values) for values in camera.eye(angle))

@@ -118,5 +118,5 @@ class Torch(Physics):
             self._present(people)[scene],
             self._radius(people)[scene],
             size,
-            self._framed(people, scene, size, camera),
+            self.framed(people, scene, size, camera),
         )

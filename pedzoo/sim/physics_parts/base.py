@@ -44,6 +44,11 @@ class Bodies(NamedTuple):
     pose: Tensor
     radius: Tensor | None = None
 
+    @classmethod
+    def of(cls, state: State) -> Bodies:
+        """Return those of a state."""
+        return cls(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+
     def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
         return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
@@ -174,7 +179,7 @@ class Physics(ABC):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        people = Bodies(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+        people = Bodies.of(state)
         if compiles(state.past, inputs.velocity):
             paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
             integrated = advance_compiled(self.bank, state, inputs, paths)
@@ -244,6 +249,20 @@ class Physics(ABC):
                 all people where there is none.
         """
 
+    def framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
+        """Return a camera whose center and width are known."""
+        camera = camera or Camera()
+        if camera.center is not None and camera.width is not None:
+            return camera
+        grid = self._plan(people, scene)
+        if grid is None:
+            fitted = camera.around(people.position[scene][people.mask[scene]], size)
+        else:
+            corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
+            fitted = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
+        width = fitted.width if camera.width is None else camera.width
+        return Camera(camera.view, camera.center or fitted.center, width, camera.heading, camera.pitch)
+
     def close(self) -> None:  # noqa: B027 (most backends hold nothing)
         """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
 
@@ -272,20 +291,6 @@ class Physics(ABC):
     def _plan(self, people: Bodies, scene: int) -> OccupancyGrid | None:
         row = int(self.bank.index(people.map_id[scene].view(1)))
         return self.bank.grids[row] if row >= 0 else None
-
-    def _framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
-        """Return a camera whose center and width are known."""
-        camera = camera or Camera()
-        if camera.center is not None and camera.width is not None:
-            return camera
-        grid = self._plan(people, scene)
-        if grid is None:
-            fitted = camera.around(people.position[scene][people.mask[scene]], size)
-        else:
-            corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
-            fitted = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
-        width = fitted.width if camera.width is None else camera.width
-        return Camera(camera.view, camera.center or fitted.center, width, camera.heading, camera.pitch)
 
 
 def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:

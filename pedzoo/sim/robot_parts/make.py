@@ -8,6 +8,7 @@ from typing import Any
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.registry import ROBOTS, SENSORS
 from pedzoo.core.spec import Spec, build
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import crowd_of
 from pedzoo.policies.policy import Policy
@@ -62,13 +63,14 @@ def make_robot_env(
     """
     given = [robot] if isinstance(robot, str | Spec | RobotBody) else list(robot)
     bodies = [one if isinstance(one, RobotBody) else build(ROBOTS, one, RobotBody) for one in given]
-    made = with_robots(scenario, bodies, robot_goals, present)
+    body_radius = settings.setdefault("body_radius", BODY_RADIUS)
+    made = with_robots(scenario, bodies, robot_goals, present, body_radius)
     if clearance is None:
         clearance = max(CLEARANCE, *(body.radius + GAP for body in bodies))
     prepared = made.prepare(clearance)
     return RobotEnv(
         prepared,
-        make_physics(physics, prepared.bank, settings.get("body_radius", 0.15)),
+        make_physics(physics, prepared.bank, body_radius),
         crowd_of(people) if isinstance(people, str) else people,
         [one if isinstance(one, Sensor) else build(SENSORS, one, Sensor) for one in sensors],
         reward if isinstance(reward, WeightedSum) else WeightedSum(reward),

@@ -34,10 +34,16 @@ class RobotScenes(Scenario):
         robots: R.
         bodies: Of the robots.
         robot_goals: Goals that each robot has to reach.
+        body_radius: Of people where the scenario says nothing else, metres.
     """
 
     def __init__(
-        self, inner: Scenario, bodies: Sequence[RobotBody], robot_goals: int = 1, present: bool = True
+        self,
+        inner: Scenario,
+        bodies: Sequence[RobotBody],
+        robot_goals: int = 1,
+        present: bool = True,
+        body_radius: float = BODY_RADIUS,
     ) -> None:
         """Take the scenario of N + R people; `with_robots` makes it.
 
@@ -48,12 +54,13 @@ class RobotScenes(Scenario):
             raise UserError(f"{len(bodies)} robots, robot_goals {robot_goals}: expected at least 1 of each")
         self.inner, self.bodies, self.robots = inner, list(bodies), len(bodies)
         self.fleet, self.robot_goals, self.present = Fleet.of(self.bodies), robot_goals, present
+        self.body_radius = body_radius
         self.people, self.speed, self.speed_std = inner.people, inner.speed, inner.speed_std
         self.goals, self.later, self.finished = inner.goals, inner.later, inner.finished
         self.unknown = inner.unknown
         self.wheels = inner.wheels or any(_needs_limits(body) for body in self.bodies)
         self.smallest_radius = min(
-            inner.smallest_radius or BODY_RADIUS, *(body.radius for body in self.bodies)
+            inner.smallest_radius or body_radius, *(body.radius for body in self.bodies)
         )
 
     @property
@@ -96,7 +103,7 @@ class RobotScenes(Scenario):
             theirs = robots.to(values).expand(scenes, self.robots)
             return torch.cat((values[:, :people], theirs), 1)
 
-        usual = torch.full_like(layout.pref_speed, BODY_RADIUS)
+        usual = torch.full_like(layout.pref_speed, self.body_radius)
         endless = torch.full_like(usual, torch.inf)
         whole = torch.zeros_like(layout.goal)
         top_speed = _or(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
@@ -120,7 +127,11 @@ class RobotScenes(Scenario):
 
 
 def with_robots(
-    scenario: str | Spec, bodies: Sequence[RobotBody], robot_goals: int = 1, present: bool = True
+    scenario: str | Spec,
+    bodies: Sequence[RobotBody],
+    robot_goals: int = 1,
+    present: bool = True,
+    body_radius: float = BODY_RADIUS,
 ) -> RobotScenes:
     """Return the scenes of a scenario, by its name with settings, with robots beside its people.
 
@@ -130,6 +141,7 @@ def with_robots(
         bodies: Of the robots.
         robot_goals: Goals that each robot has to reach.
         present: Without it the robots are missing: the same people, in the same scenes.
+        body_radius: Of a person, metres.
 
     Raises:
         UserError: An unknown name or setting, or a scenario without places for so many robots.
@@ -155,7 +167,7 @@ def with_robots(
         )
         settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
-    return RobotScenes(inner, bodies, robot_goals, present)
+    return RobotScenes(inner, bodies, robot_goals, present, body_radius)
 
 
 def _more(people: Any, robots: int) -> Any:

@@ -46,8 +46,7 @@ class RobotView(NamedTuple):
     @property
     def bodies(self) -> Bodies:
         """All agents that are there, as physics backends take them."""
-        state = self.state
-        return Bodies(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
+        return Bodies.of(self.state)
 
     def own(self, vectors: Tensor) -> Tensor:
         """Return vectors (B, R, ..., 2) of the world in the robots' frames: x ahead, y to the left."""

@@ -1,0 +1,114 @@
+"""One robot among people as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.spec import Spec
+from pedzoo.sim.gym.batched import Batched, Step
+from pedzoo.sim.gym.render import MODES
+from pedzoo.sim.gym.spaces import Observation
+
+FPS = 5
+"""Pictures a second at which videos run as fast as the world, where robots decide every 0.2 s."""
+
+
+class RobotGymEnv(gymnasium.Env[Any, Any]):
+    """One scene with one robot; `pedzoo.sim.gym.ids` names some.
+
+    Observations are a Dict. ``robot`` holds what the robot knows of itself, see `Observations.columns`; all
+    is in its own frame, x ahead and y to the left. ``people`` (N, 5) are x, y, vx, vy, radius of the nearest
+    ones, and ``mask`` (N,) says which rows are people. Other sensors add theirs: ``lidar``, ``map``, ...
+
+    Attributes:
+        batched: The environment of TorchRL (``batched.env``) behind it.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(MODES), "render_fps": FPS}
+
+    def __init__(
+        self,
+        scenario: str | Spec,
+        render_mode: str | None = None,
+        seed: int | None = None,
+        render_size: tuple[int, int] = (640, 480),
+        **settings: Any,
+    ) -> None:
+        """Make the scene.
+
+        Args:
+            scenario: As in `pedzoo.make_robot_env`.
+            render_mode: ``rgb_array``, ``human`` for a window, or None.
+            seed: Of the scenes; `reset` takes it, too. None: by chance.
+            render_size: Width and height of pictures in pixels.
+            settings: As of `pedzoo.make_robot_env`; ``first_episode=i`` begins with scene i of a seed.
+
+        Raises:
+            UserError: An unknown name or setting, several robots, or no display for a window.
+        """
+        check_one(settings, "num_envs", "gymnasium.make_vec(..., num_envs=8)")
+        self.batched = Batched(scenario, render_mode, seed, render_size, settings)
+        check_one_robot(self.batched)
+        self.render_mode = render_mode
+        self.observation_space = self.batched.observations.space
+        self.action_space = self.batched.actions[0]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin the first scene of a seed, or else the next one; there are no options."""
+        super().reset(seed=seed)
+        observation, *_, info = _first(self.batched.reset(seed, self.np_random))
+        return observation, info
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Take a decision; an action that is no number truncates the episode, as ``info["FAILED"]`` says."""
+        return _first(self.batched.step(action))
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture (H, W, 3) from the top in the mode ``rgb_array``; windows draw by themselves."""
+        pictures = self.batched.picture()
+        return pictures[0] if pictures else None
+
+    def close(self) -> None:
+        """Close the window and the physics."""
+        self.batched.close()
+
+
+def check_one(settings: dict[str, Any], name: str, instead: str) -> None:
+    """Check that a setting is not given.
+
+    Raises:
+        UserError: It is.
+    """
+    if name in settings:
+        raise UserError(f"{name} {settings[name]}: this environment has one; use {instead}")
+
+
+def check_one_robot(batched: Batched) -> None:
+    """Check that there is one robot in a scene.
+
+    Raises:
+        UserError: There are several.
+    """
+    if batched.env.robots > 1:
+        raise UserError(
+            f"{batched.env.robots} robots: Gymnasium's environments have one; several of them have "
+            "pedzoo.sim.gym.parallel.parallel_env(...)"
+        )
+
+
+def _first(step: Step) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    """Return what came of a decision for the first robot of the first scene."""
+    return (
+        {name: value[0, 0] for name, value in step.observation.items()},
+        float(step.reward[0, 0]),
+        bool(step.terminated[0, 0]),
+        bool(step.truncated[0, 0]),
+        {name: value[0, 0].item() for name, value in step.info.items()},
+    )

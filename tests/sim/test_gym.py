@@ -1,0 +1,264 @@
+"""Robots among people for Gymnasium, PettingZoo and Stable-Baselines3. Needs the extra ``gym``."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+from torchrl.envs.utils import check_env_specs
+
+import pedzoo.sim.gym
+from pedzoo.core.errors import UserError
+from pedzoo.sim.gym.ids import IDS
+from pedzoo.sim.gym.parallel import parallel_env
+
+CROSSING = "pedzoo/Crossing-v0"
+QUICK = {"people": "go_to_goal", "time_limit": 1.0}
+"""Settings with which episodes take 5 decisions at most."""
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*A Box observation space (min|max)imum value")
+
+
+def made(name: str, **settings: Any) -> Any:
+    return gymnasium.make(name, **settings)
+
+
+def vectors(name: str, **settings: Any) -> Any:
+    return gymnasium.make_vec(name, **settings)
+
+
+def same(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    assert first.keys() == second.keys()
+    return all(np.allclose(first[name], second[name], atol=1e-5) for name in first)
+
+
+def row(batch: dict[str, Any], scene: int) -> dict[str, Any]:
+    return {name: value[scene] for name, value in batch.items() if not name.startswith(("_", "final"))}
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_every_id_passes_the_checks_of_gymnasium_and_torchrl(name: str) -> None:
+    env = made(name, render_mode="rgb_array").unwrapped
+    check_env(env, skip_render_check=True, skip_close_check=True)
+    picture = env.render()
+    assert isinstance(picture, np.ndarray) and picture.shape == (480, 640, 3) and picture.std() > 0
+    check_env_specs(env.batched.env)
+    env.close()
+    env.close()
+
+
+def test_a_vector_environment_has_the_scenes_of_single_ones() -> None:
+    """Over several episodes: observations, rewards, ends and infos, and the last ones before a reset."""
+    scenes, chance = 3, np.random.default_rng(0)
+    many = vectors(CROSSING, num_envs=scenes, vectorization_mode="vector_entry_point", **QUICK)
+    assert many.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    singles = [made(CROSSING, first_episode=i, stride=scenes, **QUICK) for i in range(scenes)]
+    seen, infos = many.reset(seed=7)
+    for scene, single in enumerate(singles):
+        observation, info = single.reset(seed=7)
+        assert same(observation, row(seen, scene)) and same(info, row(infos, scene))
+    ends = 0
+    for _ in range(12):
+        actions = chance.uniform(-1, 1, (scenes, 2)).astype(np.float32)
+        seen, rewards, terminated, truncated, infos = many.step(actions)
+        for scene, single in enumerate(singles):
+            observation, reward, *over, info = single.step(actions[scene])
+            assert reward == pytest.approx(rewards[scene], abs=1e-5)
+            assert over == [terminated[scene], truncated[scene]]
+            if any(over):
+                ends += 1
+                assert same(observation, infos["final_obs"][scene])
+                assert same(info, row(infos["final_info"], scene))
+                observation, info = single.reset()
+            assert same(observation, row(seen, scene)) and same(info, row(infos, scene))
+    assert ends >= 2 * scenes
+
+
+def test_a_seed_is_the_same_scene_and_none_is_one_by_chance() -> None:
+    env, given = made(CROSSING, **QUICK), made(CROSSING, seed=3, **QUICK)
+    first, second, other = env.reset(seed=3)[0], env.reset()[0], env.reset(seed=4)[0]
+    assert same(first, env.reset(seed=3)[0]) and same(second, env.reset()[0])
+    assert same(first, given.reset()[0])
+    by_chance = made(CROSSING, **QUICK).reset()[0]
+    assert not any(same(first, one) for one in (second, other, by_chance))
+
+
+def test_an_action_that_is_no_number_ends_its_scene_alone() -> None:
+    one, other = (vectors(CROSSING, num_envs=3, people="go_to_goal") for _ in range(2))
+    for env in (one, other):
+        env.reset(seed=0)
+    actions = np.full((3, 2), 0.5, np.float32)
+    expected = other.step(actions)
+    actions[1] = np.nan
+    with pytest.warns(UserWarning, match="scene 1"):
+        seen, rewards, terminated, truncated, infos = one.step(actions)
+    assert truncated.tolist() == [False, True, False] and not terminated.any()
+    assert infos["final_info"]["FAILED"].tolist() == [False, True, False]
+    for scene in (0, 2):
+        assert same(row(seen, scene), row(expected[0], scene)) and rewards[scene] == expected[1][scene]
+    assert all(np.isfinite(value).all() for value in seen.values())
+
+
+@pytest.mark.parametrize("people", [0, 100])
+def test_any_number_of_people(people: int) -> None:
+    name = f"goals:map=office.7,people={people},pool=8"
+    env = made("pedzoo/Goals-v0", scenario=name, people="go_to_goal")
+    seen, info = env.reset(seed=0)
+    assert seen["mask"].sum() == min(people, 10)
+    assert np.isinf(info["MINIMUM_DISTANCE_TO_HUMAN"]) == (people == 0)
+    seen, reward, *_ = env.step(env.action_space.sample())
+    assert seen in env.observation_space and np.isfinite(reward)
+
+
+def test_info_says_what_became_of_the_robot() -> None:
+    """A robot that goes straight to its goal at top speed has no way and no time to lose."""
+    env = made("pedzoo/Goals-v0", scenario="goals:map=flat,people=0")
+    columns = env.unwrapped.batched.observations.columns
+    seen, info = env.reset(seed=3)
+    way = seen["robot"][columns["remaining_path"]].item()
+    assert not info["SUCCESS"] and info["SPL"] == 0
+    over = False
+    while not over:
+        ahead = seen["robot"][columns["waypoint"]]
+        seen, _, terminated, truncated, info = env.step(ahead / np.linalg.norm(ahead))
+        over = terminated or truncated
+    assert terminated and info["SUCCESS"] and info["is_success"] and not info["COLLISION"]
+    assert info["PATH_LENGTH"] == pytest.approx(way - 0.3, abs=0.3)
+    assert info["TIME_TO_REACH_GOAL"] == pytest.approx(way - 0.3, abs=0.4)
+    assert info["SPL"] > 0.95 and info["STL"] > 0.95 and info["PERSONAL_SPACE_COMPLIANCE"] == 1
+
+
+def test_a_person_who_is_met_is_a_collision() -> None:
+    """A wide robot goes head-on towards those who come from the other side and do not see it."""
+    settings = {"scenario": "circle:radius=3,people=5", "robot": "disc:radius=0.6", "people": "go_to_goal"}
+    env = made(CROSSING, **settings)
+    env.reset(seed=0)
+    for _ in range(40):
+        *_, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
+        if terminated or truncated:
+            break
+    assert terminated and info["COLLISION"] and info["COLLISION_HUMAN"] and not info["COLLISION_WALL"]
+    assert info["MINIMUM_DISTANCE_TO_HUMAN"] <= 0 and 0 < info["PERSONAL_SPACE_COMPLIANCE"] < 1
+    assert info["SPL"] == info["STL"] == 0
+
+
+def test_recorded_people_do_not_react_and_crowdnavs_are_as_wide_as_there() -> None:
+    """Whatever the robot does, the others walk as they were recorded; it is in the place of one of them."""
+    ways = []
+    for action in ([0.0, 0.0], [1.0, 0.3]):
+        env = made("pedzoo/Replay-v0", ends_at="none")
+        env.reset(seed=0)
+        for _ in range(8):
+            env.step(np.array(action))
+        state = env.unwrapped.batched.env.state
+        assert state.mask[0, -1] and state.kind[0].tolist() == [0] * (state.kind.shape[1] - 1) + [1]
+        ways.append(state.past[0])
+    assert torch.equal(ways[0][:-1], ways[1][:-1]) and not torch.equal(ways[0][-1], ways[1][-1])
+    seen, _ = made("pedzoo/CrowdNav-v0").reset(seed=0)
+    np.testing.assert_allclose(seen["people"][:, 4], 0.3, atol=1e-6)
+
+
+def test_settings_make_other_robots_and_spaces() -> None:
+    sensors = ["goal", "lidar:beams=16,reach=4", "patch:cells=8"]
+    env = made("pedzoo/Door-v0", robot="unicycle:reverse=false,top_turn=1.5", sensors=sensors)
+    assert set(env.observation_space) == {"robot", "lidar", "map"}
+    assert env.observation_space["lidar"].shape == (16,) and env.observation_space["lidar"].high.max() == 4
+    np.testing.assert_allclose(env.action_space.low, [0.0, -1.5])
+    np.testing.assert_allclose(env.action_space.high, [1.0, 1.5])
+    assert env.reset(seed=0)[0] in env.observation_space
+
+
+def test_pictures_show_the_robot_and_a_window_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = made(CROSSING, render_mode="rgb_array", render_size=(320, 240), **QUICK)
+    env.reset(seed=0)
+    before = env.render().astype(int)
+    env.step(np.array([1.0, 0.0]))
+    after = env.render().astype(int)
+    assert before.shape == (240, 320, 3) and (before.sum(-1) == 0).any()
+    assert (before != after).any()
+    many = vectors(CROSSING, num_envs=2, render_mode="rgb_array", **QUICK)
+    many.reset(seed=0)
+    assert [picture.shape for picture in many.render()] == [(480, 640, 3)] * 2
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("agg")
+    with pytest.raises(UserError, match="display"):
+        made(CROSSING, render_mode="human", **QUICK)
+
+
+def test_what_does_not_fit_is_named() -> None:
+    with pytest.raises(UserError, match="make_vec"):
+        made(CROSSING, num_envs=4)
+    with pytest.raises(UserError, match="parallel_env"):
+        made(CROSSING, robot=["disc", "disc"])
+    with pytest.raises(UserError, match="did you mean"):
+        made(CROSSING, robot="disk")
+    env = vectors(CROSSING, num_envs=2, **QUICK)
+    with pytest.raises(UserError, match="one number"):
+        env.reset(seed=[1, 2])
+    env.reset(seed=1)
+    with pytest.raises(UserError, match="action of shape"):
+        env.step(np.zeros((2, 3)))
+
+
+def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install 'pedzoo\[gym\]'"):
+        importlib.reload(pedzoo.sim.gym)
+
+
+def test_several_robots_pass_pettingzoos_check() -> None:
+    settings = {"people": "go_to_goal", "time_limit": 4.0}
+    env = parallel_env("perpendicular:people=6", robot=["disc", "jackal", "unicycle"], **settings)
+    parallel_api_test(env, num_cycles=60)
+    first, again = env.reset(seed=2)[0], env.reset(seed=2)[0]
+    assert all(same(first[agent], again[agent]) for agent in env.possible_agents)
+    assert env.observation_space("robot_0") != env.action_space("robot_0")
+    radius = [one["robot"][env.batched.observations.columns["radius"]].item() for one in first.values()]
+    assert radius[0] == radius[2] != radius[1]
+
+
+def test_crowdnavs_dictionary_has_its_layout() -> None:
+    """Positions and velocities are those of the world, nearest first, and people go on as they do."""
+    sensors = ["attn_graph:most=4,reach=6,predicted=2,seconds=0.5"]
+    env = made(CROSSING, scenario="perpendicular:people=9", sensors=sensors, people="go_to_goal")
+    shapes = {name: space.shape for name, space in env.observation_space.items()}
+    assert shapes == {
+        "robot_node": (1, 7),
+        "temporal_edges": (1, 2),
+        "spatial_edges": (4, 6),
+        "visible_masks": (4,),
+        "detected_human_num": (1,),
+    }
+    env.reset(seed=0)
+    for _ in range(10):
+        seen = env.step(np.array([0.8, 0.0]))[0]
+    state = env.unwrapped.batched.env.state
+    here, moves = state.position[0], state.velocity[0]
+    own = (here[-1], state.radius[0, -1:], state.goal_point[0, -1], torch.ones(1), state.heading[0, -1:])
+    np.testing.assert_allclose(seen["robot_node"][0], torch.cat(own), atol=1e-5)
+    np.testing.assert_allclose(seen["temporal_edges"][0], moves[-1], atol=1e-5)
+    place = here[:-1] - here[-1]
+    order = place.norm(dim=1).argsort()
+    order = order[place.norm(dim=1)[order] <= 6][:4]
+    assert 1 <= len(order) == seen["detected_human_num"].item() == seen["visible_masks"].sum()
+    expected = torch.cat([place[order] + step * moves[:-1][order] for step in (0.0, 0.5, 1.0)], 1)
+    np.testing.assert_allclose(seen["spatial_edges"][: len(order)], expected, atol=1e-4)
+    assert (seen["spatial_edges"][len(order) :] == 15).all()
+
+
+def test_stable_baselines3_trains_on_it_unchanged() -> None:
+    baselines = pytest.importorskip("stable_baselines3", reason="needs stable-baselines3 (pedzoo[dev])")
+    env = made("pedzoo/Goals-v0", scenario="goals:map=flat,people=2", people="go_to_goal")
+    model = baselines.PPO("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0)
+    model.learn(256)
+    assert model.num_timesteps == 256
+    action, _ = model.predict(env.reset(seed=0)[0])
+    assert action in env.action_space
