@@ -16,12 +16,14 @@ from pedzoo.core import groups
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario
 
 
 class RobotScenes(Scenario):
@@ -110,6 +112,7 @@ class RobotScenes(Scenario):
         # a scene of fewer people leaves out the last ones, which are robots here
         mask = layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1)
         layout = layout._replace(
+            start=self._in_time(prepared, layout),
             mask=joined(mask, torch.tensor(self.present)),
             pref_speed=joined(layout.pref_speed, fleet.top_speed),
             top_speed=joined(top_speed, fleet.top_speed),
@@ -124,6 +127,24 @@ class RobotScenes(Scenario):
             turn_acceleration=joined(_or(layout.turn_acceleration, endless), fleet.turn_acceleration),
             track=joined(_or(layout.track, torch.ones_like(usual)), fleet.track),
         )
+
+    def _in_time(self, prepared: PreparedScenario, layout: Layout) -> Tensor:
+        """Return starts (B, A, 2); robots stand in the warm start, and are in time to meet people.
+
+        A person of an encounter walks for the warm start, and as long as `MEET` to where people meet.
+        """
+        if not isinstance(self.inner, Encounter):
+            return layout.start
+        planner, people = prepared.planner, prepared.people - self.robots
+        pace, own = layout.pref_speed, self.fleet.top_speed.to(layout.pref_speed)
+        pace = torch.cat((pace[:, :people], own.expand(len(pace), -1)), 1)
+        ahead = layout.pref_speed + (layout.pref_speed - pace) * self.inner.meet / WARM_SECONDS
+        pose = identity_pose(len(pace), pace.device) if layout.pose is None else layout.pose
+        row, goal = planner.map_rows(layout.map_id), torch.where(layout.mask, layout.goal, -1)
+        carrot = planner.guidance(
+            layout.start, goal, row, pose, ahead.clamp_min(0.01), WARM_SECONDS, prepared.fastest
+        ).goal
+        return torch.cat((layout.start[:, :people], carrot[:, people:].to(layout.start)), 1)
 
 
 def with_robots(
