@@ -8,7 +8,7 @@ from typing import Any
 
 from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
-from pedzoo.core.versions import versions
+from pedzoo.core.machine import versions
 from pedzoo.eval.card_numbers import Again, Compared, again, compare
 from pedzoo.eval.card_reports import about
 from pedzoo.eval.results import Page

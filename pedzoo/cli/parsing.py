@@ -21,9 +21,8 @@ from pedzoo.core import renamed
 from pedzoo.core.adapters import option_types
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import homes
 from pedzoo.core.paths import config_names, find_config
-from pedzoo.core.spec import split, unquoted
+from pedzoo.core.spec import homes, split, unquoted
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""

@@ -27,9 +27,9 @@ from pedzoo.cli.parsing import PARSER_SETTINGS, classes_named, parse
 from pedzoo.cli.starting import Command, expand
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import groups
+from pedzoo.core.machine import versions
 from pedzoo.core.renamed import new_options
-from pedzoo.core.versions import versions
+from pedzoo.core.spec import setting_groups
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import read_checkpoint
@@ -278,7 +278,7 @@ class TrainingCLI(LightningCLI):
         """Return the data options that differ from the defaults, but for those of training alone."""
         data, defaults = self.config["data"].as_dict(), inspect.signature(TrajectoryDataModule).parameters
         result = {"fold": data["fold"]} if not data.get("files") else {}
-        said = {"fold", *groups(TrajectoryDataModule)}
+        said = {"fold", *setting_groups(TrajectoryDataModule)}
         for key, value in data.items():
             if key not in said and value not in (defaults[key].default, "random_future"):
                 result[key] = ",".join(value) if isinstance(value, list) else value

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import grouped, homes
+from pedzoo.core.spec import grouped, homes
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -1,6 +1,10 @@
 """Things that are named with their settings behind a colon: ``orca:radius=0.3,walls=true``.
 
 A value with commas is written in quotes: ``goals:map='/a,b/plan.yaml'``.
+
+A class may take settings in groups. A group is an argument whose default is a frozen dataclass: that default
+has the defaults of the class's settings. Texts and files of weights name settings without groups, configs
+with them.
 """
 
 from __future__ import annotations
@@ -8,9 +12,9 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple, get_args
+from dataclasses import asdict, fields, is_dataclass
+from typing import Any, NamedTuple, get_args, get_type_hints
 
-from pedzoo.core import groups
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import Registry
 
@@ -116,7 +120,7 @@ def build(registry: Registry, what: str | Spec | Written, base: type, **given: A
 def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
     name, settings = spec
-    types = groups.settings(cls)
+    types = setting_types(cls)
     written = isinstance(spec, Written)
     arguments = {key: value for key, value in given.items() if key in types}
     for key, value in settings.items():
@@ -124,10 +128,10 @@ def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
             raise unknown(f"setting of {kind} {name}", key, types)
         arguments[key] = _typed(f"{name}:{key}", value, types[key], written)
     try:
-        inspect.signature(cls).bind(**groups.grouped(cls, arguments))
+        inspect.signature(cls).bind(**grouped(cls, arguments))
     except TypeError as error:
         raise UserError(f"{kind} {name!r}: {error}; its settings: {', '.join(types) or 'none'}") from error
-    return groups.made(cls, arguments)
+    return made(cls, arguments)
 
 
 def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
@@ -187,3 +191,62 @@ def unquoted(text: str) -> str:
     """Return a value without the quotes around it, if there are any."""
     inner = text[1:-1]
     return inner if len(text) > 1 and text == f"{text[0]}{inner}{text[0]}" and text[0] in _QUOTES else text
+
+
+def setting_groups(cls: type) -> dict[str, Any]:
+    """Return the groups that a class takes, by the name of the argument, each with its default."""
+    taken = inspect.signature(cls).parameters.values()
+    return {item.name: item.default for item in taken if is_dataclass(item.default)}
+
+
+def homes(cls: type) -> dict[str, str]:
+    """Return the group of every setting that is in one."""
+    return {field.name: group for group, default in setting_groups(cls).items() for field in fields(default)}
+
+
+def setting_types(cls: type) -> dict[str, Any]:
+    """Return the type of every setting of a class by its name, those of groups in the place of the group."""
+    hints, own, result = get_type_hints(cls.__init__), setting_groups(cls), {}
+    for name in inspect.signature(cls).parameters:
+        if name in own:
+            inner = get_type_hints(type(own[name]))
+            result |= {field.name: inner[field.name] for field in fields(own[name])}
+        else:
+            result[name] = hints.get(name, str)
+    return result
+
+
+def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings with those of a group in a mapping under its name; others stay as they are.
+
+    Args:
+        cls: The class that takes them.
+        given: Values by name. Mappings of groups may be among them; a name without its group wins.
+    """
+    home = homes(cls)
+    result = {key: value for key, value in given.items() if key not in home}
+    for key in given:
+        if key in home:
+            result[home[key]] = {**(result.get(home[key]) or {}), key: given[key]}
+    return result
+
+
+def made(cls: type, given: Mapping[str, Any]) -> Any:
+    """Return an instance of a class with settings that are named without their groups."""
+    own, given = setting_groups(cls), grouped(cls, given)
+    return cls(**{key: _changed(own[key], value) if key in own else value for key, value in given.items()})
+
+
+def _changed(default: Any, values: Mapping[str, Any]) -> Any:
+    """Return a group with new values beside those in which the class's default differs from the group's.
+
+    Not `dataclasses.replace`: a group may choose values of its own by others, such as those of a preset.
+    """
+    usual = type(default)()
+    own = {field.name: getattr(default, field.name) for field in fields(default)}
+    return type(default)(**{k: v for k, v in own.items() if v != getattr(usual, k)} | dict(values))
+
+
+def flat(*given: Any) -> dict[str, Any]:
+    """Return the settings of some dataclasses without their groups, as plain values."""
+    return {key: value for group in given for key, value in asdict(group).items()}

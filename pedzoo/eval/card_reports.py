@@ -9,9 +9,9 @@ from typing_extensions import TypedDict
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.machine import versions
 from pedzoo.core.registry import SUITES
 from pedzoo.core.types import GoalProtocol, TimeBase
-from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core import renamed
-from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
+from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.results import Shown
 from pedzoo.eval.suite import EvaluationOptions, Suite, WorkUnit, check_names

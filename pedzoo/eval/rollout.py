@@ -11,8 +11,8 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from pedzoo.core import renamed
-from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
+from pedzoo.core.machine import usable
 from pedzoo.core.spec import Spec
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy

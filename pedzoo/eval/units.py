@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core.fetch import sha256_of
+from pedzoo.core.machine import versions
 from pedzoo.core.registry import SUITES, folder_of
 from pedzoo.core.spec import Spec, parse
-from pedzoo.core.versions import versions
 from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.load import parts

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.core import groups
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
+from pedzoo.core.spec import made
 from pedzoo.core.types import GoalProtocol
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Forecaster(nn.Module):
     @classmethod
     def of(cls, **settings: Any) -> Self:
         """Return a model of settings that are named without their groups, as files of weights have them."""
-        return groups.made(cls, settings)
+        return made(cls, settings)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None

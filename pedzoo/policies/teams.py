@@ -13,8 +13,7 @@ from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import limit_speed
-from pedzoo.core.kinematics import blended
+from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.policies.learned.walker import Walker, check_interval
 from pedzoo.policies.plans import Memory, Plans
@@ -107,7 +106,7 @@ class Team(nn.Module):
     def _blended(self, agents: TensorDictBase, command: Tensor, dt: float) -> Tensor:
         """Return velocities (B, A, N, 2) until the next decision, which lead where the command alone would.
 
-        Those of people blend as in `pedzoo.core.kinematics.blended`. Those of robots may be speeds of wheels,
+        Those of people blend as in `pedzoo.core.geometry.blended`. Those of robots may be speeds of wheels,
         and are held.
         """
         person = (agents["kind"] != ROBOT).unsqueeze(-1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -11,8 +11,8 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from pedzoo.core.adapters import copied, tensordict_of
-from pedzoo.core.devices import usable
 from pedzoo.core.errors import UserError
+from pedzoo.core.machine import usable
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
@@ -188,9 +188,9 @@ class PedestrianEnv(EnvBase):
             now = self._reset(tensordict_of({"_reset": ended}, self.batch_size, ended.device))
         else:
             now = copied(after)
-            cast("TensorDict", now[self.group]).pop("reward")
-        groups = (cast("TensorDict", whole[self.group]) for whole in (tensordict, now))
-        for old, new in ((tensordict, now), tuple(groups)):
+            del now[self.group, "reward"]
+        groups: Any = tensordict[self.group], now[self.group]
+        for old, new in ((tensordict, now), groups):
             for name in set(old.keys()).difference(new.keys(), ("reward",)):
                 value = old.get(name)
                 new.set(name, copied(value) if isinstance(value, TensorDictBase) else value)
@@ -221,9 +221,8 @@ class PedestrianEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
-        all_scenes = torch.arange(self.batch_size[0])
         if flags is None or self._scenes is None or bool(flags.all()):
-            self._scenes = self._next(all_scenes)
+            self._scenes = self._next(torch.arange(self.batch_size[0]))
         elif bool(flags.any()):
             index = flags.view(-1).nonzero().view(-1)
             self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.geometry import heading_of, identity_pose
-from pedzoo.core.kinematics import TURNS_FROM
+from pedzoo.core.geometry import TURNS_FROM, heading_of, identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance

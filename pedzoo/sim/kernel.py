@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC
-from pedzoo.core.geometry import heading_of
-from pedzoo.core.kinematics import TURNS_FROM, blended, limited
+from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, limited
 from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.arrival import deadline, planned

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from pedzoo.core.kinematics import passes
+from pedzoo.core.geometry import passes
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.planning.guidance import Guidance

@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core import groups
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import MODELS
+from pedzoo.core.spec import grouped
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint
@@ -106,7 +106,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
 def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:
     cls = MODELS.get(config["architecture"])
     # all options, also those that weights of an earlier version do not know: a config may set them
-    options = groups.grouped(cls, build(config).config)
+    options = grouped(cls, build(config).config)
     options |= {group: options[group] | changes for group, changes in decided.items() if group in options}
     model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})

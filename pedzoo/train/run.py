@@ -15,8 +15,8 @@ from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.machine import versions
 from pedzoo.core.paths import shipped
-from pedzoo.core.versions import versions
 
 Wandb = Literal["off", "offline", "online"]
 

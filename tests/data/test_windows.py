@@ -159,7 +159,7 @@ def test_one_person_only_is_refused_with_the_option_that_keeps_them() -> None:
         scenes_of(alone)
     assert scenes_of(alone, min_people=1).sizes.tolist() == [1, 1]
     passing = recording({1: (0, 1, 2), 2: (1, 2, 3)}, "passing")
-    with pytest.raises(UserError, match=r"--data\.people present keeps partly seen people"):
+    with pytest.raises(UserError, match=r"--data\.keep_people present keeps partly seen people"):
         scenes_of(passing, min_people=1)
 
 

@@ -16,7 +16,7 @@ from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import made
+from pedzoo.core.spec import made
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank

@@ -15,8 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import pedzoo
 from pedzoo.core.batch import PERSON, ROBOT, agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import limit_speed
-from pedzoo.core.kinematics import blended
+from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.policies.load import load_policy

@@ -11,8 +11,7 @@ import torch
 from helpers.crowds import ROOM, crowd
 from torch import Tensor
 
-from pedzoo.core.geometry import identity_pose, limit_speed
-from pedzoo.core.kinematics import blended, limited
+from pedzoo.core.geometry import blended, identity_pose, limit_speed, limited
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls.local_walls import LocalWalls

@@ -16,8 +16,7 @@ import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, scene_batch
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import identity_pose
-from pedzoo.core.kinematics import blended
+from pedzoo.core.geometry import blended, identity_pose
 from pedzoo.eval.rollout import prepare, rollout, run
 from pedzoo.eval.suite import EvaluationCase, WorkUnit
 from pedzoo.eval.units import digest

@@ -12,8 +12,7 @@ import torch
 from helpers.bodies import BACKENDS, Wide, commands, free_places, put
 from torch import Tensor
 
-from pedzoo.core.geometry import identity_pose
-from pedzoo.core.kinematics import blended, limited
+from pedzoo.core.geometry import blended, identity_pose, limited
 from pedzoo.core.registry import PHYSICS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN

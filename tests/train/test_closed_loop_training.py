@@ -265,7 +265,11 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
     with pytest.raises(KeyError, match="something went wrong"):
         make_trainer(callback, End(), num_sanity_val_steps=0).fit(make_module(), make_data())
     make_trainer(callback, End(), max_epochs=1).fit(make_module(), make_data())  # it can be used again
-    assert len(backends) == 2 and all(one._closed for one in backends) and not callback._validation_scenarios
+    assert (
+        len(backends) == 2
+        and all(one._scenes._closed for one in backends)
+        and not callback._validation_scenarios
+    )
 
 
 @pytest.mark.parametrize(

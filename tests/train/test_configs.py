@@ -10,8 +10,8 @@ import yaml
 
 from pedzoo.cli.main import main
 from pedzoo.core.configs import load_config, merged
-from pedzoo.core.groups import grouped
 from pedzoo.core.paths import config_names
+from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.sim.make import make_scenario
 from pedzoo.train.fine_tuning import architecture_options

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 
 import pedzoo
 from pedzoo.cli.main import main
-from pedzoo.core.groups import grouped
+from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
 

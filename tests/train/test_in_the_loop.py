@@ -22,7 +22,7 @@ from torch import Tensor, nn
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import grouped
+from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env

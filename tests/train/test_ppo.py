@@ -21,7 +21,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
-from pedzoo.core.groups import made
+from pedzoo.core.spec import made
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker

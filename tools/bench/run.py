@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.versions import versions
+from pedzoo.core.machine import versions
 from pedzoo.maps.library import load_plan
 from tools.bench import BENCHMARKS, original_sgan, peer
 from tools.bench.figures import Row

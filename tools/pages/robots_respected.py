@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pedzoo.core.machine import versions
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS, TRACE_SECONDS
-from pedzoo.core.versions import versions
 from pedzoo.eval.results import markdown_table
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room

@@ -30,11 +30,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pedzoo.cli.progress import progress_bar
+from pedzoo.core.machine import versions
 from pedzoo.core.paths import shipped, write_whole
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import parse
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.core.versions import versions
 from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout

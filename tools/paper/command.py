@@ -58,7 +58,7 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV. What was interrupte
     from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
     from pedzoo.cli.parsing import whole_numbers
     from pedzoo.cli.progress import overall_bar
-    from pedzoo.core.versions import versions
+    from pedzoo.core.machine import versions
     from tools.paper.base import markdown
 
     for key, having in ONLY.items():

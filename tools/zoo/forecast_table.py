@@ -9,8 +9,8 @@ from pathlib import Path
 
 from zoo_recipes import RECIPES
 
+from pedzoo.core.machine import versions
 from pedzoo.core.paths import shipped, write_whole
-from pedzoo.core.versions import versions
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import BASELINES, forecast
 

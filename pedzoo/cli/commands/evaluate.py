@@ -17,8 +17,8 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse, whole_numbers
     from pedzoo.cli.progress import overall_bar
     from pedzoo.core.errors import UserError
+    from pedzoo.core.machine import versions
     from pedzoo.core.registry import SUITES
-    from pedzoo.core.versions import versions
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
     from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import EvaluationOptions

@@ -18,7 +18,7 @@ def run(argv: list[str]) -> int:
     """Write what is asked for and say what it is; returns the exit code."""
     from pedzoo.cli.output import check_outputs, write_json
     from pedzoo.core.errors import UserError
-    from pedzoo.core.versions import versions
+    from pedzoo.core.machine import versions
 
     options = _parser().parse_args(argv)
     for option, way in _GOES_WITH.items():

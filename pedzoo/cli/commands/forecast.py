@@ -13,7 +13,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.core.versions import versions
+    from pedzoo.core.machine import versions
     from pedzoo.data.datamodule import Loading, TrajectoryDataModule
     from pedzoo.eval.forecast import forecast
     from pedzoo.models.zoo.loading import load

@@ -19,7 +19,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.core.errors import UserError, unknown
-    from pedzoo.core.versions import versions
+    from pedzoo.core.machine import versions
     from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate
     from pedzoo.viz.plan_sheet import save_sheet
 

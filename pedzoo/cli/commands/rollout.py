@@ -17,8 +17,8 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.core.errors import UserError
+    from pedzoo.core.machine import versions
     from pedzoo.core.registry import METRICS, SCENARIOS
-    from pedzoo.core.versions import versions
     from pedzoo.eval.comparison import Comparison
     from pedzoo.metrics.closed_loop import NAMES
     from pedzoo.viz.trajectories import check_plot_path, plot_rollouts

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
+from pedzoo.core.machine import compiles
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.walls.constants import BUCKET, ROUNDED
 from pedzoo.maps.walls.outlines import outlines, without_hollows

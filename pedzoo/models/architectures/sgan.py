@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import flat
+from pedzoo.core.spec import flat
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, Walking

@@ -26,7 +26,7 @@ from torch.distributions import Normal, kl_divergence
 
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import flat
+from pedzoo.core.spec import flat
 from pedzoo.models.base import Forecaster, known_displacements, true_displacements
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.latent import LatentHead

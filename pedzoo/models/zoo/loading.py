@@ -15,10 +15,11 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from pedzoo.core import groups, renamed
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.registry import MODELS
+from pedzoo.core.spec import grouped, homes, setting_groups
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.card import ModelCard
@@ -61,7 +62,7 @@ def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
     if name not in MODELS.names() and ".py:" not in name:
         raise no_model(name, baselines())
     model = MODELS.get(name, Forecaster)
-    asks = "goal_protocol" in {*inspect.signature(model).parameters, *groups.homes(model)}
+    asks = "goal_protocol" in {*inspect.signature(model).parameters, *homes(model)}
     built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
     if any(True for _ in built.parameters()) and ".py:" not in name:
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
@@ -95,7 +96,7 @@ def build(config: dict[str, Any]) -> Forecaster:
 def architecture_in(config: dict[str, Any]) -> dict[str, Any]:
     """Return the settings in a config that its weights depend on: all of them in a model without groups."""
     cls, init = MODELS.get(config["architecture"]), config["init"]
-    return groups.grouped(cls, init)["architecture"] if "architecture" in groups.groups(cls) else init
+    return grouped(cls, init)["architecture"] if "architecture" in setting_groups(cls) else init
 
 
 def architecture_of(model: Forecaster) -> str:
@@ -187,7 +188,7 @@ def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Fore
 
 def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
     try:
-        inspect.signature(model).bind(**groups.grouped(model, init))
+        inspect.signature(model).bind(**grouped(model, init))
     except TypeError as error:
         raise UserError(
             f"{name!r} cannot be built with the arguments {init}: {error}; is it of another version?"

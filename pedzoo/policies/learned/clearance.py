@@ -86,7 +86,7 @@ class ProposedSteps(NamedTuple):
     def integrate(self, step: Tensor) -> Tensor:
         """Return where steps (B, A, 2) lead after 0.1, 0.3 and 0.4 s (3, 2, B, A), metres from here.
 
-        As `pedzoo.core.kinematics.blended` does, straight in between.
+        As `pedzoo.core.geometry.blended` does, straight in between.
         """
         step = step.movedim(-1, 0)
         straight = torch.stack((_QUARTER * step, (1 - _QUARTER) * step, step))

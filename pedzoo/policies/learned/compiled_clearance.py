@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
+from pedzoo.core.machine import compiles
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.learned.clearance import MARGIN, NARROW, ROUNDING, ROUNDS, SHOULDERS, ProposedSteps

@@ -18,7 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
+from pedzoo.core.machine import compiles
 from pedzoo.policies.orca.vectors import above, at_least, at_most, pick
 
 EPSILON = 1e-5

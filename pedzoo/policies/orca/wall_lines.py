@@ -13,7 +13,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
+from pedzoo.core.machine import compiles
 from pedzoo.maps.walls.segments import Segments
 from pedzoo.policies.orca.programs import EPSILON
 from pedzoo.policies.orca.settings import OrcaSettings

@@ -15,8 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.batch import PERSON, ROBOT, scene_batch
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import heading_of, identity_pose, limit_speed
-from pedzoo.core.kinematics import TURNS_FROM, blended
+from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, identity_pose, limit_speed
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import heading_of
-from pedzoo.core.kinematics import passes
+from pedzoo.core.geometry import heading_of, passes
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.policies.stepping.called_with import OTHER_RADIUS, Disc, metres_of, number_of, speed_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
+from pedzoo.core.machine import compiles
 from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.physics_parts.base import Bodies

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -10,16 +11,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
+from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
-from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.camera import Camera, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.state import State
 
@@ -255,13 +256,12 @@ class Physics(ABC):
         if camera.center is not None and camera.width is not None:
             return camera
         grid = self._plan(people, scene)
-        if grid is None:
-            fitted = camera.around(people.position[scene][people.mask[scene]], size)
-        else:
-            corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
-            fitted = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
-        width = fitted.width if camera.width is None else camera.width
-        return Camera(camera.view, camera.center or fitted.center, width, camera.heading, camera.pitch)
+        points, margin = people.position[scene][people.mask[scene]], 1.0
+        if grid is not None:
+            corners = torch.from_numpy(free_corners(grid, self.bank.unknown)).to(people.pose)
+            points, margin = move_to_scene(corners[None], people.pose[[scene]]), 0.4
+        fitted = camera.around(points, size, margin)
+        return replace(camera, center=camera.center or fitted.center, width=camera.width or fitted.width)
 
     def close(self) -> None:  # noqa: B027 (most backends hold nothing)
         """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
@@ -291,14 +291,3 @@ class Physics(ABC):
     def _plan(self, people: Bodies, scene: int) -> OccupancyGrid | None:
         row = int(self.bank.index(people.map_id[scene].view(1)))
         return self.bank.grids[row] if row >= 0 else None
-
-
-def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
-    """The corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
-    free = ~grid.occupied(unknown)
-    if not free.any():
-        free = ~free
-    (top, bottom), (left, right) = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
-    left, right, top, bottom = left - 0.5, right + 0.5, top - 0.5, bottom + 0.5
-    cells = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
-    return grid.cells_to_map(cells)

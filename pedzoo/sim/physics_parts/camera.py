@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.maps.grid import OccupancyGrid, Unknown
+
 FLOOR = (236, 236, 232)
 """RGB of free cells."""
 
@@ -112,3 +114,14 @@ class Camera:
         c, s = math.cos(self.heading), math.sin(self.heading)
         back = distance * math.cos(self.pitch)
         return [x - back * c, y - back * s, distance * math.sin(self.pitch)], [x, y, 0.0], [0.0, 0.0, 1.0]
+
+
+def free_corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
+    """The corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
+    free = ~grid.occupied(unknown)
+    if not free.any():
+        free = ~free
+    (top, bottom), (left, right) = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    left, right, top, bottom = left - 0.5, right + 0.5, top - 0.5, bottom + 0.5
+    cells = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    return grid.cells_to_map(cells)

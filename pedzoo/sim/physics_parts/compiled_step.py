@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from pedzoo.core.devices import compiles
-from pedzoo.core.kinematics import TURNS_FROM
+from pedzoo.core.geometry import TURNS_FROM
+from pedzoo.core.machine import compiles
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance

@@ -18,14 +18,14 @@ _TINY, _MOST = np.float32(1e-12), np.float32(1e6)
 
 @jit
 def _limited(x, y, top_speed):
-    """Return a velocity that is shortened to a top speed: `pedzoo.core.kinematics.limited`."""
+    """Return a velocity that is shortened to a top speed: `pedzoo.core.geometry.limited`."""
     share = min(top_speed / np.sqrt(max(x * x + y * y, _TINY)), _1)
     return x * share, y * share
 
 
 @jit
 def _blended(old_x, old_y, x, y, top_speed, velocity, b, a):
-    """Write the velocities (2, S, B, A) of one agent: `pedzoo.core.kinematics.blended`, limited."""
+    """Write the velocities (2, S, B, A) of one agent: `pedzoo.core.geometry.blended`, limited."""
     ticks = velocity.shape[1]
     if ticks == 1:
         velocity[0, 0, b, a], velocity[1, 0, b, a] = _limited(x, y, top_speed)

@@ -12,14 +12,13 @@ import torch
 import yaml
 from torch import Tensor
 
-from pedzoo.core import groups
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
-from pedzoo.core.spec import Spec, build, parse
+from pedzoo.core.spec import Spec, build, homes, parse, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.scenario_parts.encounter import Encounter
@@ -176,15 +175,15 @@ def with_robots(
                 f"replay with {len(bodies)} robots, simulated={settings['simulated']}: expected one robot "
                 "in the place of one person, simulated=one"
             )
-    elif "people" not in groups.settings(cls):
+    elif "people" not in setting_types(cls):
         raise UserError(
             f"{spec.name}: robots take the places of people, and this scenario has no setting people: "
             "expected goals, door, hallway, circle or another one that has"
         )
     else:
-        home = groups.homes(cls).get("people")
+        home = homes(cls).get("people")
         usual = (
-            groups.groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
+            setting_groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
         )
         settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)

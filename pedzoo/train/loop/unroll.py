@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
-from pedzoo.core.kinematics import passes
+from pedzoo.core.geometry import passes
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel

@@ -14,7 +14,7 @@ from torch.optim import Optimizer
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import groups
+from pedzoo.core.spec import setting_groups
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import architecture_in, config_of
@@ -63,7 +63,7 @@ class ForecastModule(L.LightningModule):
             return
         asked, own = data.goal, self.generator.goal_protocol
         if stage == "fit" and "goal" in self.generator.needs and asked not in (own, "random_future"):
-            group = "architecture." * ("architecture" in groups(type(self.generator)))
+            group = "architecture." * ("architecture" in setting_groups(type(self.generator)))
             raise UserError(
                 f"the data give goals by {asked!r}, but the model is built for {own!r}: "
                 f"set both, --data.goal {asked} --model.generator.{group}goal_protocol {asked}"

@@ -1,4 +1,4 @@
-"""Which versions a result was made with."""
+"""The machine at hand: devices by name, and the versions of what is installed."""
 
 from __future__ import annotations
 
@@ -6,8 +6,14 @@ import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pedzoo import __version__
+from pedzoo.core.errors import UserError
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 PACKAGES = ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "numpy", "scipy", "pybullet")
 """What numbers depend on beside pedzoo."""
@@ -35,3 +41,29 @@ def _commit() -> str:
         return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
+
+
+def usable(device: torch.device | str) -> torch.device:
+    """Return the device.
+
+    Raises:
+        UserError: There is no such device here.
+    """
+    import torch
+
+    try:
+        device = torch.device(device)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:  # torch without CUDA asserts
+        reason = str(error).partition("\n")[0]
+        raise UserError(
+            f"device {str(device)!r} cannot be used here ({reason}): expected cpu, cuda, cuda:1, ..."
+        ) from error
+    return device
+
+
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether compiled loops may take these: float32 on the CPU."""
+    import torch
+
+    return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)

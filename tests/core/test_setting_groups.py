@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.groups import flat, grouped, made, settings
+from pedzoo.core.spec import flat, grouped, made, setting_types
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.orca import Orca
@@ -32,7 +32,7 @@ class Box:
 
 
 def test_settings_have_names_with_and_without_their_group() -> None:
-    assert settings(Box) == {"name": str, "width": float, "height": float}
+    assert setting_types(Box) == {"name": str, "width": float, "height": float}
     assert grouped(Box, {"width": 4.0, "name": "a"}) == {"name": "a", "size": {"width": 4.0}}
     # a name without its group wins
     assert grouped(Box, {"width": 4.0, "size": {"width": 5.0, "height": 6.0}}) == {
