@@ -258,7 +258,7 @@ class Physics(ABC):
         if grid is None:
             fitted = camera.around(people.position[scene][people.mask[scene]], size)
         else:
-            corners = torch.from_numpy(_corners(grid, self.bank.unknown)).to(people.pose)
+            corners = torch.from_numpy(free_corners(grid, self.bank.unknown)).to(people.pose)
             fitted = camera.around(move_to_scene(corners[None], people.pose[[scene]]), size, margin=0.4)
         width = fitted.width if camera.width is None else camera.width
         return Camera(camera.view, camera.center or fitted.center, width, camera.heading, camera.pitch)
@@ -293,7 +293,7 @@ class Physics(ABC):
         return self.bank.grids[row] if row >= 0 else None
 
 
-def _corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
+def free_corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
     """The corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
     free = ~grid.occupied(unknown)
     if not free.any():
