@@ -13,7 +13,17 @@ from pedzoo import __version__
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, weight_files
-from pedzoo.core.registry import DATASETS, METRICS, MODELS, PHYSICS, POLICIES, SCENARIOS, Registry
+from pedzoo.core.registry import (
+    DATASETS,
+    METRICS,
+    MODELS,
+    PHYSICS,
+    POLICIES,
+    ROBOT_POLICIES,
+    ROBOTS,
+    SCENARIOS,
+    Registry,
+)
 
 COMMANDS = Registry("command", "pedzoo.cli.commands")
 
@@ -63,6 +73,8 @@ def overview() -> str:
         ("weights", list(weight_files())),
         ("policies (and every model)", POLICIES.names()),
         ("scenarios", SCENARIOS.names()),
+        ("robots", ROBOTS.names()),
+        ("policies of robots (and every policy)", ROBOT_POLICIES.names()),
         ("physics", PHYSICS.names()),
         ("datasets", DATASETS.names()),
         ("metrics", METRICS.names()),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,13 @@ from pedzoo.eval.workers.journal import Journal, Rows
 from pedzoo.eval.workers.pool import Backend, finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter
 from pedzoo.metrics.closed_loop import NAMES, named
-from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import physics_class
 
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
+
+_OF_ROBOTS = ("people", "robot")
+"""Options of suites with robots."""
 
 
 @renamed.takes_world
@@ -42,6 +45,8 @@ def evaluate(
     device: str = "cpu",
     metrics: Sequence[str] = (),
     folds: Sequence[str] = (),
+    people: Sequence[str] = (),
+    robot: str | None = None,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -50,8 +55,9 @@ def evaluate(
     """Evaluate policies in closed loop and return the report that ``pedzoo evaluate`` prints and writes.
 
     Args:
-        policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`.
-        suites: ``door``, ``goals``, ``encounters`` and ``replay``, or ``file.py:Class``.
+        policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`; for the
+            suite ``robots`` as of `pedzoo.policies.load.load_robot_policy`.
+        suites: ``door``, ``goals``, ``encounters`` and ``replay``; ``robots``; or ``file.py:Class``.
         episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.
         quick: A tenth of the episodes, and of the time of recordings.
@@ -64,6 +70,9 @@ def evaluate(
         metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
         folds: Of recordings that ``replay`` walks, as ``zara1`` or ``file.py:Class:fold``; none for all that
             are found.
+        people: Who walks beside robots: policies with settings, and ``replay``, with settings of the
+            scenario, for recorded people who do not react.
+        robot: The body of robots, ``diff_drive:radius=0.35``.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -79,10 +88,11 @@ def evaluate(
     """
     plans = (maps,) if isinstance(maps, str | Path) else maps
     folder = None if root is None else str(root)
-    lists = ((one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds))
-    options = EvaluationOptions(
-        episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device, *lists
+    columns, recorded, walkers = (
+        (one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds, people)
     )
+    given = episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device
+    options = EvaluationOptions(*given, columns, recorded, walkers, robot)
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -141,8 +151,8 @@ class Evaluation:
         _check_use(self.options, self._suites)
         asked = self.options.metrics
         self._columns = (*(name for name in asked if name in NAMES), *named(asked))
-        for policy in self._policies:
-            load_policy(policy)
+        for suite, policy in product(self._suites, self._policies):
+            suite.check(policy)
         self.units: list[WorkUnit] = []
         for suite in self._suites:
             for case in suite.cases(self.options):
@@ -193,7 +203,7 @@ class Evaluation:
         asked = self.options
         protocol = {
             "suites": [suite.name for suite in self._suites],
-            **asked._asdict(),
+            **{key: value for key, value in asked._asdict().items() if key not in _OF_ROBOTS or value},
             "deterministic": self._deterministic,
             "warm_start": {suite.name: suite.warm_start for suite in self._suites},
         }
@@ -210,7 +220,12 @@ class Evaluation:
         """What tables show of each suite."""
         more = self._columns
         return {
-            suite.name: Shown(suite.headline, list(dict.fromkeys((*suite.columns, *more))), suite.counted)
+            suite.name: Shown(
+                suite.headline,
+                list(dict.fromkeys((*suite.columns, *more))),
+                suite.counted,
+                suite.legend,
+            )
             for suite in self._suites
         }
 
@@ -220,7 +235,7 @@ def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
-    for key in ("episodes", "maps", "rollouts", "folds"):
+    for key in ("episodes", "maps", "rollouts", "folds", *_OF_ROBOTS):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [
                 name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())

@@ -16,11 +16,13 @@ class Shown(NamedTuple):
         headline: Metrics in the first table.
         columns: Metrics in its own.
         counted: What ``n`` is a number of.
+        legend: What its metrics are, where `LEGEND` does not know, or knows otherwise.
     """
 
     headline: Sequence[str]
     columns: Sequence[str]
     counted: str
+    legend: Mapping[str, str] = {}
 
 
 SEEN = "seen"
@@ -84,7 +86,7 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
     result = [_headline(summary, shown)]
     for table in dict.fromkeys(row["table"] for row in summary):
         mine = [row for row in summary if row["table"] == table]
-        headline, columns, _ = shown[mine[0]["case"]["suite"]]
+        headline, columns, *_ = shown[mine[0]["case"]["suite"]]
         known = [key for key in columns if any(key in row["metrics"] for row in mine)]
         if not any(row["metrics"].get("failed") for row in mine):
             known = [key for key in known if key != "failed"]
@@ -129,9 +131,13 @@ def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Seq
     ]
     for page in pages(report, shown):
         lines += [f"## {page.title}\n", markdown_table(page.head, page.rows)]
-    known = {key for row in report["summary"] for key in row["metrics"]}
-    texts = (f"* `{key}`: {text}." for key, text in legend().items() if key in known)
-    return "\n".join([*lines, "## What the numbers are\n", *texts]).rstrip() + "\n"
+    lines_of: dict[str, None] = {}
+    for suite, one in shown.items():
+        rows = [row for row in report["summary"] if row["case"]["suite"] == suite]
+        known = {key for row in rows for key in row["metrics"]}
+        texts = one.legend or legend()
+        lines_of |= {f"* `{key}`: {text}.": None for key, text in texts.items() if key in known}
+    return "\n".join([*lines, "## What the numbers are\n", *lines_of]).rstrip() + "\n"
 
 
 INTERVALS = (

@@ -18,6 +18,7 @@ from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
+from pedzoo.sim.arrival import planned
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
@@ -121,24 +122,58 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
         ended: Called after every decision with the number of episodes that are over.
     """
     now = env.reset()
-    start = before = env.state
-    alive = torch.ones(env.batch_size, dtype=torch.bool, device=env.device)
-    overdue, failed = start.overdue, start.failed
-    steps: list[dict[str, Tensor]] = []
-    while alive.any():
+    kept = Recorder(env)
+    while kept.alive.any():
         result = env.step(policy(now))
-        after: Any = result["next"]
-        state = env.state
-        steps.append(_kept(after, before, state, alive, steps[-1] if steps else None))
-        overdue = torch.where(alive.unsqueeze(1), state.overdue, overdue)
-        failed = torch.where(alive, state.failed, failed)
-        alive = alive & ~after["done"][:, 0]
+        kept.add(result["next"])
         if ended:
-            ended(int((~alive).sum()))
-        before, now = state, step_mdp(result)
-    kept = [{key: value.cpu() for key, value in step.items()} for step in steps]
-    over = overdue.cpu(), failed.cpu()
-    return rollout_of(env.scenario, start.to("cpu"), kept, *over, env.decision_dt)
+            ended(int((~kept.alive).sum()))
+        now = step_mdp(result)
+    return kept.rollout()
+
+
+class Recorder:
+    """Keeps one episode of every scene of an environment that has just begun them.
+
+    Attributes:
+        alive: Which episodes still run (B,) bool.
+        state: The scenes after the latest decision.
+        progress: Metres of the planner's ways that agents have covered (B, A), as long as episodes ran.
+    """
+
+    def __init__(self, env: PedestrianEnv) -> None:
+        """Take the environment, after its `reset`."""
+        self._env, self._start = env, env.state
+        self.state = self._start
+        self.alive = torch.ones(env.batch_size, dtype=torch.bool, device=env.device)
+        self._overdue, self._failed = self.state.overdue, self.state.failed
+        self.progress = _progress(self.state)
+        self._steps: list[dict[str, Tensor]] = []
+
+    def add(self, after: Any, done: Tensor | None = None) -> None:
+        """Keep a decision.
+
+        Args:
+            after: What it led to: ``next`` of the environment's step.
+            done: Which episodes end with it (B,) bool; None for what the environment says.
+        """
+        before, self.state, alive = self.state, self._env.state, self.alive
+        self._steps.append(_kept(after, before, self.state, alive, self._steps[-1] if self._steps else None))
+        self._overdue = torch.where(alive.unsqueeze(1), self.state.overdue, self._overdue)
+        self._failed = torch.where(alive, self.state.failed, self._failed)
+        self.progress = torch.where(alive.unsqueeze(1), _progress(self.state), self.progress)
+        self.alive = alive & ~(after["done"][:, 0] if done is None else done)
+
+    def rollout(self) -> Rollout:
+        """Return the episodes, on the CPU."""
+        kept = [{key: value.cpu() for key, value in step.items()} for step in self._steps]
+        ends = self._overdue.cpu(), self._failed.cpu()
+        return rollout_of(self._env.scenario, self._start.to("cpu"), kept, *ends, self._env.decision_dt)
+
+
+def _progress(state: State) -> Tensor:
+    """Return how far agents have come on the planner's ways to their goals (B, A), metres."""
+    return state.planned - planned(state.remaining_path)
 
 
 def _kept(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from pedzoo.core.errors import UserError
@@ -12,6 +12,7 @@ from pedzoo.eval.comparison import row
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
+from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
@@ -38,6 +39,8 @@ class EvaluationOptions(NamedTuple):
         device: Where scenes and policies are.
         metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
         folds: Of recordings; none for all that leave recordings out and are found.
+        people: Who walks beside robots: policies with settings, and ``replay``; empty for the suite's own.
+        robot: The body of robots, with settings; None for the suite's own.
     """
 
     episodes: int | None = None
@@ -49,6 +52,8 @@ class EvaluationOptions(NamedTuple):
     device: str = "cpu"
     metrics: tuple[str, ...] = ()
     folds: tuple[str, ...] = ()
+    people: tuple[str, ...] = ()
+    robot: str | None = None
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -69,6 +74,8 @@ class EvaluationCase(NamedTuple):
         effort: What an episode costs beside those of other cases: people times goals, about.
         table: Which table its rows stand in, with those of which a mean says something; empty: the suite's.
         shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
+        people: Who walks beside a robot; empty where there is none, or where people are played back.
+        robot: The robot's body; empty where there is none.
     """
 
     suite: str
@@ -81,6 +88,8 @@ class EvaluationCase(NamedTuple):
     effort: float = 2.0
     table: str = ""
     shares: str = ""
+    people: str = ""
+    robot: str = ""
 
 
 class WorkUnit(NamedTuple):
@@ -126,6 +135,7 @@ class Suite(ABC):
         counted: What ``n`` of its rows are.
         headline: Metrics of the first table.
         columns: Metrics of the suite's own table.
+        legend: What metrics are that `pedzoo.eval.results.LEGEND` does not know, or knows otherwise.
     """
 
     accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts", "folds")
@@ -143,6 +153,7 @@ class Suite(ABC):
         "path_ratio",
         "least_distance_m",
     )
+    legend: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, name: str) -> None:
         """Take the name that it was asked for by."""
@@ -155,6 +166,10 @@ class Suite(ABC):
         Raises:
             UserError: Something asked for cannot be.
         """
+
+    def check(self, policy: str) -> None:
+        """Check the name of a policy before anything walks; errors as of `evaluate`."""
+        load_policy(policy)
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return notes on the cases, and on ``policies`` in them."""

@@ -49,8 +49,8 @@ def digest(unit: WorkUnit) -> str:
     names: weights, or a policy, suite, scenario or physics from a file.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
-    walking = [_model_sum(policy) for policy in parts(unit.walks)]
-    named = unit.case.suite, unit.case.scenario, unit.case.physics, *unit.metrics
+    walking = [_model_sum(policy) for who in (unit.walks, unit.case.people) for policy in parts(who)]
+    named = unit.case.suite, unit.case.scenario, unit.case.physics, unit.case.robot, *unit.metrics
     files = [*walking, *map(_file_sum, named)]
     return fingerprint(known, files)
 

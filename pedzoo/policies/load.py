@@ -102,6 +102,8 @@ def load_robot_policy(name: str) -> RobotPolicy:
     """
     spec = parse(name)
     if spec.name not in ROBOT_POLICIES.names() and (".py:" not in spec.name or _is_pedestrian(spec.name)):
+        if not any(map(_is_policy, parts(name))):
+            raise unknown("robot policy", spec.name, (*ROBOT_POLICIES.names(), *list_policies()))
         return AsPedestrian(load_policy(name))
     if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
         return build(ROBOT_POLICIES, name, RobotPolicy)

@@ -184,21 +184,24 @@ class _Panel:
         if camera.view == "top" or camera.view not in self.physics.views:
             for person, first, last in self.stays:
                 if first <= i <= last:
-                    _trail(image, self.trace[0, person, first : i + 1], camera.to_pixel(self.size), person)
-        self._last = _labelled(image, self.name, i * TRACE_SECONDS)
+                    color = person_color(person)
+                    trail(image, self.trace[0, person, first : i + 1], camera.to_pixel(self.size), color)
+        self._last = labelled(image, self.name, i * TRACE_SECONDS)
         return self._last
 
 
-def _trail(image: Image, way: Tensor, to_pixel: NDArray[np.float64], person: int) -> None:
-    """Draw an agent's way (T, 2) until now as a line on the floor."""
+def trail(
+    image: Image, way: Tensor, to_pixel: NDArray[np.float64], color: tuple[int, int, int], width: int = 1
+) -> None:
+    """Draw an agent's way (T, 2), metres, as a line on the floor, so many pixels broad."""
     import cv2
 
     pixels = way.double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
     points = np.round(pixels * 16).astype(np.int32)
-    cv2.polylines(image, [points.reshape(-1, 1, 2)], False, person_color(person), 1, cv2.LINE_AA, 4)
+    cv2.polylines(image, [points.reshape(-1, 1, 2)], False, color, width, cv2.LINE_AA, 4)
 
 
-def _labelled(image: Image, name: str, seconds: float) -> Image:
+def labelled(image: Image, name: str, seconds: float) -> Image:
     """Return the picture under a line with name and time."""
     import cv2
 

@@ -304,6 +304,15 @@ def test_models_lists_architectures_and_weights(capsys, elsewhere):
     assert "sgan" in capsys.readouterr().out
 
 
+def test_robots_lists_bodies_sensors_rewards_and_policies(capsys, elsewhere):
+    assert main(["robots", "*o*", "--json", "robots.json"]) == 0
+    report = json.loads(Path("robots.json").read_text())
+    names = {kind: [row["name"] for row in report[kind]] for kind in ("robots", "sensors", "policies")}
+    assert "turtlebot4" in names["robots"] and "jackal" not in names["robots"]
+    assert "goal" in names["sensors"] and "stop" in names["policies"]
+    assert "goal" in (said := capsys.readouterr().out) and "straight" not in said
+
+
 def test_metadata_of_a_damaged_file_is_refused(elsewhere):
     (elsewhere / "cut.safetensors").write_bytes(b"\xff" * 20)
     with pytest.raises(UserError, match=r"cut\.safetensors"):

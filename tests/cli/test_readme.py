@@ -36,6 +36,8 @@ ELSEWHERE += [
         "export sgan_goal.eth_ucy --onnx model.onnx",  # tests/models/test_onnx.py
         "reproduce table1 --out pages",  # tests/tools/test_reproduce.py
         "reproduce figure4 --out pages --quick",
+        "evaluate straight orca --suite robots --people orca,sgan_goal_map.indoor,replay "
+        "--robot diff_drive:radius=0.35 --quick",  # tests/eval/test_robots.py
         "fit --config closed_loop/sgan_goal_map",  # tests/train/test_configs.py
         "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # train/test_in_the_loop.py
         "fit --config closed_loop/sgan_goal_map --weights sgan_goal.zara1 --model.walking.walls 30",

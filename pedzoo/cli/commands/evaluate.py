@@ -9,6 +9,7 @@ EXAMPLE = "pedzoo evaluate orca:radius=0.3 sgan_goal_map.zara1 --suite door,goal
 def run(argv: list[str]) -> int:
     """Evaluate, print the tables and write files; returns the exit code."""
     from pathlib import Path
+    from typing import Any
 
     from jsonargparse import ArgumentParser
     from jsonargparse.typing import PositiveInt
@@ -48,7 +49,18 @@ def run(argv: list[str]) -> int:
     parser.add_function_arguments(
         evaluate,
         as_group=False,
-        skip={"policies", "suites", "seeds", "maps", "root", "metrics", "folds", "workers", "progress"},
+        skip={
+            "policies",
+            "suites",
+            "seeds",
+            "maps",
+            "root",
+            "metrics",
+            "folds",
+            "people",
+            "workers",
+            "progress",
+        },
     )
     parser.add_argument(
         "--maps",
@@ -69,6 +81,12 @@ def run(argv: list[str]) -> int:
         type=list[str],
         default=[],
         help="Folds for replay, as zara1,hotel or mine.py:Mine (default: all whose recordings are found).",
+    )
+    parser.add_argument(
+        "--people",
+        type=str,
+        default="",
+        help="Who walks beside robots, between commas: orca,sgan_goal_map.indoor,replay:fold=zara1.",
     )
     parser.add_argument("--data.root", type=str | None, help="Recordings for replay (default: PEDZOO_DATA).")
     parser.add_argument("--workers", type=PositiveInt, default=1, help="Processes; the table stays the same.")
@@ -103,8 +121,9 @@ def run(argv: list[str]) -> int:
     # finished parts lie beside the report until it is written
     beside = f"{options.json}.partial" if options.json and options.json != "-" else None
 
-    known = {key: options[key] for key in EvaluationOptions._fields if key in options}
+    known: dict[str, Any] = {key: options[key] for key in EvaluationOptions._fields if key in options}
     lists = {"maps": options.maps, "metrics": options.metrics, "folds": options.data.fold}
+    lists["people"] = _listed(options.people)
     known |= {"root": options.data.root, **{key: tuple(value) for key, value in lists.items()}}
     evaluation_options = EvaluationOptions(**known)
     evaluation = Evaluation(
@@ -153,4 +172,10 @@ def run(argv: list[str]) -> int:
 def _listed(text: str) -> list[str]:
     from pedzoo.core.spec import split, unquoted
 
-    return [unquoted(part.strip()) for part in split(text) if part.strip()]
+    names: list[str] = []
+    for part in (part.strip() for part in split(text) if part.strip()):
+        if names and "=" in part and ":" not in part.partition("=")[0]:
+            names[-1] += f",{part}"  # a further setting
+        else:
+            names.append(part)
+    return [unquoted(name) for name in names]

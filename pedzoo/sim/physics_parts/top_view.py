@@ -24,7 +24,7 @@ def draw_top_view(
     size: tuple[int, int],
     camera: Camera,
 ) -> NDArray[np.uint8]:
-    """Return the picture (H, W, 3) uint8 RGB.
+    """Return the picture (H, W, 3) uint8 RGB of floor and people.
 
     Args:
         grid: The floor plan, None for open floor.
@@ -36,6 +36,17 @@ def draw_top_view(
         size: Width and height in pixels.
         camera: Its center and width are used; it looks down whatever its ``view``.
     """
+    image = draw_floor(grid, unknown, pose, size, camera)
+    to_pixel = camera.to_pixel(size)
+    for person in present.nonzero()[:, 0].tolist():
+        draw_disc(image, to_pixel, position[person], float(radius[person]), person_color(person))
+    return image
+
+
+def draw_floor(
+    grid: OccupancyGrid | None, unknown: Unknown, pose: Tensor, size: tuple[int, int], camera: Camera
+) -> NDArray[np.uint8]:
+    """Return the picture (H, W, 3) uint8 RGB of the floor; arguments as of `draw_top_view`."""
     import cv2
 
     to_pixel = camera.to_pixel(size)
@@ -53,11 +64,29 @@ def draw_top_view(
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=OUTSIDE,
         )
-    pixels = position.detach().cpu().double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
-    widths = (radius.detach().cpu().double().numpy() * to_pixel[0, 0] * 2**_FINE).round().astype(int)
-    for person in present.nonzero()[:, 0].tolist():
-        x, y = (round(value * 2**_FINE) for value in pixels[person])
-        across = int(widths[person])
-        cv2.circle(image, (x, y), across, person_color(person), cv2.FILLED, cv2.LINE_AA, _FINE)
-        cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)
     return image
+
+
+def draw_disc(
+    image: NDArray[np.uint8],
+    to_pixel: NDArray[np.float64],
+    place: Tensor,
+    radius: float,
+    color: tuple[int, int, int],
+) -> None:
+    """Draw a body into a picture.
+
+    Args:
+        image: The picture (H, W, 3) uint8 RGB.
+        to_pixel: Of its camera, see `Camera.to_pixel`.
+        place: Scene position (2,), metres.
+        radius: Metres.
+        color: RGB.
+    """
+    import cv2
+
+    pixel = to_pixel[:, :2] @ place.detach().cpu().double().numpy() + to_pixel[:, 2]
+    x, y = (round(value * 2**_FINE) for value in pixel)
+    across = round(radius * to_pixel[0, 0] * 2**_FINE)
+    cv2.circle(image, (x, y), across, color, cv2.FILLED, cv2.LINE_AA, _FINE)
+    cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)

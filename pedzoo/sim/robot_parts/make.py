@@ -18,6 +18,7 @@ from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.reward import WeightedSum
 from pedzoo.sim.robot_parts.scenes import with_robots
 from pedzoo.sim.robot_parts.sensor import Sensor
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 SENSES = ("goal", "odometry", "people")
 """Sensors where nothing else is said."""
@@ -27,7 +28,7 @@ GAP = 0.1
 
 
 def make_robot_env(
-    scenario: str | Spec,
+    scenario: str | Spec | PreparedScenario,
     robot: str | Spec | RobotBody | Sequence[str | RobotBody] = "disc",
     people: str | Policy | Walker | Crowd = "orca",
     num_envs: int = 1,
@@ -43,6 +44,8 @@ def make_robot_env(
 
     Args:
         scenario: Its name with settings, ``goals:map=plan.yaml,people=6``: so many people beside the robots.
+            Or prepared scenes with robots, which environments may share: ``robot``, ``robot_goals``,
+            ``present`` and ``clearance`` are theirs then.
         robot: Its name with settings, ``diff_drive:radius=0.35``, ``file.py:Class``, or a body; a list for
             several robots.
         people: Who moves the people: a policy or its name, a mixed crowd, see
@@ -61,13 +64,14 @@ def make_robot_env(
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
-    given = [robot] if isinstance(robot, str | Spec | RobotBody) else list(robot)
-    bodies = [one if isinstance(one, RobotBody) else build(ROBOTS, one, RobotBody) for one in given]
     body_radius = settings.setdefault("body_radius", BODY_RADIUS)
-    made = with_robots(scenario, bodies, robot_goals, present, body_radius)
-    if clearance is None:
-        clearance = max(CLEARANCE, *(body.radius + GAP for body in bodies))
-    prepared = made.prepare(clearance)
+    if isinstance(scenario, PreparedScenario):
+        prepared = scenario
+    else:
+        given = [robot] if isinstance(robot, str | Spec | RobotBody) else list(robot)
+        bodies = [one if isinstance(one, RobotBody) else build(ROBOTS, one, RobotBody) for one in given]
+        made = with_robots(scenario, bodies, robot_goals, present, body_radius)
+        prepared = made.prepare(clearance_of(bodies) if clearance is None else clearance)
     return RobotEnv(
         prepared,
         make_physics(physics, prepared.bank, body_radius),
@@ -77,3 +81,8 @@ def make_robot_env(
         num_envs,
         **settings,
     )
+
+
+def clearance_of(bodies: Sequence[RobotBody]) -> float:
+    """Return the metres that planned ways keep from walls, so that all robots fit."""
+    return max(CLEARANCE, *(body.radius + GAP for body in bodies))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +30,8 @@ class RobotScenes(Scenario):
     """A scenario of N people and R robots: the scenario of N + R people, whose last R are robots.
 
     So a robot starts where a person would, and goes where a person would go. Slots 0 to N - 1 are people,
-    the last R are robots. Without robots (``present=False``) the same people are in the same scenes.
+    the last R are robots. Without robots (``present=False``) the same people are in the same scenes: robots
+    are taken out after the warm start, so that all people are where they are beside the robots.
 
     Attributes:
         robots: R.
@@ -63,6 +65,12 @@ class RobotScenes(Scenario):
         self.smallest_radius = min(
             inner.smallest_radius or body_radius, *(body.radius for body in self.bodies)
         )
+
+    def without_robots(self, prepared: PreparedScenario) -> PreparedScenario:
+        """Return the same ``prepared`` scenes, in which the robots are missing."""
+        scenes = copy(self)
+        scenes.present = False
+        return replace(prepared, scenario=scenes)
 
     @property
     def fastest(self) -> float:
@@ -112,7 +120,7 @@ class RobotScenes(Scenario):
         mask = layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1)
         layout = layout._replace(
             start=self._in_time(prepared, layout),
-            mask=joined(mask, torch.tensor(self.present)),
+            mask=joined(mask, torch.tensor(True)),
             pref_speed=joined(layout.pref_speed, fleet.top_speed),
             top_speed=joined(top_speed, fleet.top_speed),
             radius=joined(usual if layout.radius is None else layout.radius, fleet.radius),

@@ -1,0 +1,48 @@
+"""``pedzoo robots``: bodies, sensors, rewards and policies of robots, read without importing torch."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatch
+
+from pedzoo.cli.arguments import Arguments
+from pedzoo.cli.output import check_outputs, write_and_print
+from pedzoo.core.registry import ROBOT_POLICIES, ROBOT_REWARDS, ROBOTS, SENSORS
+
+HELP = "list robots, their sensors, rewards and policies"
+EXAMPLE = "pedzoo robots 'turtlebot*'"
+
+LISTS = {
+    "robots": (ROBOTS, "--robot NAME:radius=0.35, pedzoo.make_robot_env(robot=)"),
+    "sensors": (SENSORS, "make_robot_env(sensors=[...])"),
+    "rewards": (ROBOT_REWARDS, "make_robot_env(reward={NAME: weight})"),
+    "policies": (ROBOT_POLICIES, "pedzoo evaluate NAME --suite robots; policies of people drive robots, too"),
+}
+"""What is listed, and where its names are taken."""
+
+
+def run(argv: list[str]) -> int:
+    """Print the lists; returns the exit code."""
+    parser = Arguments("robots", HELP, EXAMPLE)
+    parser.add_argument("pattern", nargs="?", default="*", help="which names, with * and ?")
+    parser.add_argument("--json", metavar="FILE", help="also write the lists to this file")
+    options = parser.parse_args(argv)
+    check_outputs(json=options.json)
+    lists = {
+        kind: [
+            {"name": name, "about": registry.describe(name)}
+            for name in registry.names()
+            if fnmatch(name, options.pattern)
+        ]
+        for kind, (registry, _) in LISTS.items()
+    }
+    write_and_print({"command": "robots", **lists}, options.json, lambda: _print(lists))
+    return 0
+
+
+def _print(lists: dict[str, list[dict[str, str]]]) -> None:
+    width = max((len(row["name"]) for rows in lists.values() for row in rows), default=0)
+    for kind, rows in lists.items():
+        print(f"{kind} ({LISTS[kind][1]}):")
+        for row in rows:
+            print(f"  {row['name']:<{width}}  {row['about']}")
+        print("" if rows else "  none\n", end="")

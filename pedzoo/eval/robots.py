@@ -1,0 +1,248 @@
+"""Robots drive whole episodes among people, and the same people walk for as long without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from pedzoo.core.bodies import RobotBody
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import ROBOTS
+from pedzoo.core.spec import Spec, build
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.eval.rollout import Recorder
+from pedzoo.metrics.ratios import summarised
+from pedzoo.metrics.robots.table import robot_metrics
+from pedzoo.policies.load import load_robot_policy
+from pedzoo.policies.robot_policy import RobotPolicy
+from pedzoo.sim.make import physics_class
+from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.sim.robot_parts.make import clearance_of, make_robot_env
+from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
+from pedzoo.sim.robot_parts.scenes import RobotScenes, with_robots
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+
+Tell = Callable[[float], None]
+"""Called with the share of the episodes that are done."""
+
+
+def robot_rollout(
+    robot_policy: str,
+    scenario: str | Spec,
+    robot: str | Sequence[str] = "disc",
+    people: str = "orca",
+    physics: str = "compiled",
+    episodes: int = 20,
+    seed: int = 0,
+    deterministic: bool = False,
+    tell: Tell | None = None,
+    **settings: Any,
+) -> tuple[RobotRollout, RobotEnv]:
+    """Return what a robot's policy did in the first scenes of a seed, and the environment.
+
+    Its physics, ``env.physics``, is still open: pictures are taken there.
+
+    Args:
+        robot_policy: Its name with settings, as of `pedzoo.policies.load.load_robot_policy`.
+        scenario: Its name with settings.
+        robot: The body's name with settings, ``diff_drive:radius=0.35``; a list for several robots.
+        people: Who walks: a policy's name with settings, or a mixed crowd.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
+        episodes: E.
+        seed: Of the scenes.
+        deterministic: The robot's policy does not explore. People keep their noise.
+        tell: Called with the share that is done.
+        settings: More of `pedzoo.make_robot_env`: ``sensors``, ``decision_dt``, ``ends_at``, ...
+
+    Raises:
+        UserError: An unknown name or setting.
+    """
+    if episodes < 1:
+        raise UserError(f"episodes {episodes}: expected at least 1")
+    bodies = (robot,) if isinstance(robot, str) else tuple(robot)
+    prepared = prepared_scenes(scenario, bodies, settings.pop("robot_goals", 1))
+    alone = cast("RobotScenes", prepared.scenario).without_robots(prepared)
+    runs = -(-episodes // physics_class(physics).scenes_at_once)
+    settings |= {"people": people, "physics": physics, "seed": seed, "num_envs": -(-episodes // runs)}
+    joined, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
+    joined.policy_name = robot_policy
+    policy = load_robot_policy(robot_policy).to(joined.device)
+    try:
+        parts = list(_parts(policy, joined, alone, episodes, deterministic, tell))
+    finally:
+        alone.physics.close()
+    return joined_robots(parts), joined
+
+
+def prepared_scenes(scenario: str | Spec, bodies: Sequence[str], robot_goals: int = 1) -> PreparedScenario:
+    """Return the scenes of a scenario with robots, their ways found; errors as of `robot_rollout`.
+
+    The latest ones are kept: all policies of a case take them, one after the other.
+    """
+    key = repr((scenario, bodies, robot_goals))
+    if key not in _kept:
+        _kept.clear()
+        made = with_robots(scenario, [build(ROBOTS, body, RobotBody) for body in bodies], robot_goals)
+        _kept[key] = made.prepare(clearance_of(made.bodies))
+    return _kept[key]
+
+
+_kept: dict[str, PreparedScenario] = {}
+
+
+def _parts(
+    policy: RobotPolicy,
+    env: RobotEnv,
+    alone: RobotEnv,
+    episodes: int,
+    deterministic: bool,
+    tell: Tell | None,
+) -> Iterator[RobotRollout]:
+    """Yield the episodes of ``env``, as many at once as it has scenes, until there are ``episodes``."""
+    done = 0
+    while done < episodes:
+
+        def ended(number: int, done: int = done) -> None:
+            if tell:
+                tell(min(done + number, episodes) / episodes)
+
+        explores = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
+        with torch.no_grad(), set_exploration_type(explores):
+            part = run_robots(policy, env, alone, ended).episodes(slice(episodes - done))
+        done += len(part.walked.failed)
+        yield part
+
+
+def run_robots(
+    policy: RobotPolicy, env: RobotEnv, alone: RobotEnv, ended: Callable[[int], None] | None = None
+) -> RobotRollout:
+    """Return one episode of every scene of ``env``, beside that of ``alone``, which has no robots.
+
+    Args:
+        policy: Decides for the robots.
+        env: The scenes.
+        alone: The same scenes without robots.
+        ended: Called after every decision with the number of episodes that are over.
+    """
+    now = env.reset()
+    kept, robots = Recorder(env), _RobotRecorder(env)
+    decisions = torch.zeros_like(kept.alive, dtype=torch.long)
+    while kept.alive.any():
+        result = env.step(policy(now))
+        decisions += kept.alive
+        robots.add(result["next"], kept.alive)
+        kept.add(result["next"])
+        if ended:
+            ended(int((~kept.alive).sum()))
+        now = step_mdp(result)
+    others = _walk_alone(alone, decisions)
+    return RobotRollout(
+        walked=kept.rollout(),
+        alone=others.rollout(),
+        progress=kept.progress.cpu(),
+        progress_alone=others.progress.cpu(),
+        goals=env.scenes.robot_goals,
+        bodies=env.fleet.to("cpu"),
+        **robots.fields(),
+    )
+
+
+def _walk_alone(env: RobotEnv, decisions: Tensor) -> Recorder:
+    """Return what people do without robots in so many ``decisions`` (B,)."""
+    now = env.reset()
+    kept, action = Recorder(env), env.action_spec.zero()
+    for number in range(1, int(decisions.max()) + 1):
+        result = env.step(now.update(action))
+        kept.add(result["next"], decisions <= number)
+        now = step_mdp(result)
+    return kept
+
+
+class _RobotRecorder:
+    """Keeps what is of robots alone."""
+
+    def __init__(self, env: RobotEnv) -> None:
+        self._env = env
+        self._heading = [env.state.heading[:, -env.robots :].unsqueeze(-1)]
+        self._contacts: dict[str, list[Tensor]] = {name: [] for name in _CONTACTS}
+        none = torch.zeros_like(env.state.mask[:, -env.robots :])
+        self._ends = dict.fromkeys(("success", "timeout", "failed"), none)
+
+    def add(self, after: Any, alive: Tensor) -> None:
+        """Keep a decision of the episodes that are ``alive`` (B,) bool."""
+        robots, runs = self._env.robots, alive.view(-1, 1, 1)
+        flags, info = after["robots", "info"], after["agents", "info"]
+        for name, where in _CONTACTS.items():
+            happened = info[where][:, -robots:] & flags[name].unsqueeze(-1)
+            self._contacts[name].append(happened & runs)
+        for name, before in self._ends.items():
+            self._ends[name] = before | (flags[name] & alive.unsqueeze(1))
+        last = self._heading[-1][..., -1:]
+        turned = self._env.state.heading[:, -robots:].unsqueeze(-1) - last
+        turned = torch.where(runs, torch.atan2(turned.sin(), turned.cos()), 0.0)
+        points = round(self._env.decision_dt / TRACE_SECONDS)
+        self._heading.append(last + turned * torch.arange(1, points + 1, device=last.device) / points)
+
+    def fields(self) -> dict[str, Tensor]:
+        """Return the fields of a `RobotRollout`."""
+        result = {name: torch.cat(parts, -1).cpu() for name, parts in self._contacts.items()}
+        result |= {name: value.cpu() for name, value in self._ends.items()}
+        return result | {"heading": torch.cat(self._heading, -1).cpu()}
+
+
+_CONTACTS = {
+    "person_contact": "agent_contact",
+    "robot_contact": "agent_contact",
+    "wall_contact": "wall_contact",
+}
+"""What `RobotRollout` calls contacts, and where the environment says when they were."""
+
+
+def robot_row(name: str, rollout: RobotRollout, decision_dt: float) -> dict[str, Any]:
+    """Return the metrics of a robot's policy with their 95 % intervals, and what became of each robot.
+
+    ``n`` are episodes, intervals are over episodes; what the metrics are says
+    `pedzoo.metrics.robots.legend.LEGEND`.
+
+    Args:
+        name: The policy as it was given.
+        rollout: Its episodes.
+        decision_dt: Seconds between its decisions.
+    """
+    metrics, intervals = summarised(robot_metrics(rollout))
+    return {
+        "name": name,
+        "case": {},
+        "decision_dt_s": decision_dt,
+        "n": len(rollout.walked.failed),
+        "metrics": metrics,
+        "ci95": intervals,
+        "per_agent": _per_robot(rollout),
+    }
+
+
+def _per_robot(rollout: RobotRollout) -> list[dict[str, Any]]:
+    """Return what became of each robot, robots of one episode after the other."""
+    flags = {
+        "success": rollout.success,
+        "collision_person": rollout.person_contact.any(-1),
+        "collision_robot": rollout.robot_contact.any(-1),
+        "collision_wall": rollout.wall_contact.any(-1),
+        "timeout": rollout.timeout,
+        "failed": rollout.failed,
+    }
+    seconds = rollout.there.sum(-1) * TRACE_SECONDS
+    return [
+        {
+            "episode": episode,
+            "robot": robot,
+            **{key: bool(value[episode, robot]) for key, value in flags.items()},
+            "duration_s": round(float(seconds[episode, robot]), 1),
+        }
+        for episode in range(len(seconds))
+        for robot in range(rollout.robots)
+    ]

@@ -1,0 +1,171 @@
+"""A robot among people: doors, corridors, crossings, apartments, an office, the open; and recorded crowds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, cast
+
+from pedzoo.core.bodies import RobotBody
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import ROBOTS
+from pedzoo.core.spec import Spec, build, parse
+from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit
+from pedzoo.eval.suites.replay import digest_of
+from pedzoo.metrics.robots.legend import LEGEND
+from pedzoo.policies.load import load_policy, load_robot_policy
+from pedzoo.sim.robot_parts.rollout import joined_robots
+
+EPISODES = 50
+
+ROBOT = "disc"
+"""The body where nothing else is said."""
+
+PEOPLE = ("orca", "social_force:preset=indoor", "sgan_goal_map.indoor", "replay")
+"""Who walks where nothing else is said."""
+
+REPLAY = "replay"
+"""Recorded people, as settings of the scenario of that name; a robot takes the place of one of them."""
+
+APARTMENTS = ",".join(f"apartment.{seed}" for seed in range(4))
+
+SCENES: Mapping[str, tuple[str, float]] = {
+    "door": ("door:width=1.2,people=2", 3.0),
+    "corridor": ("hallway:people=4", 5.0),
+    "crossing": ("intersection:people=4", 5.0),
+    "apartment": (f"goals:map=[{APARTMENTS}],people=6,goals=1,pool=12", 7.0),
+    "office": ("goals:map=office.0,people=8,goals=1,pool=12", 9.0),
+    "open": ("circle:people=5", 6.0),
+}
+"""Scenarios by what tables call them, and what an episode costs beside others."""
+
+
+class Robots(Suite):
+    """Every scene with every kind of people, and the same scenes without the robot."""
+
+    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "people", "robot")
+    headline: ClassVar[tuple[str, ...]] = ("success", "collision_person", "delay_s")
+    columns: ClassVar[tuple[str, ...]] = (
+        "success",
+        "collision_person",
+        "collision_wall",
+        "timeout",
+        "failed",
+        "stl",
+        "time_s",
+        "delay_s",
+        "intrusion_ratio",
+    )
+    legend: ClassVar[Mapping[str, str]] = LEGEND
+
+    def check(self, policy: str) -> None:
+        """Check the name of a robot's policy."""
+        load_robot_policy(policy)
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return a case for each scene and kind of people.
+
+        Raises:
+            UserError: An unknown body, policy or recording.
+        """
+        robot = options.robot or ROBOT
+        build(ROBOTS, robot, RobotBody)
+        result: list[EvaluationCase] = []
+        for people in options.people or PEOPLE:
+            common: dict[str, Any] = {
+                "suite": self.name,
+                "physics": options.physics or "compiled",
+                "table": f"{self.name} {people}",
+                "robot": robot,
+            }
+            if parse(people).name == REPLAY:
+                result.append(_replayed(people, options.root, common))
+                continue
+            load_policy(people)
+            for name, (scenario, effort) in SCENES.items():
+                result.append(
+                    EvaluationCase(
+                        name=f"{name} {people}",
+                        scenario=scenario,
+                        episodes=options.number(EPISODES),
+                        case={"scene": name, "people": people},
+                        effort=effort,
+                        shares=name,
+                        people=people,
+                        **common,
+                    )
+                )
+        return result
+
+    def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
+        """Return which robot drives, and what people of recordings do."""
+        result = [
+            f"{self.name}: the robot is {options.robot or ROBOT}; a touch ends its episode; the same scenes "
+            "without it say what it does to people"
+        ]
+        if any(parse(people).name == REPLAY for people in options.people or PEOPLE):
+            result.append(
+                f"{self.name}: in {REPLAY} the robot takes the place of one person after the other; all "
+                "others are played back and do not react, so it delays none of them"
+            )
+        return result
+
+    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+        """Drive one unit and return its row."""
+        case, parts, decision_dt = unit.case, [], 0.0
+        episodes = case.episodes or _recorded(case)
+        for number, seed in enumerate(unit.seeds):
+
+            def share(done: float, number: int = number) -> None:
+                if tell:
+                    tell((number + done) / len(unit.seeds))
+
+            try:
+                part, env = robot_rollout(
+                    unit.walks,
+                    case.scenario,
+                    case.robot,
+                    case.people or "orca",
+                    case.physics,
+                    episodes,
+                    seed,
+                    unit.deterministic,
+                    share,
+                    device=unit.device,
+                )
+            except UserError as error:
+                raise UserError(f"{case.name}: robot {case.robot}: {error}") from error
+            env.physics.close()
+            decision_dt = env.decision_dt
+            parts.append(part)
+        row = robot_row(unit.policy, joined_robots(parts), decision_dt)
+        for robot in row["per_agent"]:
+            seed, robot["episode"] = divmod(robot["episode"], episodes)
+            robot["seed"] = unit.seeds[seed]
+        return [row]
+
+
+def _replayed(people: str, root: str | None, common: dict[str, Any]) -> EvaluationCase:
+    """Return the case of recorded people: every person's place is taken once."""
+    settings: dict[str, Any] = dict(parse(people).settings) | {"simulated": "one"}
+    fold = settings.setdefault("fold", "embedded")
+    if root is not None and fold != "embedded":
+        settings.setdefault("root", root)
+    written = parse(people)._replace(settings=settings)
+    return EvaluationCase(
+        name=people,
+        scenario=cast("Spec", written),
+        episodes=0,
+        case={"scene": REPLAY, "people": people},
+        inputs="" if "files" in settings else digest_of(fold, settings.get("root")),
+        effort=1000.0,
+        shares=people,
+        **common,
+    )
+
+
+def _recorded(case: EvaluationCase) -> int:
+    """Return how many scenes a recording has."""
+    script = prepared_scenes(case.scenario, (case.robot,)).script
+    assert script is not None
+    return len(script.scenes.table)
