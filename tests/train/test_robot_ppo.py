@@ -204,7 +204,7 @@ def test_imitation_comes_near_the_teacher() -> None:
         met.append(now.select(("robots", "observation"), ("robots", "body")).clone())
         act(now, taught(now))
         now = env.step(now)["next"]
-    scenes = torch.cat(met)
+    scenes: Any = torch.cat(met)
 
     def missed() -> float:
         with torch.no_grad():

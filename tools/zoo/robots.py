@@ -29,6 +29,7 @@ from pedzoo.train.run import RunFolder
 ROOMS = ["--config", "robot/rooms", "--model.people"]
 ROBOTS = {
     "circle": ["--config", "robot/ppo"],
+    "circle_diff_drive": ["--config", "robot/ppo", "--model.robot", "diff_drive"],
     "orca": [*ROOMS, "orca"],
     "social_force": [*ROOMS, "social_force:preset=indoor"],
     "sgan": [*ROOMS, "sgan_goal_map.indoor"],
