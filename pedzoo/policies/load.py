@@ -101,8 +101,8 @@ def load_robot_policy(name: str) -> RobotPolicy:
 
     Args:
         name: ``stop``, ``straight``, ``sampling``, ``dwa``, ``file.py:Class``; weights such as
-            ``robot_ppo.circle``; or what `load_policy` takes: ``orca``, ``social_force:preset=indoor``. Robots
-            on wheels track the velocities of the latter.
+            ``robot_ppo.circle``; or what `load_policy` takes: ``orca``, ``social_force:preset=indoor``.
+            Robots on wheels track the velocities of the latter.
 
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message.

@@ -23,9 +23,14 @@ from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.models.zoo.store import robots
 from pedzoo.policies.load import list_robot_policies, load_robot_policy
+from pedzoo.policies.local_planner import People, Robot, load_local_planner
 from pedzoo.policies.robot_policy import bodies_of, tracked
 from pedzoo.policies.robots.attention import Attention
-from pedzoo.train.robots.crossing import CrossingEnv, starts, walked
+from pedzoo.sim.crowdnav.cases import cases
+from pedzoo.sim.crowdnav.rules import COLLISION, SUCCESS, TIMEOUT
+from pedzoo.sim.crowdnav.run import run
+from pedzoo.sim.crowdnav.settings import CROWDNAV
+from pedzoo.train.robots.crossing import CrossingEnv
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught
@@ -135,19 +140,30 @@ def test_sensors_that_lack_are_told() -> None:
         Attention(width=10)
 
 
-def test_the_crossing_is_crowdnavs() -> None:
-    """Everybody keeps 0.8 m at first; walking straight succeeds in .026 of CrowdNav's cases (pyrvo)."""
+@pytest.mark.parametrize("name", ["straight", "crowdnav_orca"])
+def test_the_crossing_is_crowdnavs(name: str) -> None:
+    """Cases end as those of the rules that are CrowdNav's to the digit, when they do."""
     check_env_specs(CrossingEnv(3, crowds=8))
-    start = starts(200, 5, torch.Generator().manual_seed(0))
-    apart = torch.cdist(start, start) + 9 * torch.eye(5)
-    assert apart.min() >= 0.8 and (start.norm(dim=-1) <= 4 + math.sqrt(0.5)).all()
-    places, velocities = walked(start)
-    assert velocities.norm(dim=-1).max() <= 1 + 1e-4
-    arrived = (places[:, -1] + start).norm(dim=-1) < 0.1
-    assert arrived.float().mean() > 0.98  # some block each other, as they do in RVO2
-    ends = walked_once(CrossingEnv(500, crowds=500), Attention())
-    assert 0.005 < ends["success"] < 0.06 and ends["timeout"] == 0
-    assert ends["seconds"] == pytest.approx(7.75)
+    planner, seeds = load_local_planner(name, 0.25), range(1000, 1030)
+    expected = run(planner, CROWDNAV, cases(CROWDNAV, seeds))
+    env = CrossingEnv(30, crowds=30, first=1000)
+    now, over, seconds = env.reset(), torch.zeros(30, dtype=torch.bool), torch.zeros(30)
+    outcome = torch.zeros(30, dtype=torch.long)
+    planner = load_local_planner(name, 0.25)
+    while not bool(over.all()):
+        seen = {key: value[:, 0] for key, value in now["robots", "observation"].items()}
+        robot = Robot(0 * seen["goal"], seen["velocity"], seen["goal"], seen["radius"][:, 0], torch.ones(30))
+        place, velocity, radius = seen["people"].split([2, 2, 1], -1)
+        people = People(place, velocity, radius[..., 0], seen["people_mask"])
+        now["robots", "action"] = planner(robot, people).unsqueeze(1)
+        now = env.step(now)["next"]
+        info = now["robots", "info"]
+        happened = info["success"] * SUCCESS + info["person_contact"] * COLLISION + info["timeout"] * TIMEOUT
+        outcome = torch.where(over, outcome, happened[:, 0])
+        seconds = torch.where(over, seconds, seconds + 0.25)
+        over = over | now["done"][:, 0]
+    same = (outcome == expected.outcome) & (seconds == expected.seconds)
+    assert same.float().mean() >= 0.9  # single precision, and the robot's own frame
 
 
 def test_wheels_reach_the_goal_as_their_limits_allow() -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import torch
@@ -16,13 +17,11 @@ from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.geometry import nearest_part, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
-from pedzoo.policies.orca.settings import OrcaSettings
-from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.sim.crowdnav.cases import cases
+from pedzoo.sim.crowdnav.people import people_velocity
+from pedzoo.sim.crowdnav.settings import CROWDNAV, RADIUS, TIME_STEP
+from pedzoo.sim.observation import flag, real
 from pedzoo.sim.robot_parts.reward import USUAL
-from pedzoo.sim.specs import flag, real
-
-CIRCLE, RADIUS, SPEED, STEP = 4.0, 0.3, 1.0, 0.25
-"""Metres, metres, m/s and seconds, of everybody."""
 
 STEPS = 96
 """Until the time is up: 24 s."""
@@ -30,8 +29,11 @@ STEPS = 96
 TICKS = 5
 """Parts of a step in which wheels follow a command."""
 
-COMFORT = 0.2
-"""Metres between bodies that people like; at the start and at goals they have it."""
+FIRST = 10_000
+"""Seeds of crowds in training; those of CrowdNav's test begin at 1000."""
+
+_AT_ONCE = 512
+"""Crowds that walk together: each keeps 8192 drawn numbers."""
 
 
 class CrossingEnv(EnvBase):
@@ -48,7 +50,7 @@ class CrossingEnv(EnvBase):
         crowds: int = 4096,
         robot: str = "disc",
         reward: Mapping[str, float] | None = None,
-        seed: int = 0,
+        first: int = FIRST,
     ) -> None:
         """Walk the people.
 
@@ -58,14 +60,13 @@ class CrossingEnv(EnvBase):
             crowds: How many crowds there are to be met.
             robot: A body with settings; it faces its goal at first.
             reward: Weights; see `pedzoo.sim.robot_parts.reward.USUAL`.
-            seed: Of crowds, and of which is met when.
+            first: Seed of the first crowd; the others follow.
         """
         super().__init__(batch_size=torch.Size([num_envs]))
-        self.decision_dt, self.robots = STEP, 1
+        self.decision_dt, self.robots = TIME_STEP, 1
         self.weights = dict(USUAL if reward is None else reward)
-        self._random = torch.Generator().manual_seed(seed)
-        start = starts(crowds, people, self._random)
-        self.place, self.velocity = walked(start)
+        self._random = torch.Generator().manual_seed(0)
+        self.place, self.velocity = walked(people, range(first, first + crowds))
         shape = (num_envs, 1)
         self.fleet = Fleet.of([build(ROBOTS, robot, RobotBody)])
         self._body = TensorDict(self.fleet._asdict(), (1,)).expand(shape)
@@ -105,7 +106,7 @@ class CrossingEnv(EnvBase):
             crowd = torch.randint(len(self.place), crowd.shape, generator=self._random)
         self._crowd = torch.where(anew, crowd, self._crowd)
         self._clock = torch.where(anew, 0, self._clock)
-        self._robot = torch.where(anew[:, None], torch.tensor([0.0, -CIRCLE]), self._robot)
+        self._robot = torch.where(anew[:, None], torch.tensor([0.0, -CROWDNAV.circle]), self._robot)
         self._moving = torch.where(anew[:, None], 0.0, self._moving)
         self._heading = torch.where(anew, math.pi / 2, self._heading)
         self._turn = torch.where(anew, 0.0, self._turn)
@@ -114,11 +115,11 @@ class CrossingEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         velocity = self._driven(cast("Tensor", tensordict["robots", "action"]))
         people, moves = self.place[self._crowd, self._clock], self.velocity[self._crowd, self._clock]
-        away, apart = people - self._robot[:, None], (moves - velocity[:, None]) * STEP
+        away, apart = people - self._robot[:, None], (moves - velocity[:, None]) * TIME_STEP
         gap = (away + nearest_part(away, apart)[..., None] * apart).norm(dim=-1).amin(1)
         gap = gap - RADIUS - self.fleet.radius
         left = self._left()
-        self._robot = self._robot + STEP * velocity
+        self._robot = self._robot + TIME_STEP * velocity
         self._clock = self._clock + 1
         arrived = self._left() < self.fleet.radius
         hit = gap < 0
@@ -127,8 +128,10 @@ class CrossingEnv(EnvBase):
             "progress": left - torch.where(arrived, 0.0, self._left()),
             "success": events[0].float(),
             "collision": -hit.float(),
-            "discomfort": -(COMFORT - gap.clamp_min(0)).clamp_min(0) / COMFORT * STEP,
-            "time": torch.full_like(gap, -STEP),
+            "discomfort": -(CROWDNAV.discomfort_dist - gap.clamp_min(0)).clamp_min(0)
+            / CROWDNAV.discomfort_dist
+            * TIME_STEP,
+            "time": torch.full_like(gap, -TIME_STEP),
         }
         reward = torch.stack([weight * terms[name] for name, weight in self.weights.items()]).sum(0)
         result = self._observation(events)
@@ -149,7 +152,7 @@ class CrossingEnv(EnvBase):
         speed, turn = command.unbind(-1)
         if int(fleet.drive) == DIFF_DRIVE:
             speed, turn = (speed + turn) / 2, (turn - speed) / fleet.track
-        tick, now = STEP / TICKS, (self._moving * self._ahead()).sum(-1)
+        tick, now = TIME_STEP / TICKS, (self._moving * self._ahead()).sum(-1)
         more, more_turn = fleet.acceleration * tick, fleet.turn_acceleration * tick
         place = torch.zeros_like(self._robot)
         for _ in range(TICKS):
@@ -159,7 +162,7 @@ class CrossingEnv(EnvBase):
             place = place + tick * now[:, None] * self._ahead()
             self._heading = self._heading + 0.5 * tick * self._turn
         self._moving = now[:, None] * self._ahead()
-        return place / STEP
+        return place / TIME_STEP
 
     def _ahead(self) -> Tensor:
         return torch.stack((self._heading.cos(), self._heading.sin()), dim=-1)
@@ -168,7 +171,7 @@ class CrossingEnv(EnvBase):
         return (self._goal() - self._robot).norm(dim=-1)
 
     def _goal(self) -> Tensor:
-        return torch.tensor([0.0, CIRCLE]).expand_as(self._robot)
+        return torch.tensor([0.0, CROWDNAV.circle]).expand_as(self._robot)
 
     def _observation(self, events: Tensor) -> TensorDict:
         """Return what robots sense; discs face one way all the time."""
@@ -196,37 +199,19 @@ INFO = ("active", "success", "person_contact", "timeout")
 """What is said of a decision."""
 
 
-def starts(crowds: int, people: int, random: torch.Generator) -> Tensor:
-    """Return where people start (C, N, 2), metres; they go to the opposite points.
-
-    Each draws an angle and two shifts, again until all keep their distance, robot and goals included.
-    """
-    result = torch.full((crowds, people, 2), torch.nan)
-    robot = torch.tensor([[0.0, -CIRCLE], [0.0, CIRCLE]]).expand(crowds, 2, 2)
-    for slot in range(people):
-        rows = torch.arange(crowds)
-        while len(rows):
-            angle, x, y = torch.rand(3, len(rows), generator=random)
-            angle = 2 * math.pi * angle
-            place = CIRCLE * torch.stack((angle.cos(), angle.sin()), -1) + torch.stack((x, y), -1) - 0.5
-            result[rows, slot] = place
-            others = torch.cat((robot, result[:, :slot], -result[:, :slot]), 1)[rows]
-            near = ((place[:, None] - others).norm(dim=-1) < 2 * RADIUS + COMFORT).any(1)
-            rows = rows[near]
-    return result
-
-
-def walked(start: Tensor) -> tuple[Tensor, Tensor]:
-    """Return places and velocities (C, `STEPS` + 1, N, 2) of people whom ORCA leads across."""
-    settings = OrcaSettings(time_step=STEP, neighbor_dist=10.0, max_neighbors=10, time_horizon=5.0)
-    position, velocity = start, torch.zeros_like(start)
-    radius, top = (torch.full(start.shape[:2], value) for value in (RADIUS + 0.01, SPEED))
-    mask, places, velocities = torch.ones_like(top, dtype=torch.bool), [position], [velocity]
-    for _ in range(STEPS):
-        way = -start - position
-        wanted = way / way.norm(dim=-1, keepdim=True).clamp_min(1)
-        velocity = orca_velocity(position, velocity, wanted, top, mask, settings, radius=radius)
-        position = position + STEP * velocity
-        places.append(position)
-        velocities.append(velocity)
-    return torch.stack(places, 1), torch.stack(velocities, 1)
+def walked(people: int, seeds: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """Return where people are and their velocities (C, `STEPS` + 1, N, 2) in cases of CrowdNav's."""
+    setting = replace(CROWDNAV, people=people)
+    result = []
+    for begin in range(0, len(seeds), _AT_ONCE):
+        case = cases(setting, seeds[begin : begin + _AT_ONCE])
+        now = case.people
+        places, velocities = [now.position], [now.velocity]
+        for _ in range(STEPS):
+            velocity = people_velocity(setting, None, now, case.goal)
+            now = now._replace(position=now.position + TIME_STEP * velocity, velocity=velocity)
+            places.append(now.position)
+            velocities.append(velocity)
+        result.append((torch.stack(places, 1).float(), torch.stack(velocities, 1).float()))
+    place, velocity = zip(*result, strict=True)
+    return torch.cat(place), torch.cat(velocity)

@@ -52,7 +52,6 @@ class RobotPPO(L.LightningModule):
         people: str = "orca",
         robot: str = "disc",
         decision_dt: float = 0.2,
-        clearance: float | None = None,
         reward: Mapping[str, float] | None = None,
         envs: int = 64,
         steps: int = 64,
@@ -81,7 +80,6 @@ class RobotPPO(L.LightningModule):
             people: A policy or a mixed crowd.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.
-            clearance: Metres that ways keep from walls; None as of `pedzoo.make_robot_env`.
             reward: Weights by name; see `pedzoo.sim.robot_parts.reward.USUAL`.
             envs: B, scenes of every scenario.
             steps: T, decisions in each of them for one update.
@@ -122,7 +120,6 @@ class RobotPPO(L.LightningModule):
         self.automatic_optimization = False
         self.scenarios, self.people, self.robot = scenarios, people, robot
         self.decision_dt, self.reward, self.physics = decision_dt, reward, physics
-        self.clearance = clearance
         self.envs, self.steps, self.updates, self.episodes = envs, steps, updates, episodes
         self.lr, self.final_lr, self.clip = lr, final_lr, clip
         self.passes, self.minibatches, self.imitate = passes, minibatches, imitate
@@ -143,9 +140,9 @@ class RobotPPO(L.LightningModule):
         spec = parse(scenario)
         if spec.name == "crowdnav":
             counts: dict[str, Any] = {key: int(value) for key, value in spec.settings.items()}
-            counts |= {} if training else {"crowds": scenes}
-            seed = _SEEDS + self.seed if training else 0
-            return CrossingEnv(scenes, robot=self.robot, reward=self.reward, seed=seed, **counts)
+            # CrowdNav's validation cases are those of the seeds from 0 on
+            counts |= {} if training else {"crowds": scenes, "first": 0}
+            return CrossingEnv(scenes, robot=self.robot, reward=self.reward, **counts)
         return make_robot_env(
             scenario,
             self.robot,
@@ -154,7 +151,6 @@ class RobotPPO(L.LightningModule):
             self.policy.sensors,
             self.reward,
             self.physics,
-            self.clearance,
             decision_dt=self.decision_dt,
             device=self.device,
         )
@@ -242,5 +238,5 @@ class RobotPPO(L.LightningModule):
     @property
     def protocol(self) -> dict[str, Any]:
         """Among whom, where and with which body and senses the robot learns."""
-        names = ("scenarios", "people", "robot", "decision_dt", "clearance")
+        names = ("scenarios", "people", "robot", "decision_dt")
         return {name: getattr(self, name) for name in names} | {"sensors": self.policy.sensors}
