@@ -12,13 +12,16 @@ from torch.nn.functional import normalize
 from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate, unrotate
-from pedzoo.policies.robot_policy import TURN_GAIN, RobotPolicy, bodies_of
+from pedzoo.policies.robot_policy import RobotPolicy, bodies_of
 
 FAR = 6.0
 """Metres: what is farther away is all alike."""
 
 SOON = 4.0
 """Seconds, likewise."""
+
+TURN_GAIN = 2.5
+"""Turning rate of untrained wheels for each radian by which they face away, 1/s; weights rely on it."""
 
 _OWN, _PERSON = 9, 13
 """Numbers that are told of a robot and of a person."""
@@ -70,7 +73,8 @@ class Attention(RobotPolicy):
         """
         bodies = bodies_of(scenes)
         seen = cast("TensorDictBase", scenes["robots", "observation"])
-        if missing := {"waypoint", "velocity", "people"} - set(seen.keys()):
+        needed = {"waypoint", "velocity", "people"} | ({"lidar"} if self.config["beams"] else set())
+        if missing := needed - set(seen.keys()):
             raise UserError(
                 f"the robot's observation has no {', '.join(sorted(missing))}: attention needs "
                 f"sensors={self.sensors}"

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.geometry import unrotate
-from pedzoo.policies.robot_policy import TURN_GAIN, bodies_of
+from pedzoo.policies.robot_policy import bodies_of
+from pedzoo.policies.robots.attention import TURN_GAIN
 
 DIRECTIONS, SPEEDS, HORIZON, STEP = 24, 3, 12, 0.25
 """How many are tried, and for how many steps of so many seconds."""
@@ -28,7 +29,7 @@ def taught(scenes: TensorDictBase) -> Tensor:
     """Return decisions (..., R, 2) as `pedzoo.policies.robots.attention.Attention.mean` has them.
 
     It reads what the robot senses. Where the lidar's beams end it sees points that stand. Robots on wheels
-    track the velocity, as in `pedzoo.policies.robot_policy.tracked`.
+    turn towards the velocity.
     """
     bodies = bodies_of(scenes)
     seen = cast("TensorDictBase", scenes["robots", "observation"])
