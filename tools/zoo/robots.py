@@ -144,7 +144,7 @@ def _training(
 def _source(protocol: dict[str, Any]) -> str:
     if protocol["scenarios"][0].startswith("crowdnav"):
         return "CrowdNav's circle crossing: people of ORCA who do not see the robot"
-    return f"{', '.join(protocol['scenarios'])}: people of {protocol['people']}, who see the robot"
+    return f"{', '.join(protocol['scenarios'])}: people of {protocol['crowd']}, who see the robot"
 
 
 def main() -> None:

@@ -238,5 +238,5 @@ class RobotPPO(L.LightningModule):
     @property
     def protocol(self) -> dict[str, Any]:
         """Among whom, where and with which body and senses the robot learns."""
-        names = ("scenarios", "people", "robot", "decision_dt")
-        return {name: getattr(self, name) for name in names} | {"sensors": self.policy.sensors}
+        known = {"scenarios": self.scenarios, "crowd": self.people, "robot": self.robot}
+        return known | {"decision_dt": self.decision_dt, "sensors": self.policy.sensors}
