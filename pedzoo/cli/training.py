@@ -5,27 +5,24 @@ from __future__ import annotations
 import inspect
 import logging
 import math
-import os
 import shlex
 import warnings
 from argparse import SUPPRESS
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal, cast
 
 import yaml
-from jsonargparse import Namespace
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
-from pedzoo.cli.parsing import PARSER_SETTINGS, classes_named, parse
+from pedzoo.cli.parsing import classes_named, parse
+from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
-from pedzoo.core.configs import load_config
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.renamed import new_options
@@ -58,37 +55,12 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
         for message in _EXPECTED:
             warnings.filterwarnings("ignore", f".*{message}")
         try:
+            if command == "fit" and trains_robots(argv):
+                return RobotTrainingCLI(argv, about, example).fit()
             cli = TrainingCLI(command, argv, about, example)
             return cli.fit() if command == "fit" else cli.measure()
         except MisconfigurationException as error:  # options that do not go together, no such metric, no GPU
             raise UserError(str(error)) from error
-
-
-class ProgressBar(RichProgressBar):
-    """Lightning's bar without the version, which here is the name of the run folder."""
-
-    def get_metrics(self, *args: Any) -> dict[str, Any]:
-        """Return what is shown beside the bar."""
-        return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
-
-
-class ConfigParser(LightningArgumentParser):
-    """Reads config files with what they inherit.
-
-    Attributes:
-        classes: Those that the command line and its config files name, by their place.
-    """
-
-    classes: Mapping[str, str] = MappingProxyType({})
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
-        super().__init__(*args, **PARSER_SETTINGS | kwargs)
-
-    def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
-        """Parse a config file; arguments as of jsonargparse's."""
-        whole = yaml.safe_dump(load_config(os.fspath(path), self.classes), sort_keys=False)
-        return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
 
 
 class TrainingCLI(LightningCLI):

@@ -25,11 +25,12 @@ from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.address import is_address
 from pedzoo.models.zoo.card import is_name
 from pedzoo.models.zoo.loading import baselines, list_models, load
-from pedzoo.models.zoo.store import find, is_file, names
+from pedzoo.models.zoo.store import find, is_file, names, robots
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.local_planner import load_local_planner
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.robot_policy import AsPedestrian, Planned, RobotPolicy
+from pedzoo.policies.robot_weights import load_robot_weights
 from pedzoo.policies.teams import Crowd, Teams
 
 ROBOT_SECONDS = 0.2
@@ -90,20 +91,28 @@ def crowd_of(name: str) -> Crowd:
     return [(load_policy(one.policy), one.share) for one in members(name)]
 
 
+def list_robot_policies(pattern: str = "*") -> list[str]:
+    """Return the names of all policies of robots that match ``pattern``: the weights come last."""
+    return [name for name in (*ROBOT_POLICIES.names(), *robots()) if fnmatch(name, pattern)]
+
+
 def load_robot_policy(name: str) -> RobotPolicy:
     """Return a policy of robots by its name with settings, or a policy of people that moves robots.
 
     Args:
-        name: ``stop``, ``straight``, ``sampling``, ``dwa``, ``file.py:Class``, or what `load_policy` takes:
-            ``orca``, ``social_force:preset=indoor``. Robots on wheels track the velocities of the latter.
+        name: ``stop``, ``straight``, ``sampling``, ``dwa``, ``file.py:Class``; weights such as
+            ``robot_ppo.circle``; or what `load_policy` takes: ``orca``, ``social_force:preset=indoor``.
+            Robots on wheels track the velocities of the latter.
 
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message.
     """
     spec = parse(name)
     if spec.name not in ROBOT_POLICIES.names() and (".py:" not in spec.name or _is_pedestrian(spec.name)):
+        if (trained := load_robot_weights(name)) is not None:
+            return trained
         if not any(map(_is_policy, parts(name))):
-            raise unknown("robot policy", spec.name, (*ROBOT_POLICIES.names(), *list_policies()))
+            raise unknown("robot policy", spec.name, (*list_robot_policies(), *list_policies()))
         return AsPedestrian(load_policy(name))
     if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
         return build(ROBOT_POLICIES, name, RobotPolicy)

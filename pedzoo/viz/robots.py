@@ -14,8 +14,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
-from pedzoo.sim.physics_parts.base import Bodies, free_corners
-from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.camera import Camera, free_corners, person_color
 from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.rollout import RobotRollout

@@ -28,8 +28,8 @@ from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.hub import write_hub
 from pedzoo.models.zoo.loading import list_models, load, obtain, save_weights
 from pedzoo.models.zoo.saved import saved_config
-from pedzoo.models.zoo.store import find
-from pedzoo.policies.load import load_policy
+from pedzoo.models.zoo.store import find, robots
+from pedzoo.policies.load import load_policy, load_robot_policy
 
 NAME = "sgan_goal.mall"
 OPTIONS: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
@@ -204,7 +204,7 @@ def test_what_else_lies_in_the_cache_is_no_model(
     ):
         (home / "models" / junk).parent.mkdir(parents=True, exist_ok=True)
         (home / "models" / junk).write_text("x: 1")
-    assert set(list_models()) == {*weight_files(), NAME}
+    assert {*list_models(), *robots()} == {*weight_files(), NAME}
     with pytest.raises(UserError, match=r"unknown model 'sgan_goal\.mal': did you mean 'sgan_goal\.mall'"):
         obtain("sgan_goal.mal")
 
@@ -303,7 +303,7 @@ def test_names_that_nothing_can_have_are_refused_as_others_are(name: str) -> Non
 def test_who_misspells_is_shown_the_family_and_not_all_there_is() -> None:
     known = {"sgan_goal": r"known: sgan_goal\.controller_open, .*, sgan_goal\.zara2$"}
     known |= {"sgan_gaol.zara1": r"did you mean 'sgan_goal\.zara1'\? known: sgan_goal\.controller_open, "}
-    known |= {"orca": r"known: sgan\.\*, sgan_goal\.\*, "}
+    known |= {"orca": r"known: robot_ppo\.\*, sgan\.\*, sgan_goal\.\*, "}
     for name, message in known.items():
         with pytest.raises(UserError, match=message) as caught:
             obtain(name)
@@ -457,7 +457,8 @@ def test_every_shipped_card_is_that_of_its_weights() -> None:
     for name in weight_files():
         entry = find(name)
         assert entry
-        told, built = entry.card.config["init"], load(name).config
+        built: Any = (load_robot_policy if name in robots() else load)(name)
+        told, built = entry.card.config["init"], built.config
         # options that came later are off in older weights
         assert told.items() <= built.items() and not any(built[key] for key in built.keys() - told.keys())
         assert entry.card.data["terms"] and entry.card.training["seed"] is not None

@@ -16,7 +16,7 @@ from pedzoo.eval.workers.journal import Journal
 from pedzoo.eval.workers.pool import finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
-from pedzoo.policies.local_planner import load_local_planner
+from pedzoo.policies.robot_weights import load_planner
 from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, SUCCESS, TIMEOUT
 from pedzoo.sim.crowdnav.run import Runs, run
@@ -61,7 +61,7 @@ class Crowdnav(Reproduction):
         if not 1 <= count <= CASES:
             raise UserError(f"--episodes {count}: expected 1 to {CASES} cases")
         for name in robots:  # a wrong one is refused before any work
-            load_local_planner(name, TIME_STEP)
+            load_planner(name, TIME_STEP)
         names = {table: tuple(robots) or TABLES[table].robots for table in TABLES}
         self.count = count
         self.jobs = [Job(table, robot, count) for table in TABLES for robot in names[table]]
@@ -127,7 +127,7 @@ def work(job: Job) -> list[dict[str, Any]]:
     table = TABLES[job.table]
     drawn = cases(table.setting, range(table.first, table.first + job.count))
     started = time.perf_counter()
-    runs = run(load_local_planner(job.robot, TIME_STEP), table.setting, drawn)
+    runs = run(load_planner(job.robot, TIME_STEP), table.setting, drawn)
     seconds = time.perf_counter() - started
     metrics, ci95 = summarised(ratios(runs))
     ends = "".join(LETTERS[end] for end in runs.outcome.tolist())

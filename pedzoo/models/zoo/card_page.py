@@ -6,6 +6,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.store import ROBOTS
+
+_OF_PEOPLE = (
+    "A pedestrian model of pedzoo: it forecasts trajectories, and one step at a time it walks.\n",
+    '```python\nimport pedzoo\n\nmodel = pedzoo.load("{}")\n```\n',
+    "```\npedzoo rollout {} --scenario door\n```\n",
+)
+
+_OF_ROBOT = (
+    "A robot that learned among simulated people.\n",
+    "```python\nfrom pedzoo.policies.load import load_robot_policy\n\n"
+    'policy = load_robot_policy("{}")\n```\n',
+)
 
 
 class Results(NamedTuple):
@@ -26,9 +39,7 @@ def page(card: ModelCard) -> str:
     """Return the card as a page of Markdown."""
     parts = [
         f"# {card.name}\n",
-        "A pedestrian model of pedzoo: it forecasts trajectories, and one step at a time it walks.\n",
-        f'```python\nimport pedzoo\n\nmodel = pedzoo.load("{card.name}")\n```\n',
-        f"```\npedzoo rollout {card.name} --scenario door\n```\n",
+        *(part.format(card.name) for part in (_OF_ROBOT if card.name.startswith(ROBOTS) else _OF_PEOPLE)),
         "## Results\n",
         *(f"{result.said}\n\n{_table(result.head, result.rows)}" for result in results(card)),
         *([] if card.evaluations else ["Not measured yet.\n"]),

@@ -18,14 +18,14 @@ from safetensors.torch import save
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
-from pedzoo.core.registry import MODELS
+from pedzoo.core.registry import MODELS, ROBOT_POLICIES
 from pedzoo.core.spec import grouped, homes, setting_groups
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.header import Config, config_in, opened
 from pedzoo.models.zoo.keys import check
-from pedzoo.models.zoo.store import find, names, no_model, weights_of
+from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, weights_of
 from pedzoo.models.zoo.store import obtain as obtain
 
 _DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
@@ -36,8 +36,9 @@ def list_models(pattern: str = "*") -> list[str]:
     """Return the names of all models on this machine that match ``pattern``, as ``architecture.tag``.
 
     Those are the shipped ones, those in folders of the variable ``PEDZOO_ZOO``, and those fetched before.
+    Those that move robots are not among them, see `pedzoo.policies.load.list_robot_policies`.
     """
-    return [name for name in names() if fnmatch(name, pattern)]
+    return [name for name in names() if fnmatch(name, pattern) and not name.startswith(ROBOTS)]
 
 
 def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
@@ -87,6 +88,10 @@ def build(config: dict[str, Any]) -> Forecaster:
         UserError: There is no such architecture, or it takes other arguments.
     """
     name, init = config["architecture"], config["init"]
+    if name in ROBOT_POLICIES.names():
+        raise UserError(
+            f"{name!r} moves robots, and is no model of people: use pedzoo.policies.load.load_robot_policy"
+        )
     try:
         return _made(MODELS.get(name, Forecaster), init, name)
     except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes

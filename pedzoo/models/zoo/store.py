@@ -20,6 +20,9 @@ from pedzoo.models.zoo.layout import card_files, name_of_files, weights_beside
 SOURCES = "PEDZOO_ZOO"
 """Environment variable: folders and addresses, with commas between, where names are looked up, too."""
 
+ROBOTS = "robot_"
+"""How the names of weights begin that move robots, not people."""
+
 
 class Entry(NamedTuple):
     """A model that was found.
@@ -132,6 +135,11 @@ def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> User
 def names() -> list[str]:
     """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
     return sorted({*(name for folder in _folders() for name in card_files(folder)), *kept_models()})
+
+
+def robots() -> list[str]:
+    """Return the names of those that move robots; see `pedzoo.policies.load.load_robot_policy`."""
+    return [name for name in names() if name.startswith(ROBOTS)]
 
 
 def _sources(address: bool) -> list[str]:

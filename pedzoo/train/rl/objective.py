@@ -1,35 +1,30 @@
-"""TorchRL's loss and advantages for people who are agents of one policy: which keys, and who counts."""
+"""TorchRL's loss and advantages for agents of one policy: which keys, and who counts."""
 
 from __future__ import annotations
 
 from typing import Any, cast
 
 import torch
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from pedzoo.train.rl.critic import Critic
-
-KEYS: dict[str, tuple[str, str]] = {
-    key: ("agents", key) for key in ("reward", "done", "terminated", "value", "value_target", "advantage")
-}
-"""Where TorchRL's estimator and losses find everybody's own: an episode ends for each person apart."""
-
-SCORED = ("agents", "scored")
-"""Which decisions (B, A) bool count: of people whom the policy moved, in scenes in which it did not fail."""
+_KEYS = "reward", "done", "terminated", "value", "value_target", "advantage"
+"""What TorchRL's estimator and losses find in a group: an episode ends for each agent apart."""
 
 
 def clipped(
     acting: ProbabilisticActor,
-    critic: Critic,
+    critic: TensorDictModuleBase,
     clip_ratio: float,
     entropy: float,
     value: float,
     device: torch.device,
+    group: str = "agents",
+    action: str = "action",
 ) -> ClipPPOLoss:
-    """Return PPO's clipped loss; every term is a mean over the decisions that count.
+    """Return PPO's clipped loss; every term is a mean over the decisions that are ``scored`` (B, A) bool.
 
     Args:
         acting: Writes the distribution of actions; its parameters are not copied.
@@ -38,6 +33,8 @@ def clipped(
         entropy: Weight of the entropy.
         value: Weight of the critic's loss.
         device: Of the parameters.
+        group: Of the agents.
+        action: Name of what is decided.
     """
     loss = ClipPPOLoss(
         acting,
@@ -49,14 +46,18 @@ def clipped(
         functional=False,
         device=device,
     )
-    names: dict[str, Any] = {"action": ("agents", "action"), "sample_log_prob": ("agents", "log_prob")}
-    loss.set_keys(**KEYS, **names)
-    loss.loss_mask_key = SCORED
+    names: dict[str, Any] = {"action": (group, action), "sample_log_prob": (group, "log_prob")}
+    loss.set_keys(**_keys(group), **names)
+    loss.loss_mask_key = (group, "scored")
     return loss
 
 
-def advantages(gamma: float, gae_lambda: float, device: torch.device) -> GAE:
+def advantages(gamma: float, gae_lambda: float, device: torch.device, group: str = "agents") -> GAE:
     """Return the generalised advantage estimation; it reads values, and asks no network for them."""
     estimate = GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, device=device)
-    estimate.set_keys(**cast("dict[str, Any]", KEYS))
+    estimate.set_keys(**_keys(group))
     return estimate
+
+
+def _keys(group: str) -> dict[str, Any]:
+    return {key: (group, key) for key in _KEYS}

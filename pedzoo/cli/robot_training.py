@@ -1,0 +1,119 @@
+"""``pedzoo fit`` for robots: LightningCLI without recordings, with the run folders of all trainings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+
+from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar
+from pedzoo.core.configs import load_config
+from pedzoo.core.errors import UserError
+from pedzoo.train.robots.ppo import RobotPPO
+from pedzoo.train.run import RunFolder, run_name
+
+
+def trains_robots(argv: list[str]) -> bool:
+    """Return whether a command line is for this: its config, or that of the run it resumes, says so."""
+    resumed = given(argv, "--resume")
+    name = str(Path(resumed) / "config.yaml") if resumed else given(argv, "--config") or given(argv, "-c")
+    try:
+        settings = load_config(name) if name else {}
+    except UserError:
+        return False  # the training of forecasters says what is wrong with it
+    model = settings.get("model")
+    return isinstance(model, dict) and str(model.get("class_path")).startswith("pedzoo.train.robots.")
+
+
+class RobotTrainingCLI(LightningCLI):
+    """Its trainer writes into a run folder, ``runs/CONFIG/SCENARIO-seedN``."""
+
+    def __init__(self, typed: list[str], about: str, example: str) -> None:
+        """Parse the command line as it was ``typed``, and build trainer and model."""
+        self.typed, argv = typed, typed
+        self.run: RunFolder | None = None
+        if folder := given(typed, "--resume"):
+            self.run = RunFolder.resume(folder)
+            argv = [
+                *("--config", str(self.run.path / "config.yaml"), "--ckpt_path", str(self.run.last)),
+                *typed,
+            ]
+        self.resuming = self.run is not None
+        super().__init__(
+            RobotPPO,
+            args=argv,
+            run=False,
+            parser_class=ConfigParser,
+            subclass_mode_model=True,
+            seed_everything_default=0,
+            auto_configure_optimizers=False,
+            load_from_checkpoint_support=False,
+            save_config_callback=None,
+            trainer_defaults={"logger": None, "enable_model_summary": False},
+            parser_kwargs={
+                **PARSER_SETTINGS,
+                "prog": "pedzoo fit",
+                "usage": f"pedzoo fit --config robot/ppo [...]\nexample: {example}",
+                "description": about,
+            },
+        )
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """Add the options that are pedzoo's own."""
+        for name, kind, default, said in (
+            ("runs", str, "runs", "Folder of all run folders."),
+            ("ckpt_path", str | None, None, "Start from this checkpoint."),
+            ("resume", str | None, None, "Continue the run in this folder."),
+            ("monitor", str, "val/return", "The metric in which best.ckpt is best."),
+            ("monitor_mode", str, "max", "Which of its values is best: min or max."),
+        ):
+            parser.add_argument(f"--{name}", type=kind, default=default, help=said)
+
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        """Parse, with errors in one line."""
+        self.config = parse(parser, args, [("model", RobotPPO)])
+
+    def _parse_ckpt_path(self) -> None:
+        """Leave the command line alone: it wins over what a checkpoint remembers."""
+
+    def instantiate_trainer(self, **kwargs: Any) -> Any:
+        """Build the trainer with the run folder's loggers and checkpoints."""
+        self.run = self.run or RunFolder.claim(self._base())
+        if self.resuming:
+            self.run.keep_earlier()
+        options = self.config_init["trainer"]
+        callbacks = self.run.callbacks(
+            self._plain(),
+            ["pedzoo", "fit", *self.typed],
+            self.config["monitor"],
+            self.config["monitor_mode"],
+        )
+        if options.get("enable_progress_bar") is not False:
+            callbacks.append(ProgressBar())
+        return super().instantiate_trainer(callbacks=callbacks, logger=self.run.loggers("off"), **kwargs)
+
+    def fit(self) -> int:
+        """Train, and print what to do next."""
+        run = self.run
+        assert run
+        try:
+            self.trainer.fit(self.model, ckpt_path=self.config["ckpt_path"])
+        finally:
+            run.discard_if_empty()
+        chosen = run.best if run.best.is_file() else run.last
+        print(f"\nnext: pedzoo.policies.load.load_robot_policy({str(chosen)!r})")
+        return 0
+
+    def _base(self) -> Path:
+        config = self.config
+        name = run_name(Path(str(config["config"][-1])))
+        scenario = config["model"]["init_args"]["scenarios"][0].partition(":")[0]
+        return Path(config["runs"]) / name / f"{scenario}-seed{int(config['seed_everything'])}"
+
+    def _plain(self) -> dict[str, Any]:
+        """Return the resolved configuration as plain values, without what belongs to this call only."""
+        result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
+        return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}

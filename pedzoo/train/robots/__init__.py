@@ -1,0 +1,1 @@
+"""Robots that learn among people: PPO."""

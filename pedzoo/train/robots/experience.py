@@ -1,0 +1,131 @@
+"""What robots lived through, and how good it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.objectives.value import GAE
+
+from pedzoo.policies.robot_policy import bodies_of
+from pedzoo.policies.robots.attention import as_action, frame_of
+from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.train.robots.crossing import CrossingEnv
+
+_KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
+
+
+class Gatherer:
+    """B scenes in which a policy gathers decisions; the scenes go on from one gathering to the next.
+
+    TorchRL's collectors keep the whole scene batch of every decision. This keeps what robots sense.
+    """
+
+    def __init__(self, env: RobotEnv | CrossingEnv, seed: int) -> None:
+        """Take an environment whose scenes begin with a seed."""
+        self.env, self._seed = env, seed
+        self._now: TensorDictBase | None = None
+
+    @torch.no_grad()
+    def gather(self, acting: TensorDictModuleBase, steps: int) -> TensorDict:
+        """Return decisions (B, T, R) with what followed under ``next``.
+
+        Args:
+            acting: Writes ``robots/decision`` and ``log_prob``.
+            steps: T.
+        """
+        if self._now is None:
+            self.env.set_seed(self._seed, static_seed=True)
+        now = self.env.reset() if self._now is None else self._now
+        lived = []
+        for _ in range(steps):
+            before = now.select(*_KEPT).clone()
+            acting(before)
+            act(now, before["robots", "decision"])
+            whole, now = self.env.step_and_maybe_reset(now)
+            then = whole["next"].select(
+                *_KEPT, *[("robots", key) for key in ("info", "reward", "done", "terminated")]
+            )
+            before["next"] = then.clone()
+            lived.append(before)
+        self._now = now
+        return cast("TensorDict", torch.stack(lived, 1))
+
+
+def act(scenes: TensorDictBase, decision: Tensor) -> None:
+    """Write the actions of decisions (B, R, 2)."""
+    bodies = bodies_of(scenes)
+    scenes["robots", "action"] = as_action(decision, frame_of(scenes, bodies), bodies)
+
+
+@torch.no_grad()
+def rated(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> TensorDict:
+    """Return decisions (N, R) with advantages, of mean 0 and deviation 1 over those that count, and values.
+
+    Args:
+        lived: (B, T), as of `Gatherer.gather`.
+        critic: Writes ``robots/value``.
+        estimate: TorchRL's estimator.
+    """
+    then = cast("TensorDict", lived["next"])
+    critic(lived)
+    critic(then)
+    robots, info = cast("TensorDict", lived["robots"]), cast("TensorDict", then["robots", "info"])
+    robots["scored"] = info["active"]
+    if "failed" in info.keys():
+        robots["scored"] = robots["scored"] & ~info["failed"]
+    estimate(lived)
+    scored, advantage = robots["scored"].unsqueeze(-1), robots["advantage"]
+    known = advantage[scored]
+    spread = known.std(correction=0).clamp_min(1e-6)
+    robots["advantage"] = torch.where(scored, (advantage - known.mean()) / spread, 0.0)
+    return cast("TensorDict", lived.select("robots").flatten(0, 1))
+
+
+def ends(then: TensorDictBase) -> dict[str, Tensor]:
+    """Return as which shares of the episodes that ended in decisions (...) there were success and so on."""
+    robots = cast("TensorDictBase", then["robots"])
+    info, over = cast("TensorDictBase", robots["info"]), robots["done"][..., 0] & robots["info", "active"]
+    flags = {"success": info["success"], "collision": touched(info), "timeout": info["timeout"]}
+    count = over.sum().clamp_min(1)
+    return {name: (over & flag).sum() / count for name, flag in flags.items()}
+
+
+def touched(info: TensorDictBase) -> Tensor:
+    """Return which robots (...) bool touched anything."""
+    names = ("person_contact", "robot_contact", "wall_contact")
+    return torch.stack([info[name] for name in names if name in info.keys()]).any(0)
+
+
+@torch.no_grad()
+def walked_once(
+    env: RobotEnv | CrossingEnv, policy: Callable[[TensorDictBase], TensorDictBase], seed: int = 0
+) -> dict[str, Tensor]:
+    """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
+
+    Args:
+        env: With one robot in each scene.
+        policy: Writes ``robots/action``.
+        seed: Of the scenes.
+    """
+    env.set_seed(seed, static_seed=True)
+    now = env.reset()
+    shape = now["robots", "info", "active"].shape
+    flags = {name: torch.zeros(shape, dtype=torch.bool) for name in ("success", "collision", "timeout")}
+    over, reward, seconds = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape), torch.zeros(shape)
+    while not bool(over.all()):
+        now = env.step(policy(now))["next"]
+        robots = now["robots"]
+        info = robots["info"]
+        seconds += env.decision_dt * ~over
+        reward += torch.where(over, 0.0, robots["reward"][..., 0])
+        happened = {"success": info["success"], "collision": touched(info), "timeout": info["timeout"]}
+        flags = {name: flags[name] | (happened[name] & ~over) for name in flags}
+        over = over | robots["done"][..., 0]
+    share = {name: flag.float().mean() for name, flag in flags.items()}
+    time = (seconds * flags["success"]).sum() / flags["success"].sum().clamp_min(1)
+    return share | {"seconds": time, "return": reward.mean()}

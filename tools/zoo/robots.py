@@ -1,0 +1,166 @@
+"""Train the robots in checkpoints/, and make their cards.
+
+    python tools/zoo/robots.py train | export [--only circle,orca] [--runs FOLDER] [--epochs N]
+
+``train`` runs ``pedzoo fit`` for every robot as a user would, one after the other: it skips what is finished
+and resumes what was interrupted. ``export`` writes weights and card of every run that has a best checkpoint.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from safetensors.torch import save
+
+from pedzoo.core.fetch import sha256_of
+from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_whole
+from pedzoo.models.zoo.card import ModelCard, write_card
+from pedzoo.policies.robot_weights import PREFIX
+from pedzoo.train.run import RunFolder
+
+ROOMS = ["--config", "robot/rooms", "--model.people"]
+ROBOTS = {
+    "circle": ["--config", "robot/ppo"],
+    "circle_diff_drive": ["--config", "robot/ppo", "--model.robot", "diff_drive"],
+    "orca": [*ROOMS, "orca"],
+    "social_force": [*ROOMS, "social_force:preset=indoor"],
+    "sgan": [*ROOMS, "sgan_goal_map.indoor"],
+    "mix": [
+        *ROOMS,
+        "orca:share=0.34+social_force:preset=indoor,share=0.33+sgan_goal_map.indoor:share=0.33",
+    ],
+    "orca_diff_drive": [*ROOMS, "orca", "--model.robot", "diff_drive"],
+}
+"""Options of ``pedzoo fit`` by name: among whom, and with which body."""
+
+
+def train(name: str, runs: Path, epochs: int | None) -> None:
+    """Train one robot in a process of its own."""
+    run = found(name, runs)
+    if run and (run.path / "finished").is_file():
+        return
+    command = [sys.executable, "-m", "pedzoo.cli.main", "fit", "--trainer.enable_progress_bar", "false"]
+    command += ["--resume", str(run.path)] if run else [*ROBOTS[name], "--runs", str(runs / name)]
+    command += ["--trainer.max_epochs", str(epochs)] if epochs else []
+    log = runs / f"{name}.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a") as out:
+        code = subprocess.run(
+            command, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"}
+        ).returncode
+    if code:
+        raise SystemExit(f"{' '.join(command)} failed: see {log}")
+    run = found(name, runs)
+    assert run
+    (run.path / "finished").touch()
+
+
+def found(name: str, runs: Path) -> RunFolder | None:
+    """Return the run of a robot that has a checkpoint, if there is one."""
+    folders = [RunFolder(path) for path in sorted((runs / name).glob("*/*"))]
+    return next((one for one in folders if one.last.is_file()), None)
+
+
+def export(name: str, runs: Path) -> None:
+    """Write weights and card of a robot; numbers that the card has stay, if the weights do."""
+    run = found(name, runs)
+    if not run:
+        print(f"{name}: not trained")
+        return
+    checkpoint = torch.load(run.best, weights_only=True)
+    settings = _settings(run.path)
+    earlier = sorted(run.path.glob("before-resume-*"))
+    record = json.loads(((earlier or [run.path])[0] / "versions.json").read_text())
+    epochs = [_settings(part)["trainer"]["max_epochs"] for part in (*earlier, run.path)]
+    protocol = checkpoint["pedzoo"]["protocol"]
+    config = {**checkpoint["pedzoo"], "protocol": protocol}
+    state = {
+        key.removeprefix(PREFIX): value.contiguous()
+        for key, value in checkpoint["state_dict"].items()
+        if key.startswith(PREFIX)
+    }
+    home = shipped("checkpoints") / f"robot_ppo.{name}"
+    home.mkdir(exist_ok=True)
+    write_whole(home / WEIGHTS, save(state, {"config": json.dumps(config, sort_keys=True)}))
+    value = next(iter(checkpoint["callbacks"].values()))["best_model_score"]
+    card = ModelCard(
+        name=home.name,
+        architecture=config["architecture"],
+        sha256=sha256_of(home / WEIGHTS),
+        size=(home / WEIGHTS).stat().st_size,
+        config=config,
+        training=_training(checkpoint, settings, record["command"], value, epochs),
+        data={
+            "recordings": [],
+            "source": _source(protocol),
+            "terms": "simulated: no recordings, but for those that people of the zoo learned from",
+            "citation": "",
+        },
+        evaluations=[],
+        versions=record["versions"],
+        licence="MIT",
+        file=WEIGHTS,
+        url=None,
+    )
+    write_card(card, home / CARD)
+    print(f"{home.name}: {settings['monitor']} {float(value):.3f} after epoch {checkpoint['epoch']}")
+
+
+def _settings(folder: Path) -> dict[str, Any]:
+    return yaml.safe_load((folder / "config.yaml").read_text())
+
+
+def _training(
+    checkpoint: Any, settings: Any, command: list[str], value: Any, epochs: list[int]
+) -> dict[str, Any]:
+    seed = settings["seed_everything"]
+    name = command[command.index("--config") + 1] if "--config" in command else None
+    for option in ("--runs", "--trainer.enable_progress_bar"):  # say nothing of the weights
+        if option in command:
+            at = command.index(option)
+            command = command[:at] + command[at + 2 :]
+    return {
+        **dict.fromkeys(("fold", "clock", "goal")),
+        "config": name,
+        "seed": seed,
+        "seeds": {seed: float(value)},
+        "chosen_by": settings["monitor"],
+        "value": float(value),
+        "step": checkpoint["global_step"],
+        "epoch": checkpoint["epoch"],
+        "command": command,
+        "overrides": {"trainer.max_epochs": ", then ".join(map(str, epochs))},
+    }
+
+
+def _source(protocol: dict[str, Any]) -> str:
+    if protocol["scenarios"][0].startswith("crowdnav"):
+        return "CrowdNav's circle crossing: people of ORCA who do not see the robot"
+    return f"{', '.join(protocol['scenarios'])}: people of {protocol['crowd']}, who see the robot"
+
+
+def main() -> None:
+    """Run one of the commands."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("command", choices=("train", "export"))
+    parser.add_argument("--only", default=",".join(ROBOTS), help="Names, between commas.")
+    parser.add_argument("--runs", type=Path, default=Path("runs/robots"), help="Folder of the run folders.")
+    parser.add_argument("--epochs", type=int, help="Instead of the config's.")
+    options = parser.parse_args()
+    for name in options.only.split(","):
+        if options.command == "train":
+            train(name, options.runs, options.epochs)
+        else:
+            export(name, options.runs)
+
+
+if __name__ == "__main__":
+    main()
