@@ -14,9 +14,10 @@ from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.motion import Contacts
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
-from pedzoo.sim.physics_parts.bullet_scene import BulletScene
+from pedzoo.sim.physics_parts.bullet_looks import CUT_HEIGHT
+from pedzoo.sim.physics_parts.bullet_scene import WALL_HEIGHT, BulletScene
 from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved
-from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.camera import Camera, Lens
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
 
 _SLACK = 1e-6
@@ -231,11 +232,36 @@ class Bullet(Physics):
         for place in (eye, target):
             place[:2] = linear @ place[:2] + shift
         up[:2] = linear @ up[:2]
-        widths = [round(radius, 6) for radius in self._radius(one)[0].tolist()]
-        where = {
-            person: (float(asked.places[person][0]), float(asked.places[person][1]), widths[person])
-            for person in asked.present
-        }
-        picture = asked.bullet.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
+        where = _figures(asked, self._radius(one)[0])
+        looks = asked.bullet.looks(CUT_HEIGHT)
+        picture = looks.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
         # in a mirrored scene, left is right
         return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
+
+    @torch.no_grad()
+    def onboard(
+        self, people: Bodies, heading: Tensor, lens: Lens
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """See `Physics.onboard`."""
+        shape = (*heading.shape, lens.height, lens.width)
+        pictures, depths = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
+        ahead = as_array(torch.stack((heading.cos(), heading.sin()), dim=-1))
+        radius, first = self._radius(people), people.mask.shape[1] - heading.shape[1]
+        for asked in self._scenes.placed(people, self._present(people)):
+            linear = asked.affine[:, :2]
+            # in a mirrored scene, left is right
+            order = 1 if np.linalg.det(linear) > 0 else -1
+            where = _figures(asked, radius[asked.index])
+            for robot in (agent for agent in asked.present if agent >= first):
+                others = {agent: place for agent, place in where.items() if agent != robot}
+                at = asked.index, robot - first
+                looks = asked.bullet.looks(WALL_HEIGHT)
+                picture, depth = looks.onboard(others, where[robot][:2], (linear @ ahead[at]).tolist(), lens)
+                pictures[at], depths[at] = picture[:, ::order], depth[:, ::order]
+        return pictures, depths
+
+
+def _figures(asked: PlacedScene, radius: Tensor) -> dict[int, tuple[float, float, float]]:
+    """Return where agents are drawn, and their radii: x, y and metres."""
+    widths = [round(width, 6) for width in radius.tolist()]
+    return {agent: (*asked.places[agent].tolist(), widths[agent]) for agent in asked.present}

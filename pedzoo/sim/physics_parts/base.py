@@ -20,7 +20,7 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
-from pedzoo.sim.physics_parts.camera import Camera, free_corners
+from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.state import State
 
@@ -249,6 +249,26 @@ class Physics(ABC):
             camera: Where it is taken from; by default from the top, all free space of the floor plan, or
                 all people where there is none.
         """
+
+    def onboard(
+        self, people: Bodies, heading: Tensor, lens: Lens
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return pictures (B, R, H, W, 3) uint8 RGB and depths (B, R, H, W), metres, that robots take.
+
+        Depths are along the optical axis. A robot does not see itself; absent ones see nothing, all 0.
+
+        Args:
+            people: Where agents are; the last R are robots.
+            heading: Where robots face (B, R), radians.
+            lens: Their camera.
+
+        Raises:
+            UserError: The backend has no such camera.
+        """
+        raise UserError(
+            f"physics {type(self).__name__.lower()} takes no pictures from robots: expected physics='bullet' "
+            "for the sensor camera"
+        )
 
     def framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
         """Return a camera whose center and width are known."""

@@ -64,7 +64,7 @@ class BulletScene:
         parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
         self._walls = [self._wall(part) for part in parts]
         self._bodies: dict[tuple[int, float], int] = {}
-        self._looks: BulletLooks | None = None
+        self._looks: dict[float, BulletLooks] = {}
 
     def _wall(self, part: NDArray[np.float64]) -> int:
         shape = self._p.createCollisionShapeArray(
@@ -85,14 +85,14 @@ class BulletScene:
             UserError: It was disconnected from outside.
         """
         check_connected(self.client)
-        if self._looks is not None:
-            check_connected(self._looks.client)
+        for looks in self._looks.values():
+            check_connected(looks.client)
 
     def close(self) -> None:
         """Disconnect; a second time does nothing."""
         self._finalizer()
-        if self._looks is not None:
-            self._looks.close()
+        for looks in self._looks.values():
+            looks.close()
 
     def place(self, person: int, x: float, y: float, radius: float | None = None) -> None:
         """Put an agent's capsule somewhere; the first time, it is made.
@@ -169,17 +169,11 @@ class BulletScene:
         ]
         return np.array(shares, dtype=np.float64)
 
-    def render(
-        self,
-        positions: dict[int, tuple[float, float, float]],
-        size: tuple[int, int],
-        eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
-        view_angle: float,
-    ) -> NDArray[np.uint8]:
-        """Return a picture; see `BulletLooks.render`."""
-        if self._looks is None:
-            self._looks = BulletLooks(self.boxes)
-        return self._looks.render(positions, size, eye, view_angle)
+    def looks(self, wall_height: float) -> BulletLooks:
+        """Return what takes pictures of the scene, with walls of some metres; made the first time."""
+        if wall_height not in self._looks:
+            self._looks[wall_height] = BulletLooks(self.boxes, wall_height)
+        return self._looks[wall_height]
 
 
 def _z_order(points: NDArray[np.float64], side: float = 0.5) -> NDArray[np.int64]:
