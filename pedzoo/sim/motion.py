@@ -34,6 +34,8 @@ class MotionInput(NamedTuple):
         substeps: M, sub-steps of every 0.1 s.
         played: Paths of those who are played back (B, A, S, M, 2); None for none.
         wanted: Which agents may reach their goals (B, A) bool.
+        command: What policies want (B, A, 2), as the agent's drive has it; None for nothing.
+        owned: How agents move that the backend owns, whose paths are among those played back; None for none.
     """
 
     velocity: Tensor
@@ -41,6 +43,8 @@ class MotionInput(NamedTuple):
     substeps: int
     played: Tensor | None
     wanted: Tensor
+    command: Tensor | None = None
+    owned: Owned | None = None
 
 
 class Motion(NamedTuple):

@@ -10,15 +10,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.batch import ROBOT
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.motion import Contacts
+from pedzoo.sim.motion import Contacts, MotionInput
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.physics_parts.bullet_looks import CUT_HEIGHT
+from pedzoo.sim.physics_parts.bullet_robots import find_urdf
 from pedzoo.sim.physics_parts.bullet_scene import WALL_HEIGHT, BulletScene
 from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved
+from pedzoo.sim.physics_parts.bullet_urdf import headings, with_shapes
 from pedzoo.sim.physics_parts.camera import Camera, Lens
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
+from pedzoo.sim.state import State
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""
@@ -33,20 +37,29 @@ class Bullet(Physics):
     pybullet answers; torch only says which bodies are near enough to be asked about. Inside a wall the
     distance is negative, but pybullet's depth is that in one box and not in the whole wall.
 
+    Robots are capsules, or have the shape of a URDF file, which decides what they touch at their heading.
+    Their paths, rays and pictures are those of discs all the same. A mirrored scene does not mirror the file.
+
     It can be pickled and sent to workers: the copy makes its own clients.
     """
 
     views = ("top", "perspective")
 
-    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
+    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS, urdf: str | None = None) -> None:
         """Take the floor plans.
 
+        Args:
+            bank: See `Physics`.
+            body_radius: See `Physics`.
+            urdf: File of the bodies of robots, a path or a name within pybullet_data; None for capsules.
+
         Raises:
-            UserError: The radius is not above zero, or pybullet is not installed.
+            UserError: The radius is not above zero, pybullet is not installed, or there is no such file.
         """
         super().__init__(bank, body_radius)
         load_pybullet()
-        self._scenes = BulletScenes(bank, body_radius)
+        self.urdf = None if urdf is None else find_urdf(urdf)
+        self._scenes = BulletScenes(bank, body_radius, self.urdf)
 
     @classmethod
     def check(cls) -> None:
@@ -132,6 +145,17 @@ class Bullet(Physics):
                 self._meet(asked.bullet, way, more, meetings[asked.index], agent[asked.index])
                 self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
+
+    @torch.no_grad()
+    def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
+        if self.urdf is None:
+            return self.contacts(path, Bodies.of(state))
+        robots = (state.kind == ROBOT) & state.mask
+        people = Bodies.of(state)
+        between_people = self.contacts(path, people._replace(mask=people.mask & ~robots))
+        present = self._present(people) & path.isfinite().all(-1).flatten(2).all(-1)
+        placed = self._scenes.placed(people, present)
+        return with_shapes(placed, between_people, state, path, headings(state, inputs), self.body_radius)
 
     def _meet(
         self,

@@ -163,7 +163,7 @@ class Physics(ABC):
         wanted = moving & (state.goal_id >= 0)
         own = self.owned(state)
         if own is None:
-            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted))
+            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted, command))
         own = own & moving
         if command is None:
             command = torch.zeros_like(state.velocity)
@@ -172,7 +172,8 @@ class Physics(ABC):
         if played is None:
             played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
         played = torch.where(own[:, :, None, None, None], moved.path, played)
-        motion = self._advance(state, MotionInput(velocity, moving & ~own, substeps, played, wanted))
+        inputs = MotionInput(velocity, moving & ~own, substeps, played, wanted, command, moved)
+        motion = self._advance(state, inputs)
         return motion._replace(
             heading=torch.where(own, moved.heading, torch.nan),
             turn_rate=torch.where(own, moved.turn_rate, 0.0),
@@ -180,15 +181,18 @@ class Physics(ABC):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        people = Bodies.of(state)
         if compiles(state.past, inputs.velocity):
             paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
             integrated = advance_compiled(self.bank, state, inputs, paths)
-            return Motion(integrated.trace, *self.contacts(paths, people), integrated.reached)
+            return Motion(integrated.trace, *self._touched(state, paths, inputs), integrated.reached)
         path, _ = self._integrated(state, inputs)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
-        contacts = self.contacts(steps.detach(), people)
+        contacts = self._touched(state, steps.detach(), inputs)
         return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
+
+    def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
+        """Return which agents touch something on their paths (B, A, S, M, 2); see `contacts`."""
+        return self.contacts(path, Bodies.of(state))
 
     def _integrated(self, state: State, inputs: MotionInput) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""

@@ -19,6 +19,7 @@ from pedzoo.sim.physics_parts.bullet_looks import (
     half_extents,
     middles,
 )
+from pedzoo.sim.physics_parts.bullet_robots import BulletRobots
 from pedzoo.sim.physics_parts.pybullet_client import check_connected, connect
 
 WALL_HEIGHT = 2.5
@@ -42,15 +43,18 @@ class BulletScene:
 
     Attributes:
         boxes: The rectangles below the walls (M, 4): x0, y0, x1, y1 in metres.
+        robots: Bodies of robots; None where they are capsules, as people are.
     """
 
     boxes: NDArray[np.float64]
 
-    def __init__(self, grid: OccupancyGrid | None, unknown: Unknown, body_radius: float) -> None:
-        """Connect, and build the walls; None is open floor.
+    def __init__(
+        self, grid: OccupancyGrid | None, unknown: Unknown, body_radius: float, urdf: str | None = None
+    ) -> None:
+        """Connect, and build the walls; None is open floor. ``urdf`` is the file of robots' bodies.
 
         Raises:
-            UserError: pybullet is not installed.
+            UserError: pybullet is not installed, or it cannot read the file.
         """
         self._p, self.client, self._finalizer = connect(self)
         self._radius = body_radius
@@ -65,6 +69,7 @@ class BulletScene:
         self._walls = [self._wall(part) for part in parts]
         self._bodies: dict[tuple[int, float], int] = {}
         self._looks: dict[float, BulletLooks] = {}
+        self.robots = None if urdf is None else BulletRobots(self.client, urdf)
 
     def _wall(self, part: NDArray[np.float64]) -> int:
         shape = self._p.createCollisionShapeArray(
@@ -137,6 +142,20 @@ class BulletScene:
     def wall_gap(self, person: int, box: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
         """Return the gap between a body and the walls around a box, and the direction from them, likewise."""
         return self._gap(person, self._walls[box // SHAPES], within)
+
+    def nearer(self, robot: int, body: int, than: float) -> bool:
+        """Return whether the body of a robot is nearer to another body than some metres."""
+        points = self._p.getClosestPoints(robot, body, max(than, 0.0), physicsClientId=self.client)
+        return any(point[8] < than for point in points)
+
+    def capsule(self, person: int, place: Sequence[float]) -> int:
+        """Put an agent's capsule somewhere; returns the body."""
+        self.place(person, *place)
+        return self._bodies[person, self._radius]
+
+    def walls(self, boxes: NDArray[np.int64]) -> list[int]:
+        """Return the bodies that some boxes are part of."""
+        return [self._walls[part] for part in np.unique(boxes // SHAPES).tolist()]
 
     def _gap(self, person: int, body: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
         mine = self._bodies[person, self._radius]

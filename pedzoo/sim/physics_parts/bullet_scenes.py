@@ -41,9 +41,9 @@ class PlacedScene(NamedTuple):
 class BulletScenes:
     """One pybullet client per floor plan, made when it is first asked about; copies make their own."""
 
-    def __init__(self, bank: MapBank, body_radius: float) -> None:
-        """Take the floor plans, and the usual radius of bodies, metres."""
-        self.bank, self.body_radius = bank, body_radius
+    def __init__(self, bank: MapBank, body_radius: float, urdf: str | None = None) -> None:
+        """Take the floor plans, the usual radius of bodies, metres, and the file of robots' bodies."""
+        self.bank, self.body_radius, self.urdf = bank, body_radius, urdf
         self._scenes: dict[int, BulletScene] = {}
         self._affines: dict[tuple[float, ...], Affine] = {}
         self._closed = False
@@ -61,7 +61,7 @@ class BulletScenes:
             raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
         if row not in self._scenes:
             grid = self.bank.grids[row] if row >= 0 else None
-            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius)
+            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius, self.urdf)
         self._scenes[row].check()
         return self._scenes[row]
 
