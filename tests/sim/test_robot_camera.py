@@ -10,7 +10,7 @@ import torch
 
 import pedzoo
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import identity_pose
+from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.make import make_physics
 from pedzoo.sim.physics_parts.base import Bodies
@@ -20,7 +20,7 @@ pytest.importorskip("pybullet")
 
 
 def test_depths_are_those_of_a_lidar() -> None:
-    """Beams at -20, 0 and 20 degrees, in scenes that are turned and mirrored."""
+    """Beams at -20, 0 and 20 degrees."""
     env = pedzoo.make_robot_env(
         "goals:map=apartment.7,people=4",
         robot="unicycle",
@@ -40,6 +40,25 @@ def test_depths_are_those_of_a_lidar() -> None:
     off = (depth - expected).abs()
     assert (off < 0.04).float().mean() > 0.9  # a pixel at an edge may see past it
     assert off[:, 1].max() < 0.04 and (expected < 4.5).sum() > 12
+
+
+def test_a_mirrored_scene_is_seen_mirrored() -> None:
+    env = pedzoo.make_robot_env(
+        "goals:map=apartment.7,people=1", people="go_to_goal", sensors=["goal"], num_envs=6
+    )
+    env.reset(seed=3)
+    people = Bodies.of(env.state)._replace(pose=torch.tensor([[0.7, -1.0, 3.0, 2.0]]).expand(6, 4))
+    ahead = torch.tensor([0.4, 1.0, -2.0, 3.0, 2.0, -1.0]).unsqueeze(1)
+    people = people._replace(position=move_to_scene(people.position, people.pose))
+    physics = make_physics("bullet", env.bank, 0.15)
+    _, depth = physics.onboard(people, ahead, Lens(101, 101, math.radians(90), 0.5, 5.0))
+    angle = ahead + torch.tensor([math.atan(30 / 50.5), 0.0, -math.atan(30 / 50.5)])
+    origin = people.position[:, -1:].expand(6, 3, 2)
+    rays = physics.rays(people, origin, torch.stack((angle.cos(), angle.sin()), -1), 5.0)
+    expected = (rays * (angle - ahead).cos()).clamp_max(5)
+    off = (torch.from_numpy(depth[:, 0, 48][:, [20, 50, 80]]) - expected).abs()
+    physics.close()
+    assert (expected < 4).sum() > 9 and (off[expected < 4] < 0.1).float().mean() > 0.85
 
 
 def test_people_are_seen_where_they_are_and_the_floor_below_the_horizon() -> None:

@@ -13,11 +13,13 @@ import pedzoo
 from pedzoo.core.batch import PERSON, ROBOT
 from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import heading_of, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_physics
 from pedzoo.sim.motion import Events
+from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.state import State
 
 pytest.importorskip("pybullet")
@@ -112,6 +114,87 @@ def test_walls_are_touched_by_the_shape() -> None:
     assert not (touched & away).any()
 
 
-def test_files_that_are_none_are_named() -> None:
-    with pytest.raises(UserError, match=r"huskey\.urdf"):
-        make_physics("bullet:urdf=huskey.urdf", MapBank(), 0.15)
+def test_wheels_drive_straight_and_turn_to_the_left() -> None:
+    """At 3 m/s^2 it is at 0.5 m/s after 0.17 s: 0.46 m in 1 s. Wheels that skid turn it less."""
+    env, state = beside([0.0, 4.0], 0.4, physics=f"{HUSKY},drive=wheels")
+    state = state._replace(acceleration=torch.full_like(state.radius, 3.0))
+    begin = state.position[0, 0]
+    for _ in range(5):
+        state, events = driven(env, state, 0.5, 0.5)
+    way = state.position[0, 0] - begin
+    assert float(way.norm()) == pytest.approx(0.46, abs=0.02)
+    assert math.atan2(way[1], way[0]) == pytest.approx(0.4, abs=0.02)
+    assert float(state.velocity[0, 0].norm()) == pytest.approx(0.5, abs=0.02)
+    assert float(state.heading[0, 0]) == pytest.approx(0.4, abs=0.01) and not events.agent_contact.any()
+    for _ in range(5):
+        state, _ = driven(env, state, -0.3, 0.3)
+    assert 0.1 < float(state.heading[0, 0]) - 0.4 < 0.6 / 0.57 and float(state.turn_rate[0, 0]) > 0
+    env.physics.close()
+
+
+def office() -> RobotEnv:
+    """Return an office with a Husky that drives by its wheels."""
+    return pedzoo.make_robot_env(
+        "goals:map=office.1,people=1", robot="husky", people="orca", num_envs=6,
+        physics=f"{HUSKY},drive=wheels", sensors=["goal"], ends_at="none",
+    )  # fmt: skip
+
+
+def test_walls_stop_wheels_and_are_touched() -> None:
+    env = office()
+    seen, touched = env.reset(seed=0), []
+    for _ in range(30):
+        seen["robots", "action"] = torch.full((6, 1, 2), 0.8)
+        seen = env.step(seen)["next"]
+        touched.append(seen["robots", "info", "wall_contact"][:, 0])
+        gap, _ = env.bank.closest_wall(env.state.position, env.state.map_id, env.state.pose)
+        assert gap[:, -1].min() > 0.25
+    env.physics.close()
+    assert torch.stack(touched).any(0).sum() >= 4
+
+
+def test_a_mirrored_scene_has_mirrored_ways() -> None:
+    """The same places of the plan; left is right, and so are the wheels."""
+    env = office()
+    env.reset(seed=0)
+    state, physics = env.state, env.physics
+    mirror = torch.tensor([[0.7, -1.0, 3.0, 2.0]]).expand(6, 4)
+    ahead = torch.stack((state.heading.cos(), state.heading.sin()), -1)
+    zero = move_to_scene(torch.zeros_like(ahead), mirror)
+    other = put(state, move_to_scene(state.position, mirror))
+    other = other._replace(pose=mirror, heading=heading_of(move_to_scene(ahead, mirror) - zero))
+    command = torch.tensor([0.2, 0.6]).expand(6, 2, 2)
+    moving = state.kind == ROBOT
+    state = put(state, state.position)
+    first = physics.move_owned(state, command, moving, 4, 2)
+    second = physics.move_owned(other, command.flip(-1), moving, 4, 2)
+    physics.close()
+    path = first.path[:, -1].flatten(1, 2)
+    torch.testing.assert_close(
+        second.path[:, -1].flatten(1, 2), move_to_scene(path, mirror), atol=0.01, rtol=0
+    )
+    assert (path[:, -1] - state.position[:, -1]).norm(dim=-1).min() > 0.05
+    turned = first.heading[:, -1] - state.heading[:, -1]
+    back = second.heading[:, -1] - other.heading[:, -1]
+    assert (turned > 0.02).all()
+    torch.testing.assert_close(turned.sin(), -back.sin(), atol=0.02, rtol=0)
+    torch.testing.assert_close(first.turn_rate[:, -1], -second.turn_rate[:, -1], atol=0.05, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ("urdf=huskey.urdf", r"huskey\.urdf"),
+        ("urdf=husky/husky.urdf,drive=legs", "drive legs"),
+        ("drive=wheels", "urdf=husky"),
+    ],
+)
+def test_files_and_drives_that_are_none_are_named(settings: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make_physics(f"bullet:{settings}", MapBank(), 0.15)
+
+
+def test_a_body_without_wheels_cannot_drive_by_them() -> None:
+    env, state = beside([0.0, 4.0], 0.0, physics="bullet:urdf=cube.urdf,drive=wheels")
+    with pytest.raises(UserError, match="no wheels on both sides"):
+        driven(env, state, 0.5, 0.5)

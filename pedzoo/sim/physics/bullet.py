@@ -11,21 +11,28 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
+from pedzoo.core.bodies import HOLONOMIC
+from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.motion import Contacts, MotionInput
+from pedzoo.sim.dynamics import SKIN
+from pedzoo.sim.motion import Contacts, MotionInput, Owned
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
 from pedzoo.sim.physics_parts.bullet_looks import CUT_HEIGHT
 from pedzoo.sim.physics_parts.bullet_robots import find_urdf
-from pedzoo.sim.physics_parts.bullet_scene import WALL_HEIGHT, BulletScene
+from pedzoo.sim.physics_parts.bullet_scene import BulletScene
 from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved
-from pedzoo.sim.physics_parts.bullet_urdf import headings, with_shapes
+from pedzoo.sim.physics_parts.bullet_urdf import drive_by_wheels, headings, with_shapes
+from pedzoo.sim.physics_parts.bullet_walls import WALL_HEIGHT
 from pedzoo.sim.physics_parts.camera import Camera, Lens
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
 from pedzoo.sim.state import State
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""
+
+DRIVES = ("kinematic", "wheels")
+"""How robots of a URDF file move."""
 
 _VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
 """Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
@@ -45,19 +52,36 @@ class Bullet(Physics):
 
     views = ("top", "perspective")
 
-    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS, urdf: str | None = None) -> None:
+    def __init__(
+        self,
+        bank: MapBank,
+        body_radius: float = BODY_RADIUS,
+        urdf: str | None = None,
+        drive: str = "kinematic",
+    ) -> None:
         """Take the floor plans.
 
         Args:
             bank: See `Physics`.
             body_radius: See `Physics`.
             urdf: File of the bodies of robots, a path or a name within pybullet_data; None for capsules.
+            drive: How they move: ``kinematic``, as all agents, or by their ``wheels`` at 240 Hz. Holonomic
+                robots have none.
 
         Raises:
-            UserError: The radius is not above zero, pybullet is not installed, or there is no such file.
+            UserError: The radius is not above zero, pybullet is not installed, or there is no such file or
+                drive.
         """
         super().__init__(bank, body_radius)
         load_pybullet()
+        if drive not in DRIVES or (drive == "wheels" and urdf is None):
+            raise UserError(
+                f"physics bullet: drive {drive}, urdf {urdf}: expected kinematic, or wheels with a file like "
+                "urdf=husky/husky.urdf"
+            )
+        self.drive = drive
+        # what stands in the way of wheels stops them: they never overlap
+        self._margin = SKIN if drive == "wheels" else 0.0
         self.urdf = None if urdf is None else find_urdf(urdf)
         self._scenes = BulletScenes(bank, body_radius, self.urdf)
 
@@ -146,6 +170,17 @@ class Bullet(Physics):
                 self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
 
+    def owned(self, state: State) -> Tensor | None:
+        """See `Physics.owned`: robots that drive by their wheels."""
+        return (state.kind == ROBOT) & (state.drive != HOLONOMIC) if self.drive == "wheels" else None
+
+    @torch.no_grad()
+    def move_owned(self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int) -> Owned:
+        """See `Physics.move_owned`; pybullet limits friction and walls, and the robot its accelerations."""
+        people = Bodies.of(state)
+        placed = self._scenes.placed(people, self._present(people) & moving)
+        return drive_by_wheels(placed, state, command, ticks, substeps)
+
     @torch.no_grad()
     def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
         if self.urdf is None:
@@ -155,7 +190,9 @@ class Bullet(Physics):
         between_people = self.contacts(path, people._replace(mask=people.mask & ~robots))
         present = self._present(people) & path.isfinite().all(-1).flatten(2).all(-1)
         placed = self._scenes.placed(people, present)
-        return with_shapes(placed, between_people, state, path, headings(state, inputs), self.body_radius)
+        return with_shapes(
+            placed, between_people, state, path, headings(state, inputs), self.body_radius, self._margin
+        )
 
     def _meet(
         self,

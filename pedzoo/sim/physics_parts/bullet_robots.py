@@ -11,6 +11,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.sim.physics_parts.bullet_looks import AWAY, UPRIGHT
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet, quiet
 
+_BOUNDS = 0.0025
+"""Metres by which the bounds that pybullet tells of a wheel are wider than the wheel, about."""
+
 
 def find_urdf(name: str) -> str:
     """Return the path of a URDF file, which may be one of pybullet_data's.
@@ -93,11 +96,19 @@ class BulletRobots:
         self._p.resetBasePositionAndOrientation(body, *pose, physicsClientId=self._client)
         return body
 
+    def rest(self, agent: int) -> None:
+        """Put bodies from now on as high as that of an agent stands."""
+        pose = self._p.getBasePositionAndOrientation(self[agent], physicsClientId=self._client)
+        self._height = self._p.multiplyTransforms(*pose, *self._outertial)[0][2]
+
     def clear(self) -> None:
         """Take all bodies away, each to a place of its own."""
+        # the floor throws out bodies that can move and are below it
+        height = AWAY[2] if self._fixed else -AWAY[2]
         for number, body in enumerate(self._bodies.values()):
-            place = (10.0 * number, *AWAY[1:])
+            place = (10.0 * number, 0.0, height)
             self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self._client)
+            self._p.resetBaseVelocity(body, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
 
     def where(self, agent: int) -> tuple[float, float, float]:
         """Return where an agent's body stands and faces: x, y, metres, and radians."""
@@ -131,4 +142,4 @@ class BulletRobots:
         state = self._p.getLinkState(body, joint, computeForwardKinematics=1, physicsClientId=self._client)
         low, high = self._p.getAABB(body, joint, physicsClientId=self._client)
         _, along, _ = self._p.rotateVector(state[5], axis)
-        return math.copysign(2 / max(high[2] - low[2], 1e-3), along)
+        return math.copysign(1 / max((high[2] - low[2]) / 2 - _BOUNDS, 1e-3), along)

@@ -16,14 +16,11 @@ from pedzoo.sim.physics_parts.bullet_looks import (
     SHAPES,
     UPRIGHT,
     BulletLooks,
-    half_extents,
-    middles,
 )
 from pedzoo.sim.physics_parts.bullet_robots import BulletRobots
+from pedzoo.sim.physics_parts.bullet_walls import build_walls
+from pedzoo.sim.physics_parts.bullet_wheels import DrivenRobots
 from pedzoo.sim.physics_parts.pybullet_client import check_connected, connect
-
-WALL_HEIGHT = 2.5
-"""Metres."""
 
 RAY_HEIGHT = 1.0
 """Metres above the floor at which rays run: where a capsule is a cylinder."""
@@ -66,22 +63,12 @@ class BulletScene:
         # Boxes of one body lie near one another (Z-order): bodies are small, and rays miss most.
         self.boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
         parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
-        self._walls = [self._wall(part) for part in parts]
+        self._walls = build_walls(self._p, self.client, parts)
         self._bodies: dict[tuple[int, float], int] = {}
         self._looks: dict[float, BulletLooks] = {}
+        self._urdf = urdf
+        self._driven: DrivenRobots | None = None
         self.robots = None if urdf is None else BulletRobots(self.client, urdf)
-
-    def _wall(self, part: NDArray[np.float64]) -> int:
-        shape = self._p.createCollisionShapeArray(
-            shapeTypes=[self._p.GEOM_BOX] * len(part),
-            halfExtents=half_extents(part, WALL_HEIGHT),
-            collisionFramePositions=middles(part, WALL_HEIGHT),
-            physicsClientId=self.client,
-        )
-        body = self._p.createMultiBody(0, shape, physicsClientId=self.client)
-        # A margin rounds corners by 0.4 of it in closest-point queries; without any, ray tests miss boxes.
-        self._p.changeDynamics(body, -1, collisionMargin=1e-5, physicsClientId=self.client)
-        return body
 
     def check(self) -> None:
         """Check that its clients are still there.
@@ -98,6 +85,8 @@ class BulletScene:
         self._finalizer()
         for looks in self._looks.values():
             looks.close()
+        if self._driven is not None:
+            self._driven.close()
 
     def place(self, person: int, x: float, y: float, radius: float | None = None) -> None:
         """Put an agent's capsule somewhere; the first time, it is made.
@@ -187,6 +176,14 @@ class BulletScene:
             )
         ]
         return np.array(shares, dtype=np.float64)
+
+    @property
+    def driven(self) -> DrivenRobots:
+        """The robots that drive by their wheels, in a client of their own; made the first time."""
+        if self._driven is None:
+            assert self._urdf is not None
+            self._driven = DrivenRobots(self.boxes, self._urdf)
+        return self._driven
 
     def looks(self, wall_height: float) -> BulletLooks:
         """Return what takes pictures of the scene, with walls of some metres; made the first time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -10,12 +11,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
-from pedzoo.core.bodies import HOLONOMIC
+from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
 from pedzoo.core.geometry import heading_of
 from pedzoo.core.kinematics import TURNS_FROM
+from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
-from pedzoo.sim.motion import Contacts, MotionInput
+from pedzoo.sim.motion import Contacts, MotionInput, Owned
 from pedzoo.sim.physics_parts.bullet_scenes import PlacedScene, as_array, moved
+from pedzoo.sim.physics_parts.bullet_wheels import STEPS, Drive
 from pedzoo.sim.state import State
 
 
@@ -45,6 +48,45 @@ def headings(state: State, inputs: MotionInput) -> Tensor:
 
 def _short(angle: Tensor) -> Tensor:
     return torch.atan2(angle.sin(), angle.cos())
+
+
+def drive_by_wheels(
+    placed: Iterable[PlacedScene], state: State, command: Tensor, ticks: int, substeps: int
+) -> Owned:
+    """Return how the robots that are ``present`` drive by their wheels; see `Physics.move_owned`."""
+    path = as_array(state.position)[:, :, None, None].repeat(ticks, 2).repeat(substeps, 3)
+    heading, rate = as_array(state.heading).copy(), np.zeros(state.mask.shape)
+    first, second = command.unbind(-1)
+    pair = state.drive == DIFF_DRIVE
+    speed = (state.velocity * torch.stack((state.heading.cos(), state.heading.sin()), -1)).sum(-1)
+    wanted = torch.where(pair, (first + second) / 2, first).clamp(-state.top_speed, state.top_speed)
+    turn = torch.where(pair, (second - first) / state.track, second)
+    columns = state.heading, speed, state.turn_rate, wanted, turn
+    values = as_array(torch.stack((*columns, state.acceleration, state.turn_acceleration, state.track), -1))
+    at = np.round(np.arange(1, ticks * substeps + 1) * (STEPS / substeps)).astype(np.int64) - 1
+    for asked in placed:
+        linear, shift = asked.affine[:, :2], asked.affine[:, 2]
+        mirror = 1.0 if np.linalg.det(linear) > 0 else -1.0
+        drives = []
+        for agent in asked.present:
+            angle, v, omega, wanted_v, wanted_omega, *limits = values[asked.index, agent].tolist()
+            x, y = (linear @ [math.cos(angle), math.sin(angle)]).tolist()
+            turns = v, mirror * omega, wanted_v, mirror * wanted_omega
+            place = asked.places[agent].tolist()
+            drives.append(Drive(agent, place, math.atan2(y, x), *turns, *limits))
+        if not drives:
+            continue
+        moved_to = asked.bullet.driven.run(drives, ticks)
+        places = (moved_to[:, at, :2] - shift) @ linear
+        path[asked.index, asked.present] = places.reshape(len(drives), ticks, substeps, 2)
+        angles = moved_to[..., 2]
+        x, y = (np.stack((np.cos(angles[:, -1]), np.sin(angles[:, -1])), -1) @ linear).T
+        heading[asked.index, asked.present] = np.arctan2(y, x)
+        last = np.unwrap(angles[:, -STEPS - 1 :], axis=1) if ticks > 1 else np.unwrap(angles, axis=1)
+        seconds = TRACE_SECONDS * (last.shape[1] - 1) / STEPS
+        rate[asked.index, asked.present] = mirror * (last[:, -1] - last[:, 0]) / seconds
+    tensors = (torch.from_numpy(values).to(state.velocity) for values in (path, heading, rate))
+    return Owned(*tensors)
 
 
 def with_shapes(
