@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,11 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
 from pedzoo.sim.motion import Contacts, MotionInput, Owned
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
-from pedzoo.sim.physics_parts.bullet_looks import CUT_HEIGHT
+from pedzoo.sim.physics_parts.bullet_pictures import from_above, from_robots
 from pedzoo.sim.physics_parts.bullet_robots import find_urdf
 from pedzoo.sim.physics_parts.bullet_scene import BulletScene
-from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved
+from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved, scene_rays
 from pedzoo.sim.physics_parts.bullet_urdf import drive_by_wheels, headings, with_shapes
-from pedzoo.sim.physics_parts.bullet_walls import WALL_HEIGHT
 from pedzoo.sim.physics_parts.camera import Camera, Lens
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
 from pedzoo.sim.state import State
@@ -33,9 +31,6 @@ _SLACK = 1e-6
 
 DRIVES = ("kinematic", "wheels")
 """How robots of a URDF file move."""
-
-_VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
-"""Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
 
 
 class Bullet(Physics):
@@ -248,37 +243,8 @@ class Bullet(Physics):
             start = moved(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
-            result[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
+            result[asked.index, which] = scene_rays(asked, width, start[which], along[which], reach)
         return torch.from_numpy(result).to(origin)
-
-    def _scene_rays(
-        self,
-        asked: PlacedScene,
-        radius: list[float],
-        start: NDArray[np.float64],
-        along: NDArray[np.float64],
-        reach: float,
-    ) -> NDArray[np.float64]:
-        asked.bullet.clear()
-        for person in asked.present:
-            asked.bullet.place(person, *asked.places[person], radius=radius[person])
-        # pybullet hits some bodies from inside and others not: bodies around the start are taken away
-        starts, of = np.unique(start, axis=0, return_inverse=True)
-        apart = starts[:, None] - asked.places[None, asked.present]
-        holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
-        groups, group = np.unique(holds, axis=0, return_inverse=True)
-        group = group.reshape(-1)[of.reshape(-1)]
-        result = np.full(len(start), reach)
-        for number, held in enumerate(groups):
-            taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
-            for person in taken:
-                asked.bullet.remove(person, radius[person])
-            rays = np.flatnonzero(group == number)
-            result[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
-            for person in taken:
-                asked.bullet.place(person, *asked.places[person], radius=radius[person])
-        result[asked.bullet.in_wall(start)] = 0.0
-        return result
 
     def image(
         self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
@@ -286,43 +252,12 @@ class Bullet(Physics):
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
         (asked,) = self._scenes.placed(one, self._present(one))
-        camera = self.framed(people, scene, size, camera)
-        linear, shift = asked.affine[:, :2], asked.affine[:, 2]
-        angle = _VIEW_ANGLE[camera.view]
-        eye, target, up = (np.array(values) for values in camera.eye(angle))
-        for place in (eye, target):
-            place[:2] = linear @ place[:2] + shift
-        up[:2] = linear @ up[:2]
-        where = _figures(asked, self._radius(one)[0])
-        looks = asked.bullet.looks(CUT_HEIGHT)
-        picture = looks.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
-        # in a mirrored scene, left is right
-        return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
+        return from_above(asked, self._radius(one)[0], size, self.framed(people, scene, size, camera))
 
     @torch.no_grad()
     def onboard(
         self, people: Bodies, heading: Tensor, lens: Lens
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """See `Physics.onboard`."""
-        shape = (*heading.shape, lens.height, lens.width)
-        pictures, depths = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
-        ahead = as_array(torch.stack((heading.cos(), heading.sin()), dim=-1))
-        radius, first = self._radius(people), people.mask.shape[1] - heading.shape[1]
-        for asked in self._scenes.placed(people, self._present(people)):
-            linear = asked.affine[:, :2]
-            # in a mirrored scene, left is right
-            order = 1 if np.linalg.det(linear) > 0 else -1
-            where = _figures(asked, radius[asked.index])
-            for robot in (agent for agent in asked.present if agent >= first):
-                others = {agent: place for agent, place in where.items() if agent != robot}
-                at = asked.index, robot - first
-                looks = asked.bullet.looks(WALL_HEIGHT)
-                picture, depth = looks.onboard(others, where[robot][:2], (linear @ ahead[at]).tolist(), lens)
-                pictures[at], depths[at] = picture[:, ::order], depth[:, ::order]
-        return pictures, depths
-
-
-def _figures(asked: PlacedScene, radius: Tensor) -> dict[int, tuple[float, float, float]]:
-    """Return where agents are drawn, and their radii: x, y and metres."""
-    widths = [round(width, 6) for width in radius.tolist()]
-    return {agent: (*asked.places[agent].tolist(), widths[agent]) for agent in asked.present}
+        placed = self._scenes.placed(people, self._present(people))
+        return from_robots(placed, self._radius(people), heading, lens)

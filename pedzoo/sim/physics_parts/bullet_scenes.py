@@ -100,3 +100,41 @@ def as_array(points: Tensor) -> NDArray[np.float64]:
 def moved(affine: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return points (..., 2) by an affine map."""
     return points @ affine[:, :2].T + affine[:, 2]
+
+
+def scene_rays(
+    asked: PlacedScene,
+    radius: list[float],
+    start: NDArray[np.float64],
+    along: NDArray[np.float64],
+    reach: float,
+) -> NDArray[np.float64]:
+    """Return how far rays of one scene go (R,), metres, at most ``reach``.
+
+    Args:
+        asked: The scene.
+        radius: Of all agents' bodies, metres.
+        start: Where rays begin (R, 2) in pybullet's frame.
+        along: Unit vectors (R, 2).
+        reach: Metres.
+    """
+    asked.bullet.clear()
+    for person in asked.present:
+        asked.bullet.place(person, *asked.places[person], radius=radius[person])
+    # pybullet hits some bodies from inside and others not: bodies around the start are taken away
+    starts, of = np.unique(start, axis=0, return_inverse=True)
+    apart = starts[:, None] - asked.places[None, asked.present]
+    holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
+    groups, group = np.unique(holds, axis=0, return_inverse=True)
+    group = group.reshape(-1)[of.reshape(-1)]
+    result = np.full(len(start), reach)
+    for number, held in enumerate(groups):
+        taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
+        for person in taken:
+            asked.bullet.remove(person, radius[person])
+        rays = np.flatnonzero(group == number)
+        result[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
+        for person in taken:
+            asked.bullet.place(person, *asked.places[person], radius=radius[person])
+    result[asked.bullet.in_wall(start)] = 0.0
+    return result
