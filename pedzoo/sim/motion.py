@@ -1,4 +1,4 @@
-"""What comes of a decision: where bodies go, and what they touch."""
+"""What comes of a decision: where bodies go, what they touch, and what is near them."""
 
 from __future__ import annotations
 
@@ -23,6 +23,22 @@ class Contacts(NamedTuple):
 
     agent: Tensor
     wall: Tensor
+
+
+class Distances(NamedTuple):
+    """How near others and walls are to each person; absent people have the reach and no normals.
+
+    Attributes:
+        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
+        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
+        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
+        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
+    """
+
+    agent: Tensor
+    wall: Tensor
+    agent_normal: Tensor
+    wall_normal: Tensor
 
 
 class MotionInput(NamedTuple):

@@ -15,8 +15,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.motion import Contacts, MotionInput, Owned
-from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
+from pedzoo.sim.motion import Contacts, Distances, MotionInput, Owned
+from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
 from pedzoo.sim.physics_parts.bullet_pictures import from_above, from_robots
 from pedzoo.sim.physics_parts.bullet_robots import find_urdf
 from pedzoo.sim.physics_parts.bullet_scene import BulletScene

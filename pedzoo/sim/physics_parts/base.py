@@ -19,7 +19,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
+from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, Owned
 from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.state import State
@@ -53,22 +53,6 @@ class Bodies(NamedTuple):
     def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
         return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
-
-
-class Distances(NamedTuple):
-    """How near others and walls are to each person; absent people have the reach and no normals.
-
-    Attributes:
-        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
-        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
-        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
-        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
-    """
-
-    agent: Tensor
-    wall: Tensor
-    agent_normal: Tensor
-    wall_normal: Tensor
 
 
 class Physics(ABC):
@@ -257,9 +241,9 @@ class Physics(ABC):
     def onboard(
         self, people: Bodies, heading: Tensor, lens: Lens
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Return pictures (B, R, H, W, 3) uint8 RGB and depths (B, R, H, W), metres, that robots take.
+        """Return pictures (B, R, H, W, 3) uint8 RGB and depths (B, R, H, W), metres, as robots see them.
 
-        Depths are along the optical axis. A robot does not see itself; absent ones see nothing, all 0.
+        Depths are along the optical axis. A robot does not see itself; for absent ones all is 0.
 
         Args:
             people: Where agents are; the last R are robots.
@@ -269,10 +253,8 @@ class Physics(ABC):
         Raises:
             UserError: The backend has no such camera.
         """
-        raise UserError(
-            f"physics {type(self).__name__.lower()} takes no pictures from robots: expected physics='bullet' "
-            "for the sensor camera"
-        )
+        name = type(self).__name__.lower()
+        raise UserError(f"sensor camera: physics {name} has no pictures from robots: take physics='bullet'")
 
     def framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
         """Return a camera whose center and width are known."""

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
-from pedzoo.core.geometry import heading_of
-from pedzoo.core.kinematics import TURNS_FROM
+from pedzoo.core.geometry import TURNS_FROM, heading_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.motion import Contacts, MotionInput, Owned
