@@ -1,4 +1,4 @@
-"""What comes of a decision: where bodies go, and what they touch."""
+"""What comes of a decision: where bodies go, what they touch, and what is near them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,22 @@ class Contacts(NamedTuple):
     wall: Tensor
 
 
+class Distances(NamedTuple):
+    """How near others and walls are to each person; absent people have the reach and no normals.
+
+    Attributes:
+        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
+        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
+        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
+        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
+    """
+
+    agent: Tensor
+    wall: Tensor
+    agent_normal: Tensor
+    wall_normal: Tensor
+
+
 class MotionInput(NamedTuple):
     """What agents on the common path do in a decision of S trace points.
 
@@ -34,6 +50,8 @@ class MotionInput(NamedTuple):
         substeps: M, sub-steps of every 0.1 s.
         played: Paths of those who are played back (B, A, S, M, 2); None for none.
         wanted: Which agents may reach their goals (B, A) bool.
+        command: What policies want (B, A, 2), as the agent's drive has it; None for nothing.
+        owned: How agents move that the backend owns, whose paths are among those played back; None for none.
     """
 
     velocity: Tensor
@@ -41,6 +59,8 @@ class MotionInput(NamedTuple):
     substeps: int
     played: Tensor | None
     wanted: Tensor
+    command: Tensor | None = None
+    owned: Owned | None = None
 
 
 class Motion(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,20 +9,28 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.batch import ROBOT
+from pedzoo.core.bodies import HOLONOMIC
+from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.motion import Contacts
-from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
+from pedzoo.sim.dynamics import SKIN
+from pedzoo.sim.motion import Contacts, Distances, MotionInput, Owned
+from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
+from pedzoo.sim.physics_parts.bullet_pictures import from_above, from_robots
+from pedzoo.sim.physics_parts.bullet_robots import find_urdf
 from pedzoo.sim.physics_parts.bullet_scene import BulletScene
-from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved
-from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved, scene_rays
+from pedzoo.sim.physics_parts.bullet_urdf import drive_by_wheels, headings, with_shapes
+from pedzoo.sim.physics_parts.camera import Camera, Lens
 from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
+from pedzoo.sim.state import State
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""
 
-_VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
-"""Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
+DRIVES = ("kinematic", "wheels")
+"""How robots of a URDF file move."""
 
 
 class Bullet(Physics):
@@ -32,20 +39,46 @@ class Bullet(Physics):
     pybullet answers; torch only says which bodies are near enough to be asked about. Inside a wall the
     distance is negative, but pybullet's depth is that in one box and not in the whole wall.
 
+    Robots are capsules, or have the shape of a URDF file, which decides what they touch at their heading.
+    Their paths, rays and pictures are those of discs all the same. A mirrored scene does not mirror the file.
+
     It can be pickled and sent to workers: the copy makes its own clients.
     """
 
     views = ("top", "perspective")
 
-    def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
+    def __init__(
+        self,
+        bank: MapBank,
+        body_radius: float = BODY_RADIUS,
+        urdf: str | None = None,
+        drive: str = "kinematic",
+    ) -> None:
         """Take the floor plans.
 
+        Args:
+            bank: See `Physics`.
+            body_radius: See `Physics`.
+            urdf: File of the bodies of robots, a path or a name within pybullet_data; None for capsules.
+            drive: How they move: ``kinematic``, as all agents, or by their ``wheels`` at 240 Hz. Holonomic
+                robots have none.
+
         Raises:
-            UserError: The radius is not above zero, or pybullet is not installed.
+            UserError: The radius is not above zero, pybullet is not installed, or there is no such file or
+                drive.
         """
         super().__init__(bank, body_radius)
         load_pybullet()
-        self._scenes = BulletScenes(bank, body_radius)
+        if drive not in DRIVES or (drive == "wheels" and urdf is None):
+            raise UserError(
+                f"physics bullet: drive {drive}, urdf {urdf}: expected kinematic, or wheels with a file like "
+                "urdf=husky/husky.urdf"
+            )
+        self.drive = drive
+        # what stands in the way of wheels stops them: they never overlap
+        self._margin = SKIN if drive == "wheels" else 0.0
+        self.urdf = None if urdf is None else find_urdf(urdf)
+        self._scenes = BulletScenes(bank, body_radius, self.urdf)
 
     @classmethod
     def check(cls) -> None:
@@ -132,6 +165,30 @@ class Bullet(Physics):
                 self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
 
+    def owned(self, state: State) -> Tensor | None:
+        """See `Physics.owned`: robots that drive by their wheels."""
+        return (state.kind == ROBOT) & (state.drive != HOLONOMIC) if self.drive == "wheels" else None
+
+    @torch.no_grad()
+    def move_owned(self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int) -> Owned:
+        """See `Physics.move_owned`; pybullet limits friction and walls, and the robot its accelerations."""
+        people = Bodies.of(state)
+        placed = self._scenes.placed(people, self._present(people) & moving)
+        return drive_by_wheels(placed, state, command, ticks, substeps)
+
+    @torch.no_grad()
+    def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
+        if self.urdf is None:
+            return self.contacts(path, Bodies.of(state))
+        robots = (state.kind == ROBOT) & state.mask
+        people = Bodies.of(state)
+        between_people = self.contacts(path, people._replace(mask=people.mask & ~robots))
+        present = self._present(people) & path.isfinite().all(-1).flatten(2).all(-1)
+        placed = self._scenes.placed(people, present)
+        return with_shapes(
+            placed, between_people, state, path, headings(state, inputs), self.body_radius, self._margin
+        )
+
     def _meet(
         self,
         bullet: BulletScene,
@@ -186,37 +243,8 @@ class Bullet(Physics):
             start = moved(asked.affine, starts[asked.index])
             along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
             which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
-            result[asked.index, which] = self._scene_rays(asked, width, start[which], along[which], reach)
+            result[asked.index, which] = scene_rays(asked, width, start[which], along[which], reach)
         return torch.from_numpy(result).to(origin)
-
-    def _scene_rays(
-        self,
-        asked: PlacedScene,
-        radius: list[float],
-        start: NDArray[np.float64],
-        along: NDArray[np.float64],
-        reach: float,
-    ) -> NDArray[np.float64]:
-        asked.bullet.clear()
-        for person in asked.present:
-            asked.bullet.place(person, *asked.places[person], radius=radius[person])
-        # pybullet hits some bodies from inside and others not: bodies around the start are taken away
-        starts, of = np.unique(start, axis=0, return_inverse=True)
-        apart = starts[:, None] - asked.places[None, asked.present]
-        holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
-        groups, group = np.unique(holds, axis=0, return_inverse=True)
-        group = group.reshape(-1)[of.reshape(-1)]
-        result = np.full(len(start), reach)
-        for number, held in enumerate(groups):
-            taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
-            for person in taken:
-                asked.bullet.remove(person, radius[person])
-            rays = np.flatnonzero(group == number)
-            result[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
-            for person in taken:
-                asked.bullet.place(person, *asked.places[person], radius=radius[person])
-        result[asked.bullet.in_wall(start)] = 0.0
-        return result
 
     def image(
         self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
@@ -224,18 +252,12 @@ class Bullet(Physics):
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
         (asked,) = self._scenes.placed(one, self._present(one))
-        camera = self.framed(people, scene, size, camera)
-        linear, shift = asked.affine[:, :2], asked.affine[:, 2]
-        angle = _VIEW_ANGLE[camera.view]
-        eye, target, up = (np.array(values) for values in camera.eye(angle))
-        for place in (eye, target):
-            place[:2] = linear @ place[:2] + shift
-        up[:2] = linear @ up[:2]
-        widths = [round(radius, 6) for radius in self._radius(one)[0].tolist()]
-        where = {
-            person: (float(asked.places[person][0]), float(asked.places[person][1]), widths[person])
-            for person in asked.present
-        }
-        picture = asked.bullet.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
-        # in a mirrored scene, left is right
-        return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
+        return from_above(asked, self._radius(one)[0], size, self.framed(people, scene, size, camera))
+
+    @torch.no_grad()
+    def onboard(
+        self, people: Bodies, heading: Tensor, lens: Lens
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """See `Physics.onboard`."""
+        placed = self._scenes.placed(people, self._present(people))
+        return from_robots(placed, self._radius(people), heading, lens)

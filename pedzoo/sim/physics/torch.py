@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.motion import Contacts, Motion, MotionInput
-from pedzoo.sim.physics_parts.base import REACH, Bodies, Distances, Physics
+from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput
+from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
 from pedzoo.sim.physics_parts.camera import Camera
 from pedzoo.sim.physics_parts.near import agent_contacts
 from pedzoo.sim.physics_parts.top_view import draw_top_view

@@ -19,8 +19,8 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.motion import Contacts, Motion, MotionInput, Owned
-from pedzoo.sim.physics_parts.camera import Camera, free_corners
+from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, Owned
+from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.state import State
 
@@ -53,22 +53,6 @@ class Bodies(NamedTuple):
     def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
         return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
-
-
-class Distances(NamedTuple):
-    """How near others and walls are to each person; absent people have the reach and no normals.
-
-    Attributes:
-        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
-        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
-        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
-        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
-    """
-
-    agent: Tensor
-    wall: Tensor
-    agent_normal: Tensor
-    wall_normal: Tensor
 
 
 class Physics(ABC):
@@ -163,7 +147,7 @@ class Physics(ABC):
         wanted = moving & (state.goal_id >= 0)
         own = self.owned(state)
         if own is None:
-            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted))
+            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted, command))
         own = own & moving
         if command is None:
             command = torch.zeros_like(state.velocity)
@@ -172,7 +156,8 @@ class Physics(ABC):
         if played is None:
             played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
         played = torch.where(own[:, :, None, None, None], moved.path, played)
-        motion = self._advance(state, MotionInput(velocity, moving & ~own, substeps, played, wanted))
+        inputs = MotionInput(velocity, moving & ~own, substeps, played, wanted, command, moved)
+        motion = self._advance(state, inputs)
         return motion._replace(
             heading=torch.where(own, moved.heading, torch.nan),
             turn_rate=torch.where(own, moved.turn_rate, 0.0),
@@ -180,15 +165,18 @@ class Physics(ABC):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        people = Bodies.of(state)
         if compiles(state.past, inputs.velocity):
             paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
             integrated = advance_compiled(self.bank, state, inputs, paths)
-            return Motion(integrated.trace, *self.contacts(paths, people), integrated.reached)
+            return Motion(integrated.trace, *self._touched(state, paths, inputs), integrated.reached)
         path, _ = self._integrated(state, inputs)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
-        contacts = self.contacts(steps.detach(), people)
+        contacts = self._touched(state, steps.detach(), inputs)
         return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
+
+    def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
+        """Return which agents touch something on their paths (B, A, S, M, 2); see `contacts`."""
+        return self.contacts(path, Bodies.of(state))
 
     def _integrated(self, state: State, inputs: MotionInput) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
@@ -249,6 +237,24 @@ class Physics(ABC):
             camera: Where it is taken from; by default from the top, all free space of the floor plan, or
                 all people where there is none.
         """
+
+    def onboard(
+        self, people: Bodies, heading: Tensor, lens: Lens
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return pictures (B, R, H, W, 3) uint8 RGB and depths (B, R, H, W), metres, as robots see them.
+
+        Depths are along the optical axis. A robot does not see itself; for absent ones all is 0.
+
+        Args:
+            people: Where agents are; the last R are robots.
+            heading: Where robots face (B, R), radians.
+            lens: Their camera.
+
+        Raises:
+            UserError: The backend has no such camera.
+        """
+        name = type(self).__name__.lower()
+        raise UserError(f"sensor camera: physics {name} has no pictures from robots: take physics='bullet'")
 
     def framed(self, people: Bodies, scene: int, size: tuple[int, int], camera: Camera | None) -> Camera:
         """Return a camera whose center and width are known."""

@@ -8,11 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.sim.physics_parts.camera import FLOOR, WALL, person_color
+from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Lens, person_color
 from pedzoo.sim.physics_parts.pybullet_client import connect, egl_plugin, load_egl
 
-_CUT_HEIGHT = 1.0
-"""Metres at which walls are cut off in pictures, so that people behind them are seen."""
+CUT_HEIGHT = 1.0
+"""Metres at which walls are cut off in pictures from above, so that people behind them are seen."""
+
+_NEAREST = 0.05
+"""Metres from which on robots see."""
 
 BODY_HEIGHT = 1.75
 """Metres, with both round ends of the capsule."""
@@ -34,8 +37,8 @@ class BulletLooks:
     only what is made after it is loaded, which takes long: programs without pictures should not wait for it.
     """
 
-    def __init__(self, boxes: NDArray[np.float64]) -> None:
-        """Connect, and build walls over the rectangles ``boxes`` (M, 4)."""
+    def __init__(self, boxes: NDArray[np.float64], wall_height: float = CUT_HEIGHT) -> None:
+        """Connect, and build walls of ``wall_height`` metres over the rectangles ``boxes`` (M, 4)."""
         pybullet, client, self._finalizer = connect(self)
         self._p, self.client = pybullet, client
         plugin = egl_plugin()
@@ -44,8 +47,8 @@ class BulletLooks:
             part = boxes[i : i + SHAPES]
             shape = pybullet.createVisualShapeArray(
                 shapeTypes=[pybullet.GEOM_BOX] * len(part),
-                halfExtents=half_extents(part, _CUT_HEIGHT),
-                visualFramePositions=middles(part, _CUT_HEIGHT),
+                halfExtents=half_extents(part, wall_height),
+                visualFramePositions=middles(part, wall_height),
                 rgbaColors=[_rgba(WALL)] * len(part),
                 physicsClientId=client,
             )
@@ -71,19 +74,66 @@ class BulletLooks:
             eye: Where the camera stands, what it looks at and which way is up.
             view_angle: Horizontal opening angle, radians.
         """
+        width, height = size
+        distance = math.dist(eye[0], eye[1])
+        upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
+        picture, _, empty = self._shot(
+            positions, size, eye, upright, (max(0.1, 0.2 * distance), 3 * distance + 10)
+        )
+        # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
+        picture[empty] = FLOOR
+        return picture
+
+    def onboard(
+        self,
+        positions: dict[int, tuple[float, float, float]],
+        place: Sequence[float],
+        ahead: Sequence[float],
+        lens: Lens,
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return a picture (H, W, 3) uint8 RGB and the depth (H, W), metres, as a robot sees it.
+
+        Args:
+            positions: See `render`.
+            place: Where the camera stands (x, y), metres.
+            ahead: The direction (x, y) in which it looks.
+            lens: Its pixels, angle and height.
+        """
+        (x, y), (dx, dy), z = place, ahead, lens.eye_height
+        size, farthest = (lens.width, lens.height), 1.2 * lens.reach + 1
+        upright = 2 * math.atan(math.tan(lens.angle / 2) * lens.height / lens.width)
+        eye = ([x, y, z], [x + dx, y + dy, z], [0.0, 0.0, 1.0])
+        picture, buffer, empty = self._shot(positions, size, eye, upright, (_NEAREST, farthest))
+        depth = _NEAREST * farthest / (farthest - (farthest - _NEAREST) * buffer)
+        floor = np.broadcast_to(lens.floor()[:, None], empty.shape)
+        picture[empty] = np.where(floor[empty, None] < np.inf, FLOOR, OUTSIDE)
+        depth[empty] = floor[empty]
+        return picture, np.minimum(depth, lens.reach).astype(np.float32)
+
+    def _shot(
+        self,
+        positions: dict[int, tuple[float, float, float]],
+        size: tuple[int, int],
+        eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
+        upright: float,
+        limits: tuple[float, float],
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return colours (H, W, 3), the depth buffer (H, W) and where no body is (H, W).
+
+        The vertical opening angle ``upright`` is in radians, and ``limits``, the planes between which bodies
+        are drawn, in metres.
+        """
         shown = {self._figure(person, radius): (x, y) for person, (x, y, radius) in positions.items()}
         for body in self._figures.values():
             place = (*shown[body], BODY_HEIGHT / 2) if body in shown else AWAY
             self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self.client)
         width, height = size
-        distance = math.dist(eye[0], eye[1])
-        upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
         image = self._p.getCameraImage(
             width,
             height,
             viewMatrix=self._p.computeViewMatrix(*eye),
             projectionMatrix=self._p.computeProjectionMatrixFOV(
-                math.degrees(upright), width / height, max(0.1, 0.2 * distance), 3 * distance + 10
+                math.degrees(upright), width / height, *limits
             ),
             lightDirection=(-3, -5, 12),
             lightColor=(1, 1, 1),
@@ -95,9 +145,8 @@ class BulletLooks:
             physicsClientId=self.client,
         )
         picture = np.asarray(image[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
-        # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
-        picture[np.asarray(image[4]).reshape(height, width) < 0] = FLOOR
-        return picture
+        buffer = np.asarray(image[3], dtype=np.float64).reshape(height, width)
+        return picture, buffer, np.asarray(image[4]).reshape(height, width) < 0
 
     def _figure(self, person: int, radius: float) -> int:
         """Return the body that is drawn for an agent; the first time, it is made."""

@@ -16,13 +16,11 @@ from pedzoo.sim.physics_parts.bullet_looks import (
     SHAPES,
     UPRIGHT,
     BulletLooks,
-    half_extents,
-    middles,
 )
+from pedzoo.sim.physics_parts.bullet_robots import BulletRobots
+from pedzoo.sim.physics_parts.bullet_walls import build_walls
+from pedzoo.sim.physics_parts.bullet_wheels import DrivenRobots
 from pedzoo.sim.physics_parts.pybullet_client import check_connected, connect
-
-WALL_HEIGHT = 2.5
-"""Metres."""
 
 RAY_HEIGHT = 1.0
 """Metres above the floor at which rays run: where a capsule is a cylinder."""
@@ -42,15 +40,18 @@ class BulletScene:
 
     Attributes:
         boxes: The rectangles below the walls (M, 4): x0, y0, x1, y1 in metres.
+        robots: Bodies of robots; None where they are capsules, as people are.
     """
 
     boxes: NDArray[np.float64]
 
-    def __init__(self, grid: OccupancyGrid | None, unknown: Unknown, body_radius: float) -> None:
-        """Connect, and build the walls; None is open floor.
+    def __init__(
+        self, grid: OccupancyGrid | None, unknown: Unknown, body_radius: float, urdf: str | None = None
+    ) -> None:
+        """Connect, and build the walls; None is open floor. ``urdf`` is the file of robots' bodies.
 
         Raises:
-            UserError: pybullet is not installed.
+            UserError: pybullet is not installed, or it cannot read the file.
         """
         self._p, self.client, self._finalizer = connect(self)
         self._radius = body_radius
@@ -62,21 +63,12 @@ class BulletScene:
         # Boxes of one body lie near one another (Z-order): bodies are small, and rays miss most.
         self.boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
         parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
-        self._walls = [self._wall(part) for part in parts]
+        self._walls = build_walls(self._p, self.client, parts)
         self._bodies: dict[tuple[int, float], int] = {}
-        self._looks: BulletLooks | None = None
-
-    def _wall(self, part: NDArray[np.float64]) -> int:
-        shape = self._p.createCollisionShapeArray(
-            shapeTypes=[self._p.GEOM_BOX] * len(part),
-            halfExtents=half_extents(part, WALL_HEIGHT),
-            collisionFramePositions=middles(part, WALL_HEIGHT),
-            physicsClientId=self.client,
-        )
-        body = self._p.createMultiBody(0, shape, physicsClientId=self.client)
-        # A margin rounds corners by 0.4 of it in closest-point queries; without any, ray tests miss boxes.
-        self._p.changeDynamics(body, -1, collisionMargin=1e-5, physicsClientId=self.client)
-        return body
+        self._looks: dict[float, BulletLooks] = {}
+        self._urdf = urdf
+        self._driven: DrivenRobots | None = None
+        self.robots = None if urdf is None else BulletRobots(self.client, urdf)
 
     def check(self) -> None:
         """Check that its clients are still there.
@@ -85,14 +77,16 @@ class BulletScene:
             UserError: It was disconnected from outside.
         """
         check_connected(self.client)
-        if self._looks is not None:
-            check_connected(self._looks.client)
+        for looks in self._looks.values():
+            check_connected(looks.client)
 
     def close(self) -> None:
         """Disconnect; a second time does nothing."""
         self._finalizer()
-        if self._looks is not None:
-            self._looks.close()
+        for looks in self._looks.values():
+            looks.close()
+        if self._driven is not None:
+            self._driven.close()
 
     def place(self, person: int, x: float, y: float, radius: float | None = None) -> None:
         """Put an agent's capsule somewhere; the first time, it is made.
@@ -138,6 +132,20 @@ class BulletScene:
         """Return the gap between a body and the walls around a box, and the direction from them, likewise."""
         return self._gap(person, self._walls[box // SHAPES], within)
 
+    def nearer(self, robot: int, body: int, than: float) -> bool:
+        """Return whether the body of a robot is nearer to another body than some metres."""
+        points = self._p.getClosestPoints(robot, body, max(than, 0.0), physicsClientId=self.client)
+        return any(point[8] < than for point in points)
+
+    def capsule(self, person: int, place: Sequence[float]) -> int:
+        """Put an agent's capsule somewhere; returns the body."""
+        self.place(person, *place)
+        return self._bodies[person, self._radius]
+
+    def walls(self, boxes: NDArray[np.int64]) -> list[int]:
+        """Return the bodies that some boxes are part of."""
+        return [self._walls[part] for part in np.unique(boxes // SHAPES).tolist()]
+
     def _gap(self, person: int, body: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
         mine = self._bodies[person, self._radius]
         points = self._p.getClosestPoints(mine, body, within, physicsClientId=self.client)
@@ -169,17 +177,19 @@ class BulletScene:
         ]
         return np.array(shares, dtype=np.float64)
 
-    def render(
-        self,
-        positions: dict[int, tuple[float, float, float]],
-        size: tuple[int, int],
-        eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
-        view_angle: float,
-    ) -> NDArray[np.uint8]:
-        """Return a picture; see `BulletLooks.render`."""
-        if self._looks is None:
-            self._looks = BulletLooks(self.boxes)
-        return self._looks.render(positions, size, eye, view_angle)
+    @property
+    def driven(self) -> DrivenRobots:
+        """The robots that drive by their wheels, in a client of their own; made the first time."""
+        if self._driven is None:
+            assert self._urdf is not None
+            self._driven = DrivenRobots(self.boxes, self._urdf)
+        return self._driven
+
+    def looks(self, wall_height: float) -> BulletLooks:
+        """Return what takes pictures of the scene, with walls of some metres; made the first time."""
+        if wall_height not in self._looks:
+            self._looks[wall_height] = BulletLooks(self.boxes, wall_height)
+        return self._looks[wall_height]
 
 
 def _z_order(points: NDArray[np.float64], side: float = 0.5) -> NDArray[np.int64]:

@@ -41,9 +41,9 @@ class PlacedScene(NamedTuple):
 class BulletScenes:
     """One pybullet client per floor plan, made when it is first asked about; copies make their own."""
 
-    def __init__(self, bank: MapBank, body_radius: float) -> None:
-        """Take the floor plans, and the usual radius of bodies, metres."""
-        self.bank, self.body_radius = bank, body_radius
+    def __init__(self, bank: MapBank, body_radius: float, urdf: str | None = None) -> None:
+        """Take the floor plans, the usual radius of bodies, metres, and the file of robots' bodies."""
+        self.bank, self.body_radius, self.urdf = bank, body_radius, urdf
         self._scenes: dict[int, BulletScene] = {}
         self._affines: dict[tuple[float, ...], Affine] = {}
         self._closed = False
@@ -61,7 +61,7 @@ class BulletScenes:
             raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
         if row not in self._scenes:
             grid = self.bank.grids[row] if row >= 0 else None
-            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius)
+            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius, self.urdf)
         self._scenes[row].check()
         return self._scenes[row]
 
@@ -100,3 +100,41 @@ def as_array(points: Tensor) -> NDArray[np.float64]:
 def moved(affine: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return points (..., 2) by an affine map."""
     return points @ affine[:, :2].T + affine[:, 2]
+
+
+def scene_rays(
+    asked: PlacedScene,
+    radius: list[float],
+    start: NDArray[np.float64],
+    along: NDArray[np.float64],
+    reach: float,
+) -> NDArray[np.float64]:
+    """Return how far rays of one scene go (R,), metres, at most ``reach``.
+
+    Args:
+        asked: The scene.
+        radius: Of all agents' bodies, metres.
+        start: Where rays begin (R, 2) in pybullet's frame.
+        along: Unit vectors (R, 2).
+        reach: Metres.
+    """
+    asked.bullet.clear()
+    for person in asked.present:
+        asked.bullet.place(person, *asked.places[person], radius=radius[person])
+    # pybullet hits some bodies from inside and others not: bodies around the start are taken away
+    starts, of = np.unique(start, axis=0, return_inverse=True)
+    apart = starts[:, None] - asked.places[None, asked.present]
+    holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
+    groups, group = np.unique(holds, axis=0, return_inverse=True)
+    group = group.reshape(-1)[of.reshape(-1)]
+    result = np.full(len(start), reach)
+    for number, held in enumerate(groups):
+        taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
+        for person in taken:
+            asked.bullet.remove(person, radius[person])
+        rays = np.flatnonzero(group == number)
+        result[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
+        for person in taken:
+            asked.bullet.place(person, *asked.places[person], radius=radius[person])
+    result[asked.bullet.in_wall(start)] = 0.0
+    return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ WALL = (112, 114, 122)
 """RGB of walls."""
 
 OUTSIDE = (205, 208, 212)
-"""RGB of what lies beyond the floor plan."""
+"""RGB of what lies beyond the floor plan, and above the horizon."""
 
 _PEOPLE = (
     (214, 39, 40),
@@ -38,6 +38,30 @@ _PEOPLE = (
 def person_color(person: int) -> tuple[int, int, int]:
     """Return the RGB colour of the person in slot ``person``: ten that are easy to tell apart, repeated."""
     return _PEOPLE[person % len(_PEOPLE)]
+
+
+class Lens(NamedTuple):
+    """A camera on a robot: a pinhole above its centre that looks ahead, level.
+
+    Attributes:
+        width: W, pixels.
+        height: H, pixels.
+        angle: Horizontal opening angle, radians.
+        eye_height: Metres above the floor.
+        reach: Greatest depth, metres.
+    """
+
+    width: int
+    height: int
+    angle: float
+    eye_height: float
+    reach: float
+
+    def floor(self) -> NDArray[np.float64]:
+        """Return the depth (H,) at which rows of pixels see the floor, metres; inf above the horizon."""
+        focal = self.width / 2 / math.tan(self.angle / 2)
+        below = np.arange(self.height) + 0.5 - self.height / 2
+        return np.where(below > 0, self.eye_height * focal / np.maximum(below, 1e-9), np.inf)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def advance_compiled(bank: MapBank, state: State, inputs: MotionInput, paths: Te
 
     The trace is differentiable with respect to positions, velocities and played paths.
     """
-    velocity, moving, substeps, played, wanted = inputs
+    velocity, moving, substeps, played, wanted = inputs[:5]
     position = state.past[:, :, -1]
     slopes = None
     if torch.is_grad_enabled() and any(

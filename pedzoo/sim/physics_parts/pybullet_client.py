@@ -23,7 +23,7 @@ def load_pybullet() -> Any:
         UserError: It is not installed.
     """
     # the first time, it prints when it was built
-    with nullcontext() if "pybullet" in sys.modules else _quiet(2):
+    with nullcontext() if "pybullet" in sys.modules else quiet(2):
         try:
             import pybullet
         except ImportError as error:
@@ -88,12 +88,12 @@ def egl_plugin() -> str | None:
 def load_egl(client: int, plugin: str) -> bool:
     """Let a client draw with the GPU from now on; returns whether it does."""
     pybullet = load_pybullet()
-    with _quiet(1), _quiet(2):
+    with quiet(1), quiet(2):
         return pybullet.loadPlugin(plugin, "_eglRendererPlugin", physicsClientId=client) >= 0
 
 
 @contextmanager
-def _quiet(stream: int) -> Iterator[None]:
+def quiet(stream: int) -> Iterator[None]:
     """Send a stream (1 or 2) of this process to nowhere, because C code does not ask `sys`."""
     sys.stdout.flush()
     sys.stderr.flush()

@@ -77,8 +77,8 @@ class Sensor(ABC):
 
     def _spoilt(self, name: str, value: Tensor, key: Tensor, missing: Tensor) -> Tensor:
         gone = missing.view(*missing.shape, *[1] * (value.dim() - 2))
-        if value.dtype == torch.bool:
-            return value & ~gone
+        if not value.is_floating_point():
+            return value.masked_fill(gone, 0)
         numbers = torch.arange(value[0, 0].numel(), device=value.device).view(value.shape[2:])
         own = randomness.join(key, name).view(*key.shape, *[1] * (value.dim() - 2))
         reading = self.readings[name]

@@ -1,0 +1,67 @@
+"""Pictures of scenes in pybullet: from above, and as robots see them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.sim.physics_parts.bullet_looks import CUT_HEIGHT
+from pedzoo.sim.physics_parts.bullet_scenes import PlacedScene, as_array
+from pedzoo.sim.physics_parts.bullet_walls import WALL_HEIGHT
+from pedzoo.sim.physics_parts.camera import Camera, Lens
+
+_VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
+"""Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
+
+
+def from_above(
+    asked: PlacedScene, radius: Tensor, size: tuple[int, int], camera: Camera
+) -> NDArray[np.uint8]:
+    """Return a picture (H, W, 3) of a scene of bodies of ``radius`` (A,) metres; see `Physics.image`."""
+    linear, shift = asked.affine[:, :2], asked.affine[:, 2]
+    angle = _VIEW_ANGLE[camera.view]
+    eye, target, up = (np.array(values) for values in camera.eye(angle))
+    for place in (eye, target):
+        place[:2] = linear @ place[:2] + shift
+    up[:2] = linear @ up[:2]
+    where = _figures(asked, radius)
+    looks = asked.bullet.looks(CUT_HEIGHT)
+    picture = looks.render(where, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
+    # in a mirrored scene, left is right
+    return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
+
+
+def from_robots(
+    placed: Iterable[PlacedScene], radius: Tensor, heading: Tensor, lens: Lens
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return pictures and depths of R robots, the last of bodies of ``radius`` (B, A) metres.
+
+    See `Physics.onboard`.
+    """
+    shape = (*heading.shape, lens.height, lens.width)
+    pictures, depths = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
+    ahead = as_array(torch.stack((heading.cos(), heading.sin()), dim=-1))
+    first = radius.shape[1] - heading.shape[1]
+    for asked in placed:
+        linear = asked.affine[:, :2]
+        # in a mirrored scene, left is right
+        order = 1 if np.linalg.det(linear) > 0 else -1
+        where = _figures(asked, radius[asked.index])
+        for robot in (agent for agent in asked.present if agent >= first):
+            others = {agent: place for agent, place in where.items() if agent != robot}
+            at = asked.index, robot - first
+            looks = asked.bullet.looks(WALL_HEIGHT)
+            picture, depth = looks.onboard(others, where[robot][:2], (linear @ ahead[at]).tolist(), lens)
+            pictures[at], depths[at] = picture[:, ::order], depth[:, ::order]
+    return pictures, depths
+
+
+def _figures(asked: PlacedScene, radius: Tensor) -> dict[int, tuple[float, float, float]]:
+    """Return where agents are drawn, and their radii: x, y and metres."""
+    widths = [round(width, 6) for width in radius.tolist()]
+    return {agent: (*asked.places[agent].tolist(), widths[agent]) for agent in asked.present}
