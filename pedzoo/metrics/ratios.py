@@ -109,7 +109,7 @@ def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str,
     intervals: dict[str, Interval] = {}
     for name, (above, below, is_share) in ratios.items():
         if not float(below.sum()) > 0:
-            continue  # nobody arrived, nobody met, nobody walked
+            continue  # no person arrived, met another or walked
         metrics[name] = float(above.sum() / below.sum())
         trials = int((below > 0).sum())
         interval = wilson(metrics[name], trials) if is_share else bootstrap(above, below)

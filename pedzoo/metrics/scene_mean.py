@@ -21,17 +21,17 @@ class SceneMean(Metric):
     latest: tuple[Tensor, Tensor]
 
     def __init__(self) -> None:
-        """Begin with nobody."""
+        """Begin without people."""
         super().__init__()
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
     def add(self, value: Tensor, count: Tensor) -> None:
-        """Add a batch: everybody's value (B, A), zero for who does not count, and each scene's count (B,)."""
+        """Add a batch: each person's value (B, A), zero where not counted, and each scene's count (B,)."""
         self.latest = value.sum(1, dtype=torch.float64), count
         self.total += value.sum(dtype=torch.float64)
         self.count += count.sum()
 
     def compute(self) -> Tensor:
-        """Return the mean; NaN before anybody."""
+        """Return the mean; NaN before the first batch."""
         return self.total / self.count

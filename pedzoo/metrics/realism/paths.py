@@ -45,10 +45,10 @@ def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
 def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor:
     """Return the dynamic time warping distance of pairs of walks (W,), metres; NaN where one has no points.
 
-    Points are matched in order, each at least once, so that the sum of distances is least; a match that goes
-    on in both walks counts twice, so that all weights add up to the number of points, by which the sum is
-    divided (the symmetric form of Sakoe and Chiba, "Dynamic programming algorithm optimization for spoken
-    word recognition", 1978, without a window). Whoever takes the same way at another pace is near 0.
+    Points are matched in order, each at least once, so that the sum of distances is least. A match that goes
+    on in both walks counts twice: all weights add up to the number of points, by which the sum is divided.
+    This is the symmetric form of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken
+    word recognition", 1978) without a window. The same path at another pace is near 0.
 
     Args:
         first: Walks (W, L, 2), metres.
