@@ -1,4 +1,4 @@
-"""The scene as a TorchRL environment: people who walk through a building, B scenes at once."""
+"""The scene as a TorchRL environment: people walk through a building, B scenes at once."""
 
 from __future__ import annotations
 
@@ -58,18 +58,18 @@ class _Scenes(NamedTuple):
 class PedestrianEnv(EnvBase):
     """A policy decides all velocities, agents move, and physics says what they touch.
 
-    Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info``
-    has what closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached``
-    are those of every 0.1 s since the last decision (see `Events`); ``overdue`` and
-    ``remaining_path`` are those of `State`.
+    Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. Closed-loop
+    metrics read ``agents/info``. Its ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are
+    those of every 0.1 s since the last decision (see `Events`); ``overdue`` and ``remaining_path`` are those
+    of `State`.
 
-    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
-    something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
+    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` for a contact.
+    Noise is drawn by `scene_key`, which names the scene in any row.
 
     Attributes:
-        group: Under which key actions and rewards stand.
-        policy_name: What warnings call the policy.
-        prepared: The scenario, with its floor plans and ways.
+        group: Key under which actions and rewards stand.
+        policy_name: Name of the policy in warnings.
+        prepared: The scenario, with its floor plans and paths.
     """
 
     group = "agents"

@@ -183,7 +183,7 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
         state: At its beginning.
         hits: Which agents have reached their goal until each trace point (B, A, S) bool.
         trace: Positions every 0.1 s (B, A, S, 2), metres.
-        failed: Scenes whose policy gave no number (B,) bool.
+        failed: Scenes whose policy returned NaN or infinity (B,) bool.
         rules: Of the scenes.
     """
     hit = hits[..., -1]

@@ -147,7 +147,7 @@ class Scenario(ABC):
     def next_goal(
         self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
     ) -> Tensor:
-        """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
+        """Return the next goals (P,) long of people who have just reached one; -1 for none.
 
         Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
 

@@ -79,7 +79,7 @@ class Goals(Scenario):
         return [load_plan(name) for name in self.files]
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
-        """Return places and ways of the same floor plans, whatever the numbers of people and of their goals.
+        """Return places and paths of the same floor plans, for any number of people and of goals.
 
         Raises:
             UserError: So many people do not fit.
@@ -117,7 +117,7 @@ class Goals(Scenario):
         return replace(prepared, tables=tables)
 
     def _check_room(self, bank: MapBank, counts: Tensor) -> None:
-        """Raise the error of people who do not fit."""
+        """Raise the error for too many people."""
         for grid, room in zip(bank.grids, counts.tolist(), strict=True):
             if room < self.people:
                 raise UserError(
