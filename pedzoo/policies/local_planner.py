@@ -45,7 +45,7 @@ class Drive(NamedTuple):
 
 
 class People(NamedTuple):
-    """The people whom the robot knows of.
+    """The people that the robot knows of.
 
     Attributes:
         position: Centres (B, N, 2), metres; any numbers where there is no person.

@@ -25,12 +25,13 @@ MARGIN = 0.02
 """Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
 
 SHOULDERS = 0.71
-"""Metres between two people who are in a narrow place or come to one; more where their bodies need more.
+"""Metres between two people in or near a narrow place; more where their bodies need more.
 
-A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993. Bodies are slimmer
-than people with their arms and steps. Bodies alone would squeeze past each other in a door where one person
-waits, and their queues would be faster than real ones: 2.9 persons per metre and second. Real queues have
-1.9, see Seyfried et al., "New insights into pedestrian flow through bottlenecks", 2009."""
+A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993: bodies are slimmer
+than people with their arms and steps. With bodies alone people would squeeze past a waiting person in a
+door. Their queues would have 2.9 persons per metre and second; real ones have 1.9 (Seyfried et al., "New
+insights into pedestrian flow through bottlenecks", 2009).
+"""
 
 FIRST = 0.125
 """Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""

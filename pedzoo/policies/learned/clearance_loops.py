@@ -34,16 +34,16 @@ def keep_clear(
 ):  # fmt: skip
     """Write steps (B, A, 2), metres, without contacts: see `pedzoo.policies.learned.safety.kept_clear`.
 
-    Args are those of `ProposedSteps`, with velocities as metres in a quarter of a step; whether velocities
-    blend; and constants. Then walls as scenes see them, frames (B, 7) and places (B, 3), no rows without
-    walls, and their tables. Then the results:
+    Args are those of `ProposedSteps`, with velocities in metres per quarter of a step; whether velocities
+    blend; and constants. Then the walls: frames (B, 7) and places (B, 3), no rows without walls, and their
+    tables. Then the results:
 
     * the steps;
     * which agents are in a narrow place (B, A);
-    * how the room that they keep to walls grows with their place (B, A, 2), 0 but for those who lack it;
-    * which part of their steps they walk (B, A);
+    * how the room to walls grows with their place (B, A, 2), not 0 only for agents that lack room;
+    * share of their steps that they walk (B, A);
     * how many rounds had corrections (B,);
-    * of each round (B, R, A, 7), size 0 for none, steps at its begin, after others and after walls, and the
+    * of each round (B, R, A, 7): size, 0 for none; steps at its begin, after others and after walls; the
       place on the way that a wall corrects, 0 for none.
     """
     scenes, agents = moved.shape

@@ -180,10 +180,10 @@ def meetings(
     position, step, longest, present, moved, waits, radius, robot, narrow, margin, shoulders, beyond,
     who, number,
 ):  # fmt: skip
-    """Write the pairs of a scene who may come too near, and return how many there are.
+    """Write the pairs of a scene that may come too near, and return their number.
 
-    Args are the agents' (A, ...), constants, and the results: whose pairs they are (N, 2), and of each pair
-    (8, N) the place, the distance, rooms that are wanted, firm and not to be touched, shares of both.
+    Args are the agents' (A, ...), constants, and the results: the agents of each pair (N, 2), and of each
+    pair (8, N) the place, the distance, the wanted, firm and untouchable room, and both shares.
     """
     pairs = 0
     for a in range(len(moved)):

@@ -23,8 +23,10 @@ from pedzoo.policies.learned.compiled_clearance import kept_clear_compiled, loop
 from pedzoo.policies.learned.yielding import yielding
 
 WAITED = 0.4
-"""Metres within the observed steps, 2.8 s, below which a person waits. Two people who wait for each other in
-a narrow place turn a shoulder, too: nothing else would end that."""
+"""Metres within the observed steps, 2.8 s, below which a person waits.
+
+Two people who wait for each other in a narrow place turn a shoulder, too: otherwise they wait for ever.
+"""
 
 _SHARES = 1.0, 0.5, 0.0
 """Of a step that would touch something all the same."""

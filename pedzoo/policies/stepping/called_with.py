@@ -40,10 +40,10 @@ class Disc:
 
 
 def number_of(one: Hashable) -> int:
-    """Return the number that an agent's noise is drawn by, from their id alone, in every process the same.
+    """Return the number by which an agent's noise is drawn, from their id alone, the same in every process.
 
-    An integer is its own number, as people of an environment are numbered. Everything else goes by its
-    ``repr``, so ids whose ``repr`` holds an address get other noise in the next run.
+    An integer is its own number, as people of an environment are numbered. Every other id goes by its
+    ``repr``; ids whose ``repr`` holds an address get other noise in the next run.
     """
     if isinstance(one, numbers.Integral):
         return int(one) % 2**63

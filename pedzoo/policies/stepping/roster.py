@@ -93,7 +93,7 @@ class Roster(NamedTuple):
         """Return the roster of exactly the agents of ``present``; newcomers have neither past nor goal.
 
         Args:
-            present: Its keys are the ids of the people who are here, and the `Disc` of others.
+            present: By id: the people, and the `Disc` of other agents.
             pref_speed: The speed that newcomers like, m/s: one for all, or by id (1.3 for the others).
 
         Raises:
