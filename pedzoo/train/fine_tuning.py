@@ -22,8 +22,8 @@ from pedzoo.train.run import RunFolder
 def start_from(module: ForecastModule, weights: str) -> None:
     """Fill the generator of ``module`` with ``weights``.
 
-    Everything else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo
-    weights do not have. The goal protocol and whose the noise is may be others than theirs, and the losses.
+    All else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo weights
+    do not have. The goal protocol, the noise and the losses may differ from theirs.
 
     Args:
         module: About to be trained.
@@ -67,7 +67,7 @@ def options_of(weights: str) -> list[str]:
 def options_to_continue(run: RunFolder) -> list[str]:
     """Return the options of ``pedzoo fit`` that go on with a run.
 
-    Earlier versions trained in the loop without dropout, whatever the config said: such a run goes on so.
+    Earlier versions trained in the loop without dropout for every config; such a run continues without it.
 
     Raises:
         UserError: Its checkpoint cannot be read.

@@ -29,7 +29,7 @@ from pedzoo.train.modules.module import ForecastModule, copied_keys
 class LoopModule(ForecastModule):
     """A segment of an environment and a batch of recordings in every update.
 
-    An update whose gradient is not finite is left out, and counted as ``train/skipped``.
+    An update whose gradient is not finite is skipped, and counted as ``train/skipped``.
     """
 
     skipped: Tensor

@@ -1,4 +1,4 @@
-"""TorchRL's loss and advantages for people who are agents of one policy: which keys, and who counts."""
+"""TorchRL's loss and advantages for people as agents of one policy: the keys, and which decisions count."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pedzoo.train.rl.critic import Critic
 KEYS: dict[str, tuple[str, str]] = {
     key: ("agents", key) for key in ("reward", "done", "terminated", "value", "value_target", "advantage")
 }
-"""Where TorchRL's estimator and losses find everybody's own: an episode ends for each person apart."""
+"""Where TorchRL's estimator and losses find values per person: episodes end for each person apart."""
 
 SCORED = ("agents", "scored")
-"""Which decisions (B, A) bool count: of people whom the policy moved, in scenes in which it did not fail."""
+"""Which decisions (B, A) bool count: of people that the policy moved, in scenes in which it did not fail."""
 
 
 def clipped(
