@@ -139,9 +139,9 @@ def check_lengths(what: str, resolution: float, *, instead: str = "", **lengths:
     """Check that lengths are whole cells.
 
     Args:
-        what: Whose lengths they are, for messages.
+        what: Object with these lengths, for messages.
         resolution: Side of a cell, metres.
-        instead: What else would help, for messages.
+        instead: Another fix, for messages.
         lengths: By name, metres.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Floor plans in files, whatever their format."""
+"""Floor plans in files of all formats."""
 
 from __future__ import annotations
 

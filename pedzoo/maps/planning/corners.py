@@ -22,15 +22,15 @@ _SMALL = 1_000_000
 class CornerGraph:
     """The K corners of the open cells, joined where they see one another: a visibility graph.
 
-    A shortest way between two points bends only at corners of what is in the way, so that searching these
-    few cells finds any-angle ways that are never longer than the best 8-connected one, without the search
-    over all open cells. Edges that no shortest way takes (it would not bend around the corner at their end)
-    are left out (taut edges: Oh and Leong, SoCS 2017).
+    A shortest path between two points bends only at corners of obstacles. So a search of these few cells
+    finds any-angle paths that are never longer than the best 8-connected one. Edges that no shortest path
+    takes (it would not bend around the corner at their end) are left out (taut edges: Oh and Leong, SoCS
+    2017).
 
     Attributes:
         graph: The open cells.
-        cells: Numbers of the corners among them (K,): the cell diagonally beside them is not open, the two
-            between are.
+        cells: Numbers of the corners among them (K,): the cell diagonally beside a corner is not open, the
+            two between are.
     """
 
     def __init__(self, graph: OpenGraph) -> None:

@@ -96,7 +96,7 @@ class _Front:
         self.length[begin] = _norm(*(graph.place[cells] - self.points).T)
         # which of STEPS each cell can take, one bit each
         self.legal = np.packbits(graph.neighbours < len(graph), axis=1, bitorder="little")[:, 0]
-        # a wedge between two lines of sight is free only if whatever is in the way is thicker than a cell
+        # a wedge between two lines of sight is free only if obstacles are thicker than a cell
         self.thick = graph.clearance >= 2 * graph.grid.resolution
 
     def fields(self) -> Fields:

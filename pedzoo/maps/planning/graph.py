@@ -151,8 +151,8 @@ class OpenGraph:
 def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:
     """Leave out parts of less than `POCKET` square metres, unless nothing is larger.
 
-    Scanned maps have many, between pieces of furniture. No way leads out of them, and whoever is pushed near
-    one must not be sent into it.
+    Scanned maps have many, between pieces of furniture. No path leads out of them, and the planner must not
+    send a person who is pushed near one into it.
     """
     # connected through their sides, as the graph is; part 0 is everything else
     _, parts, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=4)

@@ -22,19 +22,19 @@ from pedzoo.maps.planning.waypoint_table import Goal, WaypointLookup, WaypointTa
 
 
 class Planner:
-    """Ways to goals on the floor plans of a bank.
+    """Paths to goals on the floor plans of a bank.
 
-    Goals are registered once (`add_goals`); at first use every goal gets a field of next waypoints over its
-    whole floor plan, so that the way from any place is two look-ups. People who are not on
-    an open cell (pushed towards a wall, or outside the map) take the way of the nearest open cell, and go to
-    that cell's centre first when it is farther away than the clearance.
+    Goals are registered once (`add_goals`). At first use every goal gets a field of next waypoints over its
+    whole floor plan, so that the path from any place is two look-ups. People outside open cells (pushed
+    towards a wall, or outside the map) take the path of the nearest open cell. They go to that cell's centre
+    first when it is farther away than the clearance.
 
     Attributes:
         bank: The floor plans.
-        clearance: Metres that ways keep from walls, at the centres of the cells they lead through.
+        clearance: Metres that paths keep from walls, at the centres of the cells they lead through.
         snap: Metres that a goal may be moved to the nearest open cell.
-        cell: Metres to which finer cells are joined before ways are looked for.
-        share: Side of squares, metres, in which all goals have the ways to one of them.
+        cell: Metres to which finer cells are joined for the search.
+        share: Side of squares, metres, in which all goals have the paths to one of them.
         compiled: Whether compiled loops are used on the CPU.
     """
 

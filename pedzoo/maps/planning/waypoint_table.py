@@ -52,12 +52,12 @@ class WaypointTable:
 
     Attributes:
         to_cell: Affine from a map's frame in metres to cells by rows (6), last column and last row (2), and
-            the square of the metres from the nearest open cell at which people go there first (9, R + 1).
+            the squared distance in metres beyond which people go to the nearest open cell first (9, R + 1).
         begin: Columns, first cell in ``nearest`` and first open cell in ``x`` and ``y`` (3, R + 1).
         nearest: Nearest open cell of every cell of every map.
         x: Centres of the open cells of all maps, then the places of the goals.
         y: The same.
-        goal: First entry of each goal, number of open cells of its map (which means the goal itself), and
+        goal: First entry of each goal, number of open cells of its map (it stands for the goal itself), and
             row of its map (3, G + 1).
         waypoint: Next waypoint of every entry, int32.
         length: Metres of its way to the goal, float32.
@@ -180,7 +180,7 @@ class WaypointTable:
         line = (d * x + e * y + (f - 0.5)).ceil().clamp_min(0).minimum(last_row).long()
         cell = self.nearest.index_select(0, line * width + column + cells)
 
-        # without a goal there is a single entry, whatever the cell
+        # without a goal all cells share a single entry
         first = self.waypoint.index_select(0, start + cell * has_goal)
         entry = start + first
         second, onward = self.waypoint.index_select(0, entry), self.length.index_select(0, entry)

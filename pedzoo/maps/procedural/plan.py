@@ -83,8 +83,8 @@ def generate(
     """Return the floor plan of a seed: the same cells on every machine.
 
     Walls and furniture lie on a lattice of 5 cm, so that grids of all resolutions show the same plan. Inner
-    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The free space is one connected piece for all people who
-    keeps 0.25 m from walls, the planner's clearance, and it reaches through every door.
+    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The space at least 0.25 m from walls, the planner's
+    clearance, is one connected piece that reaches through every door.
 
     Args:
         kind: ``apartment`` (a hall and 4 to 7 rooms) or ``office`` (corridors, rooms, open-plan rooms).
@@ -96,8 +96,8 @@ def generate(
         doors: Least and largest width of a door, metres, within 0.7 to 1.5.
 
     Raises:
-        UserError: A setting is out of range, no plan was found for the size, or at a fine resolution some
-            cells are cut off from all others.
+        UserError: A setting is out of range, no plan was found for the size, or some cells are cut off at a
+        fine resolution.
     """
     if kind not in KINDS:
         raise unknown("kind of floor plan", kind, KINDS)
@@ -133,7 +133,7 @@ def generate(
 
 
 def is_connected(grid: OccupancyGrid, clearance: float) -> bool:
-    """Return whether there are cells whose centre keeps a clearance (metres), and all of them are one piece.
+    """Return whether the cells whose centre keeps a clearance (metres) exist and are one piece.
 
     They are connected through their four sides, as the planner's are.
     """
