@@ -78,7 +78,7 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _with_scenarios(settings: Any) -> Any:
-    """Return settings whose ``courses`` and ``scenarios`` have texts in the place of mappings."""
+    """Return settings with texts in place of the mappings of ``courses`` and ``scenarios``."""
     if not isinstance(settings, dict):
         return settings
     result = {key: _with_scenarios(value) for key, value in settings.items()}
