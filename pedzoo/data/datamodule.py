@@ -52,17 +52,17 @@ class Loading:
 
 @dataclass(frozen=True)
 class Imitated:
-    """Further training windows, for a controller that is to walk as these people did.
+    """Further training windows, for a controller that imitates the walks of their people.
 
     With them training batches are ``{"forecast": as without, "unrolled": these windows}``. They keep all
-    people who are there, lone people too, have the goal ``destination``, and are on the true clock whatever
-    ``clock`` is: how fast people walk and accelerate is imitated.
+    present people, lone people too, and have the goal ``destination``. They are on the true clock for every
+    ``clock``: speeds and accelerations are imitated.
 
     Attributes:
         steps: Predicted steps of these windows; 0 for no such windows.
         batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
-        one_recording_per_batch: A batch of these is of one recording. Recordings differ in the accuracy of
-            positions, and so in the accelerations that they seem to have.
+        one_recording_per_batch: A batch of these is of one recording: recordings differ in the accuracy of
+            positions, and so in their apparent accelerations.
     """
 
     steps: int = 0
