@@ -1,4 +1,4 @@
-"""What Social GAN's parts compute from their parameters alone, before they see anybody."""
+"""Products of Social GAN's parameters that do not depend on people."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class FutureMixture(NamedTuple):
         return (share.unsqueeze(-1) >= reached).sum(-1)
 
     def mean_of(self, component: Tensor) -> Tensor:
-        """Return the mean (..., T, 2) of everybody's ``component`` (...) long."""
+        """Return the mean (..., T, 2) of each person's ``component`` (...) long."""
         return _pick(self.mean, component)
 
     def scale_of(self, component: Tensor) -> Tensor:
@@ -93,7 +93,7 @@ class MixtureDecoder(nn.Module):
         self.logits = nn.Linear(hidden_dim, components)
 
     def forward(self, context: Tensor, latent: Tensor, base: Tensor) -> FutureMixture:
-        """Return everybody's mixture.
+        """Return each person's mixture.
 
         Args:
             context: What is known (P, context_dim).

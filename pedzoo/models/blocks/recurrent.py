@@ -24,7 +24,7 @@ DecoderWeights: TypeAlias = tuple[list[Tensor], Tensor, Tensor]
 class DisplacementEncoder(nn.Module):
     """Summarises a person's displacements: e = W_e d + b_e, h_t = LSTM(h_{t-1}, e_t) (eq. 1).
 
-    As published, a zero goes before the first displacement. The state after it is the same for everybody.
+    As published, a zero goes before the first displacement. The state after it is the same for all people.
     """
 
     def __init__(self, embedding_dim: int, hidden_dim: int) -> None:

@@ -1,4 +1,4 @@
-"""What kind of person somebody is: the noise changes what is made of a situation, and not only the answer."""
+"""Personal traits: the noise changes how a situation is read, and not only the answer."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def reading_from_plan(model: Forecaster) -> Forecaster:
 
 
 class PlanInput(MapBank):
-    """A bank whose only floor plan is an input of the graph, whichever ``map_id`` scenes have.
+    """A bank whose only floor plan is an input of the graph, for every ``map_id`` of scenes.
 
     Scenes lie on it as they are: their pose is the identity.
     """

@@ -104,8 +104,8 @@ def _cut(batch: TensorDict, scenes: int, people: int | None = None) -> TensorDic
 
 
 def _crowd(batch: TensorDict) -> TensorDict:
-    """Return one scene with everybody of a batch; padding is wherever it was."""
+    """Return one scene with all people of a batch; padding stays in place."""
     one, agents = _cut(batch, 1), agents_of(batch)
-    everybody = {key: value.flatten(0, 1).unsqueeze(0) for key, value in agents.items()}
-    one["agents"] = TensorDict(everybody, batch_size=(1, agents.numel()))
+    people = {key: value.flatten(0, 1).unsqueeze(0) for key, value in agents.items()}
+    one["agents"] = TensorDict(people, batch_size=(1, agents.numel()))
     return one

@@ -44,14 +44,14 @@ def publish(
         checkpoint: ``RUN/checkpoints/best.ckpt`` of ``pedzoo fit``, in its run folder.
         folder: Where to write; made where it is missing.
         name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
-        measured: Reports of what the model does, for the card; None keeps those of a card that is there, if
-            it is of the same weights.
+        measured: Reports of evaluations for the card; None keeps those of an existing card of the same
+            weights.
         licence: Of the weights.
         url: Where the weights can be downloaded, if not beside the card.
 
     Raises:
         UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
-            in a file of one's own, or the name cannot be one.
+            in your own file, or the name is impossible.
     """
     checkpoint = Path(checkpoint)
     content = read_checkpoint(checkpoint)
@@ -73,7 +73,7 @@ def publish(
 
 
 def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
-    """Write the card of weights whose run is gone, from what they say themselves, and return its path.
+    """Write the card of weights whose run is gone, from their own metadata, and return its path.
 
     Args:
         weights: ``ARCHITECTURE.TAG/weights.safetensors`` or ``ARCHITECTURE.TAG.safetensors``.

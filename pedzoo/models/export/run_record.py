@@ -151,7 +151,7 @@ def _best(seed: int, values: dict[int, float], config: dict[str, Any]) -> dict[i
 
 
 def _agree(one: Any, other: Any) -> bool:
-    """Return whether two configurations say the same wherever both say something."""
+    """Return whether two configurations agree wherever both have a value."""
     if isinstance(one, dict) and isinstance(other, dict):
         return all(_agree(one[key], other[key]) for key in one.keys() & other.keys() - _FREE)
     return one == other

@@ -52,7 +52,7 @@ class PoolingWeights(NamedTuple):
 
 
 class SocialPooling(nn.Module):
-    """Max-pools what everybody in the scene is to each person."""
+    """Max-pools features of all people in the scene for each person."""
 
     def __init__(
         self, hidden_dim: int, embedding_dim: int = 16, mlp_dim: int = 512, bottleneck_dim: int = 8
@@ -77,7 +77,7 @@ class SocialPooling(nn.Module):
         Args:
             hidden: Hidden states (P, hidden_dim).
             position: World positions (P, 2), metres.
-            crowd: Who shares a scene with whom.
+            crowd: Which people share a scene.
             fused: What `fuse` returned for the same parameters.
         """
         fused = fused or self.fuse()
@@ -151,8 +151,8 @@ def _max_over_pairs(
     """Return max_j W max(u_j, v_i) over the scene of i (P, C), and which of its people won (P, C) long.
 
     Args:
-        u: What each person is to others (P, D).
-        v: What will be subtracted from it for each person who looks (P, D).
+        u: Features of each person for others (P, D).
+        v: Features of each observing person, to be subtracted later (P, D).
         weight: The last layer's W (C, D).
         groups: The people (G, n) of the scenes of each size n.
     """
@@ -163,7 +163,7 @@ def _max_over_pairs(
     buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
     result = []
     for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
-        # A single group is everybody, in order.
+        # A single group is all people, in order.
         seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
         for i in range(0, len(group), scenes):
             for k in range(0, n, rows):
