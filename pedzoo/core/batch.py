@@ -143,7 +143,7 @@ def scene_batch(
 
 
 def agents_of(batch: TensorDictBase) -> TensorDict:
-    """Return what a batch says about its agents."""
+    """Return the entries of a batch's agents."""
     return cast("TensorDict", batch["agents"])
 
 

@@ -91,7 +91,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         loading: Loading = Loading(),
         imitated: Imitated = Imitated(),
     ) -> None:
-        """Set what `setup` will read.
+        """Set the data that `setup` will read.
 
         Args:
             fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class:fold``.
@@ -103,7 +103,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
             obs_len: Observed steps of 0.4 s.
             pred_len: Predicted steps of 0.4 s.
-            goal: What people's ``goal`` is; see `pedzoo.data.goals`.
+            goal: Protocol of people's ``goal``; see `pedzoo.data.goals`.
             clock: ``benchmark`` takes every annotated step as 0.4 s, ``true`` resamples to real 0.4 s.
             keep_people: ``complete``: people seen in the whole window; ``present``: also partly seen ones.
             min_people: Windows with fewer people are dropped.
@@ -148,7 +148,7 @@ class TrajectoryDataModule(L.LightningDataModule):
 
     @property
     def protocol(self) -> dict:
-        """What every number made with these data depends on."""
+        """Settings of the data on which every number made with them depends."""
         own = {"clock": "true"} if self.fold == "files" else {}  # always resampled to a real 0.4 s
         return {key: self.hparams[key] for key in PROTOCOL} | {"fold": self.fold} | own
 

@@ -1,4 +1,4 @@
-"""What a dataset file gives: recordings of a split, each with its floor plan, and what it says of itself."""
+"""The contents of a dataset file: recordings of a split, each with its floor plan, and its description."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Tracks:
         """Return the tracks of rows (N, 4) of frame, agent, x, y in any order.
 
         Args:
-            name: What messages call the recording.
+            name: The recording's name in messages.
             table: The rows.
             place: Says where in its source a row of the table is, for messages.
 

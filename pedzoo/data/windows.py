@@ -57,7 +57,7 @@ class Windows:
         rows: Rows of the tracks table (W, L) for each person of each window, -1 where they are not seen.
         end: The last row of that person's track (W,).
         offsets: Where each window's people start in ``rows`` (S + 1,).
-        counts: What was kept and dropped.
+        counts: Kept and dropped windows and people.
     """
 
     rows: np.ndarray

@@ -32,7 +32,7 @@ class MapBank:
 
     Attributes:
         grids: The floor plans, in the given order without repetitions: row r of the bank is ``grids[r]``.
-        unknown: What their unknown cells count as.
+        unknown: Meaning of their unknown cells.
         max_distance: Signed distances are clipped to plus and minus this, metres.
     """
 

@@ -18,7 +18,7 @@ def free_points(grid: OccupancyGrid, unknown: Unknown, clearance: float) -> NDAr
 
     Args:
         grid: The floor plan.
-        unknown: What its unknown cells count as.
+        unknown: Meaning of its unknown cells.
         clearance: Metres.
 
     Returns:
@@ -51,7 +51,7 @@ def spread_points(
 
     Args:
         grid: The floor plan.
-        unknown: What its unknown cells count as.
+        unknown: Meaning of its unknown cells.
         clearance: Metres to the nearest wall.
         spacing: Least distance between two points, metres.
         seed: Of the random order.

@@ -104,8 +104,8 @@ def rectangles(
     Args:
         walls: Rectangles in the map's frame, metres; they may overlap.
         resolution: Side of a cell in metres; None takes the largest of ``RESOLUTIONS`` that fits.
-        around: What the plan covers besides the walls' bounding box.
-        name: What messages call the map.
+        around: Area that the plan covers besides the walls' bounding box.
+        name: The map's name in messages.
 
     Raises:
         UserError: There is no wall, one has no extent, or an edge lies on no border of a cell.

@@ -15,7 +15,7 @@ from pedzoo.sim.rollout import Rollout
 
 
 class _Walks(NamedTuple):
-    """What people needed to reach all goals; (E, A) each, or (E, A, R) for the R runs of a replay's slots.
+    """Times and paths of people to all goals; (E, A) each, or (E, A, R) for the R runs of a replay's slots.
 
     Attributes:
         there: Which people are counted.

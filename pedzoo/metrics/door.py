@@ -172,7 +172,7 @@ def _from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _Door(NamedTuple):
-    """What happened at the doors.
+    """Passings of the doors.
 
     Attributes:
         gate: The doors (E, 5).

@@ -98,7 +98,7 @@ def walked_metres(path: Tensor, scored: Tensor, reached: Tensor, goals: int) -> 
 
 
 def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
-    """Return each person's success weighted by what it took (E, A): ``S * least / max(least, taken)``.
+    """Return each person's success weighted by effort (E, A): ``S * least / max(least, taken)``.
 
     With lengths of the planned and of the walked path this is SPL (Anderson et al., "On evaluation of
     embodied navigation agents", 2018, arXiv 1807.06757). With times it is STL: iGibson takes ORCA's time as

@@ -37,7 +37,7 @@ class Runs(NamedTuple):
         return self.sums(torch.ones_like(self.number)) > 0
 
     def sums(self, value: Tensor) -> Tensor:
-        """Return the sums over each run's points (E, A, R) of what is known for every point (E, A, T)."""
+        """Return the sums over each run's points (E, A, R) of values at every point (E, A, T)."""
         result = value.new_zeros(*value.shape[:2], self.count + 1)
         return result.scatter_add_(2, self.number, value)[..., 1:]
 

@@ -1,4 +1,4 @@
-"""What means over people have in common: exact sums, over processes too, and those of each scene."""
+"""Means over people: exact sums, over processes too, and those of each scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torchmetrics import Metric
 
 
 class SceneMean(Metric):
-    """A sum over people by what they are counted as; state in float64, summed over processes.
+    """A sum over people with their count; state in float64, summed over processes.
 
     Attributes:
         latest: Sums and counts (B,) of each scene of the last update, for intervals over scenes.

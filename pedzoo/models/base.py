@@ -1,4 +1,4 @@
-"""What every forecaster is: something that turns a scene batch into displacements."""
+"""The interface of forecasters: a scene batch becomes displacements."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Forecaster(nn.Module):
     """A model of the zoo.
 
     Attributes:
-        needs: What it reads besides histories: ``goal``, ``map``.
+        needs: Inputs besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, by default.

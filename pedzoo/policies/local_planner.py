@@ -1,4 +1,4 @@
-"""What a local planner of a robot sees, and what it answers. B robots, N people around each (padded)."""
+"""Inputs and outputs of a robot's local planner. B robots, N people around each (padded)."""
 
 from __future__ import annotations
 

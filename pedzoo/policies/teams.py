@@ -64,7 +64,7 @@ class Team(nn.Module):
         return self._asked(scenes, mine)
 
     def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
-        """Return what the policy says (B, A, 2): it controls no other team's agents."""
+        """Return the policy's answer (B, A, 2): it controls no other team's agents."""
         seen = copied(scenes)
         agents = agents_of(seen)
         agents["controlled"] = mine

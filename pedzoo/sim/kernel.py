@@ -46,7 +46,7 @@ class Playback(Protocol):
 
 @dataclass(frozen=True)
 class Rules:
-    """What holds for all scenes of a simulation.
+    """Constants of all scenes of a simulation.
 
     Attributes:
         guidance: The planner's carrots and desired velocities of all agents.
@@ -83,7 +83,7 @@ def rules_of(
 
 
 def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
-    """Return what the scenario's planner says to all agents."""
+    """Return the planner's guidance of all agents."""
     return prepared.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
@@ -96,7 +96,7 @@ def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
 
 
 def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
-    """Return what comes of a decision.
+    """Return the result of a decision.
 
     A scene in which the command of a controlled agent is not finite stays as it is and is truncated. Agents
     without a goal stand.

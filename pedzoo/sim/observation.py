@@ -1,4 +1,4 @@
-"""What agents see of their scenes: the scene batch of a state, its specs, and recorded windows as states."""
+"""Observations of agents: the scene batch of a state, its specs, and recorded windows as states."""
 
 from __future__ import annotations
 

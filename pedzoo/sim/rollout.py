@@ -1,4 +1,4 @@
-"""What closed-loop metrics and pictures are made of: where all agents were, every 0.1 s."""
+"""Positions of all agents every 0.1 s, for closed-loop metrics and pictures."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def rollout_of(
     Args:
         scenario: Where they are from.
         start: How they began.
-        steps: What has a value for every trace point, piece by piece (E, A, S, ...).
+        steps: Values for every trace point, piece by piece (E, A, S, ...).
         overdue: Which agents did not reach a goal in time (E, A) bool.
         failed: In which the policy gave no number (E,) bool.
         decision_dt: Seconds between two decisions.

@@ -96,7 +96,7 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, past: Tensor, mask: Tensor, pref_speed: Tensor, **given: Tensor | None) -> State:
-        """Return people who have done nothing yet; what is not given is that of a person, without limits.
+        """Return people at their start; missing values are those of a person, without limits.
 
         Args:
             past: As in the class, like all others.

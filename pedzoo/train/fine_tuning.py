@@ -27,7 +27,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
 
     Args:
         module: About to be trained.
-        weights: What `pedzoo.load` accepts.
+        weights: A name that `pedzoo.load` accepts.
 
     Raises:
         UserError: No such weights, or they are of another architecture.
@@ -87,7 +87,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
     To other configs weights have to fit.
 
     Args:
-        weights: What `pedzoo.load` accepts.
+        weights: A name that `pedzoo.load` accepts.
         config: Name or file.
     """
     settings = load_config(config)

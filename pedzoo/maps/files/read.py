@@ -17,7 +17,7 @@ def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGri
     `pedzoo.maps.files.ros`, `igibson` and `images` read these formats one by one, with their settings.
 
     Args:
-        path: Its name says what it is.
+        path: Its name tells the format.
         resolution: Metres per cell: needed for an image, 0.1 by default for iGibson, not for a yaml.
 
     Raises:

@@ -119,7 +119,7 @@ class CornerGraph:
         return self.cells[chain[::-1]]
 
     def prepare(self) -> None:
-        """Compute what is kept for all queries; the first query does so, too."""
+        """Compute the values kept for all queries; the first query does so, too."""
         if self._small:
             _ = self._all_views, self._all_pairs
         _ = self.matrix

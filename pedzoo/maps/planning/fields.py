@@ -100,7 +100,7 @@ class _Front:
         self.thick = graph.clearance >= 2 * graph.grid.resolution
 
     def fields(self) -> Fields:
-        """Return what was found, by numbers of open cells."""
+        """Return the results, by numbers of open cells."""
         goals, count = len(self.own), len(self.graph)
         waypoint = self.waypoint.reshape(goals, self.size)[:, self.at]
         numbers = np.where(waypoint == 0, np.int32(count), self.number[waypoint])

@@ -1,4 +1,4 @@
-"""What the planner says: where people's ways lead, and how they are guided."""
+"""The planner's answer: people's paths, and the guidance along them."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class RoomFloor:
     """The free space of a room, on which furniture is put piece by piece.
 
     Attributes:
-        pieces: What stands there.
+        pieces: The furniture.
     """
 
     def __init__(self, room: Room, doors: Sequence[Door]) -> None:

@@ -17,7 +17,7 @@ from pedzoo.maps.procedural.furniture import CLEARANCE, Piece, furnish
 from pedzoo.maps.procedural.shapes import UNIT, Door, Rect, Room, placed, units
 
 KINDS: dict[str, ModuleType] = {"apartment": apartment, "office": office}
-"""What can be drawn: each module has the sides that are possible, and draws a size and the rooms."""
+"""The generators: each module has the possible sides, and draws a size and the rooms."""
 
 DOORS = (0.7, 1.5)
 """Least and largest width of a door, metres."""
@@ -27,7 +27,7 @@ _ATTEMPTS = 200
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A floor plan and what it consists of. Rectangles are in units of 5 cm from its low corner.
+    """A floor plan and its parts. Rectangles are in units of 5 cm from its low corner.
 
     Attributes:
         kind: One of `KINDS`.

@@ -30,7 +30,7 @@ MINUTES = TRACE_SECONDS / 60
 
 
 class Crowd(NamedTuple):
-    """What P people did in K rounds, as far as it can be added up.
+    """Sums over the walks of P people in K rounds.
 
     Attributes:
         samples: Of every feature, all rounds together.
@@ -110,7 +110,7 @@ def only(crowd: Crowd, seen: Tensor) -> Crowd:
 
 
 def spreads(real: Crowd) -> dict[str, float]:
-    """Return the standard deviation of every feature in the real crowd: what distances are measured in."""
+    """Return the standard deviation of every feature in the real crowd: the unit of distances."""
     return {name: float(samples.value.double().std()) for name, samples in real.samples.items()}
 
 

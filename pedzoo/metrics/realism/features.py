@@ -1,4 +1,4 @@
-"""What people's walks are compared by: speed, acceleration, heading, nearness and deviation, every 0.4 s.
+"""Features that compare walks: speed, acceleration, heading, nearness and deviation, every 0.4 s.
 
 Recorded people are annotated every 0.4 s, so simulated ones are sampled every 0.4 s, too: a shorter step
 would compare interpolations. E episodes of A slots, S steps, P people numbered as in ``person``, N samples.
@@ -62,7 +62,7 @@ class Steps(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What is around each of N scored steps.
+    """The surroundings of each of N scored steps.
 
     Attributes:
         person: Person of each step (N,) long.
@@ -123,21 +123,21 @@ def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) ->
     line = goal - start
     length = line.norm(dim=-1)
     along = line / length.clamp_min(LINE).unsqueeze(-1)
-    who = steps.person.clamp_min(0)
-    offset = steps.xy - start[who]
-    aside = along[who][..., 0] * offset[..., 1] - along[who][..., 1] * offset[..., 0]
+    of = steps.person.clamp_min(0)
+    offset = steps.xy - start[of]
+    aside = along[of][..., 0] * offset[..., 1] - along[of][..., 1] * offset[..., 0]
     return {
         "speed": Samples(around.speed, around.person),
         "acceleration": _samples(change, scored & has_change, person),
         "heading_rate": _samples(turn, scored & has_turn, person),
         "nearest_distance": Samples(around.nearest[company], around.person[company]),
         "time_to_collision": Samples(around.collision[company], around.person[company]),
-        "lateral_deviation": _samples(aside, steps.scored & (length[who] >= LINE), steps.person),
+        "lateral_deviation": _samples(aside, steps.scored & (length[of] >= LINE), steps.person),
     }
 
 
 def surroundings(steps: Steps) -> Surroundings:
-    """Return what is around every scored step; others count whether they are scored or played back."""
+    """Return the surroundings of every scored step; others count whether scored or played back."""
     episode, slot, step = steps.scored.nonzero().unbind(1)
     place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
     place = (*place, steps.radius.unsqueeze(2).expand_as(steps.person))

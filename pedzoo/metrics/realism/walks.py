@@ -1,4 +1,4 @@
-"""What each recorded person did in each round of a replay, beside what they did in the recording.
+"""Each recorded person's walk in each round of a replay, beside that in the recording.
 
 P people, K rounds of the R scenes of a recording; E episodes, W walks: one for every person of an episode
 that the policy moves, or should have moved.
@@ -64,7 +64,7 @@ class Walks(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What P people did in K rounds, (K, P) each, NaN where there was no walk; ``real_seconds`` is (P,)."""
+    """Walks of P people in K rounds, (K, P) each, NaN for no walk; ``real_seconds`` is (P,)."""
 
     success: Tensor
     deadlock: Tensor
@@ -88,16 +88,16 @@ def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
     """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
     scene = torch.full((people,), -1)
     seconds = torch.full((people,), torch.nan, dtype=torch.float64)
-    positions, whose, before = [], [], 0
+    positions, persons, before = [], [], 0
     for part in parts:
         steps = every_step(part)
         scene[part.person[part.controlled]] = part.controlled.nonzero()[:, 0] + before
         result = _seconds(part, torch.arange(people).expand(len(part.failed), people), people)
         seconds = torch.where(result.isnan(), seconds, result)
         positions.append(steps.xy[steps.scored])
-        whose.append(steps.person[steps.scored])
+        persons.append(steps.person[steps.scored])
         before += len(part.failed)
-    return Tracks(scene, seconds, *padded(torch.cat(positions), torch.cat(whose), people))
+    return Tracks(scene, seconds, *padded(torch.cat(positions), torch.cat(persons), people))
 
 
 def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tracks) -> Walks:
@@ -108,7 +108,7 @@ def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tr
         steps: The same every 0.4 s.
         first: Number of the first one.
         scenes: R.
-        tracks: What really happened.
+        tracks: The recorded walks.
     """
     scene = (first + torch.arange(len(rollout.failed))) % scenes
     episode, person = (scene.unsqueeze(1) == tracks.scene).nonzero().unbind(1)
@@ -132,7 +132,7 @@ def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tr
 
 
 def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
-    """Return what is a mean or a median over people, for weights (R, P), (R,) each."""
+    """Return values that are means or medians over people, for weights (R, P), (R,) each."""
     rounds = len(tables.success)
     ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
     walks = weights @ (~tables.success.isnan()).sum(0).double()

@@ -37,7 +37,7 @@ from pedzoo.models.blocks.variety import VarietyLoss
 
 
 class Encoded(NamedTuple):
-    """What does not depend on the noise: computed once for all samples of a batch.
+    """Values that do not depend on the noise: computed once for all samples of a batch.
 
     Attributes:
         context: Decoder state without its noise (P, decoder_dim - noise_dim).
@@ -128,8 +128,8 @@ class SGAN(Forecaster):
         """Create the parameters.
 
         Args:
-            architecture: What the network is made of.
-            losses: What it is trained by.
+            architecture: The network's architecture.
+            losses: Its losses.
             walking: How it walks.
         """
         super().__init__()
@@ -285,7 +285,7 @@ class SGAN(Forecaster):
         Args:
             batch: Recorded scenes.
             generator: Draws the noise.
-            encoded: What `encode` gives for this batch, where that is known already.
+            encoded: The result of `encode` for this batch, if computed already.
             sample: Whether the random sample is wanted.
         """
         steps = agents_of(batch)["future"].shape[2]

@@ -38,7 +38,7 @@ from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 
 class Seen(NamedTuple):
-    """What is known about the people of a batch before anything is drawn.
+    """Values of the people of a batch that do not depend on a draw.
 
     Attributes:
         features: The inputs x (P, D), encoded.
@@ -97,7 +97,7 @@ class Architecture:
 
 @dataclass(frozen=True)
 class Losses:
-    """What the network is trained by.
+    """Losses of the training.
 
     Attributes:
         kl_weight: Weight of the divergence of posterior and prior; at 1 the loss is the bound itself.
@@ -118,8 +118,8 @@ class SocialVRNN(Forecaster):
         """Compose a model.
 
         Args:
-            architecture: What the network is made of.
-            losses: What it is trained by.
+            architecture: The network's architecture.
+            losses: Its losses.
         """
         super().__init__()
         self.config = flat(architecture, losses)
@@ -164,7 +164,7 @@ class SocialVRNN(Forecaster):
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Return random futures (B, K, A, T, 2): latent, component and what the component leaves open."""
+        """Return random futures (B, K, A, T, 2), of random latent, component and position in it."""
         seen = self.see(batch)
         z = _draw(seen.prior, samples, generator)
         mixture = self.mixture(seen, z, steps)

@@ -16,7 +16,7 @@ from pedzoo.models.blocks.recurrent import (
 
 
 class FusedWeights(NamedTuple):
-    """What the parts' ``fuse`` compute from parameters alone; None where each call shall do so."""
+    """Results of the parts' ``fuse``, from parameters alone; None where each call computes them."""
 
     encoder: EncoderWeights | None = None
     pooling: PoolingWeights | None = None

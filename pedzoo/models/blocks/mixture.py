@@ -1,4 +1,4 @@
-"""A mixture of Gaussians over whole futures: what a one-shot multi-modal forecaster puts out.
+"""A mixture of Gaussians over whole futures: the output of a one-shot multi-modal forecaster.
 
 Each component m is one future with a mean and an uncertainty at every step; its weight pi_m is the
 probability that the future is of its kind. Given the component, steps are independent:
@@ -79,7 +79,7 @@ class MixtureDecoder(nn.Module):
         """Create the parameters.
 
         Args:
-            context_dim: Width of what is known about a person.
+            context_dim: Width of a person's features.
             latent_dim: Width of the latent.
             hidden_dim: Width of the LSTM's state.
             components: Number of components M.
@@ -96,7 +96,7 @@ class MixtureDecoder(nn.Module):
         """Return each person's mixture.
 
         Args:
-            context: What is known (P, context_dim).
+            context: Features of each person (P, context_dim).
             latent: The latent (P, latent_dim).
             base: Displacements (P, T, 2) that the means are added to.
         """

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 
 class Trait(nn.Module):
-    """Adds to a context what a small network makes of it and of the noise together.
+    """Adds to a context the output of a small network for it and the noise together.
 
     A decoder that starts from [context; z] adds the two in every gate, so z can shift what people do and
     hardly choose between two ways of doing it. Untrained, it adds nothing.

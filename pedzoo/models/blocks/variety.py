@@ -1,4 +1,4 @@
-"""What forecasts with noise are trained by: the best of several, two at random, and the one without noise."""
+"""Losses of forecasts with noise: the best of several, two at random, and the one without noise."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class VarietyLoss:
         Args:
             model: Decodes.
             batch: Recorded scenes.
-            encoded: What it encoded of them.
+            encoded: Their encoding.
             steps: T.
             generator: Draws the noise.
             sample: Whether the random sample is wanted.

@@ -1,4 +1,4 @@
-"""A forecaster as a function of plain tensors: what is traced into a graph for programs without pedzoo."""
+"""A forecaster as a function of plain tensors, traced into a graph for programs without pedzoo."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Graph(nn.Module):
         return tuple(torch.where(mask[..., None, None], path, 0.0) for path in result)
 
     def answers(self, model: Forecaster, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, ...]:
-        """Return what the ``outputs`` of a batch are by ``model``, each (B, A, steps, 2)."""
+        """Return the ``outputs`` of ``model`` for a batch, each (B, A, steps, 2)."""
         some = model.next_steps(batch, noise, self.steps, self.steps)
         return (some, model.mode(batch, self.steps)[:, 0]) if len(self.outputs) > 1 else (some,)
 

@@ -20,8 +20,8 @@ def plan_inputs(model: nn.Module, bank: MapBank, grid: OccupancyGrid) -> dict[st
     """Return the inputs ``map_image`` (C, rows, columns) and ``map_affine`` (2, 3) of a floor plan.
 
     Args:
-        model: Says what it sees of plans: distances to walls, or AlexNet's features.
-        bank: Says what unknown cells count as.
+        model: Tells which maps it reads: distances to walls, or AlexNet's features.
+        bank: Tells the meaning of unknown cells.
         grid: The floor plan.
 
     Raises:

@@ -128,8 +128,8 @@ class Walker(TensorDictModuleBase):
         if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
             return None
         agent = ids_of(tensordict)
-        who = torch.zeros_like(agent) if self.noise == "scene" else agent
-        key = randomness.join(tensordict["scene_key"], "noise", who)
+        drawn_for = torch.zeros_like(agent) if self.noise == "scene" else agent
+        key = randomness.join(tensordict["scene_key"], "noise", drawn_for)
         if self.noise_seed:
             key = randomness.join(key, self.noise_seed)
         now = randomness.join(key, (tensordict["time"] / STEP_SECONDS).round().long())

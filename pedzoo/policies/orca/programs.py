@@ -110,7 +110,7 @@ def _few(lines: Tensor) -> bool:
 def _at_once(
     lines: Tensor, start: Tensor, last: Tensor | None, optimum: Tensor, max_speed: Tensor, towards: bool
 ) -> tuple[Tensor, Tensor]:
-    """Do what `nearest` does, from velocities ``start`` (2, N) that obey a person's lines up to ``last``."""
+    """Like `nearest`, from velocities ``start`` (2, N) that obey a person's lines up to ``last``."""
     count = lines.shape[1]
     number = torch.arange(-1, count, device=lines.device, dtype=lines.dtype)[:, None]
     one, other = number[1:], number.T[..., None]  # of pairs (one, other, person)
@@ -231,7 +231,7 @@ def violation(lines: Tensor, velocity: Tensor) -> Tensor:
 
 
 def _of(values: Tensor, rows: Tensor) -> Tensor:
-    """Return what belongs to some people (..., M) of all (..., N)."""
+    """Return the values of some people (..., M) from those of all (..., N)."""
     # selecting from a matrix is several times faster than from three dimensions
     return values.flatten(0, -2).index_select(1, rows).view(*values.shape[:-1], -1)
 

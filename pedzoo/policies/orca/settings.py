@@ -1,4 +1,4 @@
-"""What ORCA can be told."""
+"""Settings of ORCA."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class OrcaSettings:
     top_speed_ratio: float = OF_PRESET
 
     def __post_init__(self) -> None:
-        """Take what is not given from the preset, and check the values.
+        """Take missing values from the preset, and check all.
 
         Raises:
             UserError: No such preset, a length or time that is not positive, or a count that is negative.

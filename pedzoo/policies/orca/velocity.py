@@ -65,7 +65,7 @@ def _velocity(
     walls: Segments | None,
     passive: Tensor | None,
 ) -> Tensor:
-    """Do what `orca_velocity` does."""
+    """Return the velocities of `orca_velocity`; arguments likewise."""
     asked = mask if passive is None else mask & ~passive
     rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
     if rows is not None:  # placeholders of absent people

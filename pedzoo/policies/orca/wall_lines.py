@@ -35,7 +35,7 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
         walls: K segments of each person, nearest first.
         velocity: Velocities (2, N), m/s.
         radius: Radii of the disks (N,), metres.
-        settings: Horizon and how many segments are heeded.
+        settings: Horizon and number of segments.
     """
     walls = walls.nearest(settings.max_obstacles)
     if compiles(velocity):
@@ -57,7 +57,7 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
 def _uncovered(
     walls: Segments, ahead: Tensor, lines: Tensor, counts: Tensor, radius: Tensor, settings: OrcaSettings
 ) -> Tensor:
-    """Return which lines count (K, N), 1 or 0: not those of what lies behind the line of a nearer segment."""
+    """Return which lines count (K, N), 1 or 0: not those behind the line of a nearer segment."""
     scale = 1 / settings.time_horizon_obst
     margin = (radius * scale - EPSILON).clamp_min(torch.finfo(lines.dtype).tiny)
     one = (walls.line_distance * ahead).sub_(walls.along * walls.direction).mul_(scale)

@@ -19,7 +19,7 @@ from pedzoo.policies.local_planner import Clearance, Drive, People, Robot
 
 @dataclass(frozen=True)
 class DwaSettings:
-    """What a robot can do, which arcs are tried, and what is good about one.
+    """Limits of a robot, the sampled arcs, and the weights that judge them.
 
     Attributes:
         acceleration: Forwards and backwards, m/s^2.
@@ -188,7 +188,7 @@ class Dwa:
         clearance_weight: float = 0.8,
         speed_weight: float = 0.4,
     ) -> None:
-        """Set what `DwaSettings` has; ``time_step`` is in seconds.
+        """Set the `DwaSettings`; ``time_step`` is in seconds.
 
         Raises:
             UserError: A setting is out of range.

@@ -22,7 +22,7 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """Which velocities are tried, and what is good about one.
+    """The sampled velocities, and the weights that judge them.
 
     Attributes:
         directions: Tried, the first one straight to the goal.
@@ -148,7 +148,7 @@ class Sampling:
         margin_cost: float = 16.0,
         collision_cost: float = 10.0,
     ) -> None:
-        """Set what `SamplingSettings` has; ``time_step`` is in seconds.
+        """Set the `SamplingSettings`; ``time_step`` is in seconds.
 
         Raises:
             UserError: A setting is out of range.

@@ -11,7 +11,7 @@ from pedzoo.policies.policy import Policy
 
 
 class GoToGoal(Policy):
-    """The desired velocity itself: what any avoidance has to improve on."""
+    """The desired velocity itself: the baseline of all avoidance."""
 
     def __init__(self, dt: float = STEP_SECONDS, safety: bool = False) -> None:
         """Say how often it decides.

@@ -33,7 +33,7 @@ def closer(offset: Tensor, by: Tensor) -> Tensor:
 
 
 def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
-    """Return what makes people take up their desired velocity (2, N), m/s (eq. 2).
+    """Return the force towards the desired velocity of people (2, N), m/s (eq. 2).
 
     Args:
         velocity: As it is (2, N), m/s.
@@ -77,7 +77,7 @@ def view_weight(force: Tensor, heading: Tensor, angle: float, out_of_view: float
         force: Directions of the forces (2, K, N).
         heading: Directions in which people want to go (2, N); 0: everything is in view.
         angle: Up to which from the heading something is in view, degrees.
-        out_of_view: Weight of what is not.
+        out_of_view: Weight of people out of sight.
     """
     seen = -dot(force, heading.unsqueeze(1)) >= math.cos(math.radians(angle))
     return out_of_view + (1 - out_of_view) * seen.to(force.dtype)

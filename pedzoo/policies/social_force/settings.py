@@ -1,4 +1,4 @@
-"""What the social force model can be told."""
+"""Settings of the social force model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 
 Anisotropy = Literal["view", "smooth", "none"]
-"""How much less people heed what is behind them; see `SocialForceSettings`."""
+"""Weight of people behind; see `SocialForceSettings`."""
 
 NEGLIGIBLE = 0.01
 """Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
@@ -79,7 +79,7 @@ class SocialForceSettings:
     fluctuation: float = 0.1
 
     def __post_init__(self) -> None:
-        """Take what is not given from the preset, and check the values.
+        """Take missing values from the preset, and check all.
 
         Raises:
             UserError: There is no such preset, or a value is out of its range.
@@ -102,7 +102,7 @@ class SocialForceSettings:
             raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
         if self.dt > self.tau:
             raise UserError(
-                f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: who holds a velocity "
+                f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: a velocity that is held "
                 "for longer than it takes to change it follows no forces"
             )
 

@@ -1,4 +1,4 @@
-"""What a controller is called with: checked, and turned into arrays."""
+"""Arguments of a controller: checked, and turned into arrays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Disc:
     index: int
 
     def __repr__(self) -> str:
-        """Return what messages call it."""
+        """Return its name in messages."""
         return f"{self.of!r}[{self.index}]"
 
 

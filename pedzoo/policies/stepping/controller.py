@@ -32,7 +32,7 @@ Id = TypeVar("Id", bound=Hashable)
 
 
 class WalkingPolicy(Protocol):
-    """What can be a controller: a `Walker`, or anything from `pedzoo.policies.load.load_policy`."""
+    """Policies of a controller: a `Walker`, or any from `pedzoo.policies.load.load_policy`."""
 
     decision_dt: float
 
@@ -190,7 +190,7 @@ class Controller:
 
         Args:
             agents: All agents.
-            batch: What the policy sees.
+            batch: The policy's input.
             decides: Which agents decide (N,) bool.
             new: Which of them have just come (N,) bool: there is nothing to blend with.
         """

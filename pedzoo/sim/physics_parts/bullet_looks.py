@@ -1,4 +1,4 @@
-"""What cameras see of a floor plan in pybullet, apart from the bodies that questions are about."""
+"""Looks of a floor plan for pybullet's cameras, apart from the bodies of physics."""
 
 from __future__ import annotations
 

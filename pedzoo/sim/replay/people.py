@@ -20,7 +20,7 @@ LONGEST = 2
 """People are taken out after so many times as long as they really took."""
 
 CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
-"""What becomes of a recorded person: taken over by the policy, or played back and why."""
+"""Role of a recorded person: taken over by the policy, or played back and why."""
 
 REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "no path to the exit", "later")
 

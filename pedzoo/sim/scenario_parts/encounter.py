@@ -53,7 +53,7 @@ def whole_cells(length: float) -> float:
 
 @dataclass(frozen=True)
 class EncounterSettings:
-    """What all encounters can be told.
+    """Settings of all encounters.
 
     Attributes:
         people: How many; most encounters take 2 to 50.
@@ -93,7 +93,7 @@ class Encounter(Scenario):
     together: bool = False
 
     def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:
-        """Check what all encounters have.
+        """Check the settings of all encounters.
 
         Args:
             common: Their settings.

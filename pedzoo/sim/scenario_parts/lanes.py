@@ -55,7 +55,7 @@ class Lane(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Each person's place in a lane, on each of V variants of a scene, and what the lane says about them.
+    """Each person's place in a lane, on each of V variants of a scene, with the lane's properties.
 
     Attributes:
         row: How many are before them in their lane (V, A) long.

@@ -57,7 +57,7 @@ class Door(Scenario):
     from the left, the first from the right, the second from the left, ...
 
     Attributes:
-        name: What messages and floor plans call the scenario.
+        name: The scenario's name in messages and floor plans.
     """
 
     name: ClassVar[str] = "door"

@@ -167,7 +167,7 @@ class _Choice:
     """Draws among the admissible columns of a table of rows."""
 
     def __init__(self, allowed: list[Tensor]) -> None:
-        """Take what is allowed (S, G) bool, for each floor plan."""
+        """Take the allowed goals (S, G) bool, for each floor plan."""
         columns = [table.int().argsort(dim=1, descending=True, stable=True) for table in allowed]
         self._columns = _padded(columns, 0)
         self._counts = _padded([table.sum(1) for table in allowed], 1)
@@ -180,7 +180,7 @@ class _Choice:
 
 
 class _Tables(NamedTuple):
-    """What is drawn from, for M floor plans with at most S places and G goals.
+    """Candidates of the draws, for M floor plans with at most S places and G goals.
 
     Attributes:
         map_id: The floor plans (M,) long.

@@ -60,7 +60,7 @@ class Replay(Scenario):
         share: float = 1.0,
         speed: SpeedOf = "observed",
     ) -> None:
-        """Set what `prepare` will read.
+        """Set the recordings that `prepare` will read.
 
         Args:
             fold: Test recordings of eth, hotel, univ, zara1, zara2, ``embedded``, or ``file.py:Class:fold``.

@@ -81,7 +81,7 @@ class Imitation(nn.Module):
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
 
         Args:
-            policy: Walks, with a safety layer if it has one: what it changes is a part of the walk.
+            policy: Walks, with a safety layer if it has one: its changes are a part of the walk.
             batch: Recorded windows with N future steps and the goal protocol ``destination``.
             random: Draws the scenes' keys.
         """
@@ -99,13 +99,13 @@ class Imitation(nn.Module):
         return self.terms(self.walk(policy, batch, random), batch)
 
     def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
-        """Return ``loss`` and its terms before their weights, scalars; what has weight 0 may be left out.
+        """Return ``loss`` and its terms before their weights, scalars; terms of weight 0 may be missing.
 
         ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
         ``adversarial`` and ``discriminator`` (nats).
 
         Args:
-            walk: What `walk` returned.
+            walk: The result of `walk`.
             batch: For these windows.
         """
         real = recorded(batch, walk.xy.shape[2])

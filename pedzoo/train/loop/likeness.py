@@ -79,14 +79,14 @@ def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
     bodies = radius.flatten()
     meeting = xy[them] - xy[me], velocity[them] - velocity[me], bodies[them] + bodies[me]
     soon = others.seconds.index_put((meets,), _touch(*meeting))
-    who = own // (steps * people) * people + own % people
+    person = own // (steps * people) * people + own % people
     return {
         "speed": _length(now),
         "acceleration": _length(now - before) / STEP_SECONDS,
         "heading_rate": _turn(before, now) / STEP_SECONDS,
         "nearest_distance": _length(near),
         "time_to_collision": soon[some],
-        "lateral_deviation": _aside(xy[own], *(of.reshape(-1, 2)[who] for of in (begin, end))),
+        "lateral_deviation": _aside(xy[own], *(of.reshape(-1, 2)[person] for of in (begin, end))),
     }
 
 

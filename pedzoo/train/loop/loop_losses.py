@@ -120,7 +120,7 @@ class LoopLosses:
 
 
 def mean_cost(cost: Tensor, moved: Tensor) -> Tensor:
-    """Return the mean of what decisions cost (T, B, A), a scalar: over the segment and the people.
+    """Return the mean cost of decisions (T, B, A), a scalar: over the segment and the people.
 
     Args:
         cost: Of each decision.

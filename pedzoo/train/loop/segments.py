@@ -1,4 +1,4 @@
-"""A piece of an episode through which gradients flow: what a policy did in some environment, step by step."""
+"""A differentiable piece of an episode: a policy's decisions in some environment, step by step."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.motion import CONTACT_COST
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
-"""Writes each person's ``action`` (B, A, 2), m/s, into what they see."""
+"""Writes each person's ``action`` (B, A, 2), m/s, into the observation."""
 
 
 class Segment(NamedTuple):

@@ -25,7 +25,7 @@ from pedzoo.sim.scenario_parts.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 Walk = Callable[[TensorDict], Tensor]
-"""Returns each person's next displacement (B, A, 2), metres, for what they see."""
+"""Returns each person's next displacement (B, A, 2), metres, for an observation."""
 
 _NEAR = 1e-6
 """Metres within which a person is at a place."""

@@ -102,7 +102,7 @@ class GANModule(ForecastModule):
         Args:
             batch: Recorded scenes.
             random: Draws the noise and the label.
-            encoded: What the generator's ``encode`` gives for this batch, where that is known already.
+            encoded: The result of the generator's ``encode`` for this batch, if computed already.
         """
         agents, generator = agents_of(batch), cast("SGAN", self.generator)
         steps = agents["future"].shape[2]

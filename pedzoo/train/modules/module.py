@@ -1,4 +1,4 @@
-"""What all trainings share: schedule, seeds, validation, and what a checkpoint says about itself."""
+"""Parts of all trainings: schedule, seeds, validation, and a checkpoint's description."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Critic(TensorDictModuleBase):
         return tensordict
 
     def alone(self, way: Tensor, speed: Tensor) -> Tensor:
-        """Return what walking ``way`` (P, 1), metres, at ``speed`` (P, 1), m/s, earns, discounted, metres."""
+        """Return the discounted reward, metres, of walking ``way`` (P, 1), metres, at ``speed`` (P, 1)."""
         step = STEP_SECONDS * speed.clamp_min(0.1)
         if self.gamma == 1:
             return way

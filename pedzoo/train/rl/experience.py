@@ -1,4 +1,4 @@
-"""What a policy lived through: decisions in an environment, gathered by TorchRL, and how good they were."""
+"""A policy's experience: decisions in an environment, gathered by TorchRL, and their advantages."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Gatherer:
         self._gathered = iter(self._collector)
 
     def gather(self, seed: int) -> TensorDict:
-        """Return T decisions in B scenes (B, T, ...), what followed each of them under ``next``."""
+        """Return T decisions in B scenes (B, T, ...), with the result of each under ``next``."""
         self.env.set_seed(_SEEDS + seed, static_seed=True)
         return cast("TensorDict", next(self._gathered))
 

@@ -34,7 +34,7 @@ _LOGGED: dict[Any, str] = {
 
 
 class _Parts(NamedTuple):
-    """What a fit makes anew: nothing of it belongs into a checkpoint."""
+    """Objects that a fit makes anew: no part of a checkpoint."""
 
     loss: ClipPPOLoss
     estimate: GAE
@@ -146,9 +146,9 @@ class PPOModule(ForecastModule):
         Args:
             generator: The model, best with weights (``pedzoo fit --weights NAME``).
             scenarios: With settings, as ``door:people=4``.
-            reward: What a decision is worth.
+            reward: Reward of a decision.
             collection: How decisions are gathered there.
-            optimisation: What is learnt from them.
+            optimisation: Settings of the updates.
             options: Of the generator's optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -213,7 +213,7 @@ class PPOModule(ForecastModule):
         self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
 
     def _learn(self, batch: TensorDict) -> dict[str, Tensor]:
-        """Make an iteration beside a batch of recorded scenes, and return what is logged of it."""
+        """Make an iteration beside a batch of recorded scenes, and return its logged values."""
         assert self._parts is not None
         loss, estimate, gatherers = self._parts
         optimizer, random = cast("Any", self.optimizers()), self.random()

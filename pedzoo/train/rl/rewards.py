@@ -1,4 +1,4 @@
-"""What a decision was worth, told from what was seen before and after it: it needs no gradient."""
+"""Rewards of decisions, from the observations before and after: they need no gradient."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Reward:
         arrival: float = 0.0,
         terms: dict[str, float] | None = None,
     ) -> None:
-        """Weigh what the environment does not.
+        """Weigh the further rewards, beside the environment's.
 
         Args:
             person_cost: Cost of a decision in which another person is touched, beyond the environment's.

@@ -28,7 +28,7 @@ METRICS = (
     *("agent_contacts_per_min", "wall_contacts_per_min", "least_distance_m"),
     *("time_ratio", "path_ratio", "stl"),
 )
-"""What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
+"""Logged metrics of every scenario; ``pedzoo rollout`` prints the rest."""
 
 BEST: dict[str, str] = {
     **dict.fromkeys(("success", "episode_success", "clean", "stl"), "max"),
@@ -136,14 +136,14 @@ class ClosedLoopValidation(Callback):
             raise UserError(f"--monitor {monitor}: its best value is the {best}: add --monitor_mode {best}")
 
     def check(self, model: Forecaster, data: Any = None) -> None:
-        """Let an untrained copy decide once, so that what cannot walk is told before the training.
+        """Let an untrained copy decide once, so that models that cannot walk fail before the training.
 
         Args:
-            model: What is about to be trained.
+            model: The model to be trained.
             data: The datamodule, where there is one.
 
         Raises:
-            UserError: The model does not see what an environment shows, or does not answer in numbers.
+            UserError: The model needs other inputs than an environment has, or does not answer in numbers.
         """
         observed = data.obs_len if data is not None else OBS_LEN
         if self.scenarios and observed != OBS_LEN:
@@ -158,8 +158,8 @@ class ClosedLoopValidation(Callback):
             with isolated(self.seed), closing(env.physics):
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
-                    who = type(model).__name__
-                    raise UserError(f"{who} gives no numbers in {name}: train with --rollout.scenarios null")
+                    kind = type(model).__name__
+                    raise UserError(f"{kind} gives no numbers in {name}: train with --rollout.scenarios null")
                 env.step(decided)
         self._checked = model
 
@@ -244,7 +244,7 @@ class ClosedLoopValidation(Callback):
         self._validations = state_dict["validations"]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copy and pickle without what belongs to a run."""
+        """Copy and pickle without the state of a run."""
         return self.__dict__ | {
             "_walker": None,
             "_validation_scenarios": [],

@@ -49,7 +49,7 @@ The first convolution (11, 4, 2) gives 4 i + 3. A pooling (3, 2, 0) puts 2 i + 1
 _OR_GIVE = "or give a .safetensors or .pth file as weights=... or in the environment variable PEDZOO_ALEXNET"
 
 _NO_PICKLE = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
-"""What reading a damaged file as a pickle can end in."""
+"""Errors of reading a damaged file as a pickle."""
 
 
 def input_length(cells: int) -> int:

@@ -31,7 +31,7 @@ class ApproachPooling(nn.Module):
         """Create the parameters.
 
         Args:
-            state_dim: Width of what is known about each person, such as an encoder's state.
+            state_dim: Width of each person's features, such as an encoder's state.
             dim: Features per person.
             hidden_dim: Width inside.
         """

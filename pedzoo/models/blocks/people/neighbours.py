@@ -1,4 +1,4 @@
-"""What the others around a person do, pooled: their states relative to that person, in their frame."""
+"""Pooled states of the others around a person, relative to that person and in their frame."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class SocialPooling(nn.Module):
         return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
 
     def fuse(self) -> PoolingWeights:
-        """Return what follows from the parameters alone."""
+        """Return products of the parameters alone."""
         inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
         w_e, b_e, w_1 = self.embedding.weight, self.embedding.bias, inner.weight
         w_1e, w_1h = w_1[:, : len(w_e)], w_1[:, len(w_e) :]
@@ -131,16 +131,16 @@ class _MaxOverPairs(torch.autograd.Function):
         buffer = u.new_empty(2, min(rows, len(u)), channels, width)
         for start in range(0, len(u), rows):
             part = slice(start, start + rows)
-            who, g = winner[part].flatten(), grads[0][part]
+            winners, g = winner[part].flatten(), grads[0][part]
             inner, back = buffer[:, : len(g)]
-            torch.index_select(u, 0, who, out=inner.view(-1, width))
+            torch.index_select(u, 0, winners, out=inner.view(-1, width))
             inner.sub_(v[part].unsqueeze(1)).clamp_(min=0)
             if ctx.needs_input_grad[2]:
                 grad_w += torch.bmm(g.t().unsqueeze(1), inner.transpose(0, 1)).squeeze(1)
             if to_people:
                 torch.mul(g.unsqueeze(2), weight, out=back)
                 torch.ops.aten.threshold_backward.grad_input(back, inner, 0, grad_input=back)
-                grad_u.index_add_(0, who, back.view(-1, width))
+                grad_u.index_add_(0, winners, back.view(-1, width))
                 torch.sum(back, 1, out=grad_v[part])
         return grad_u, grad_v.neg_(), grad_w, None, None
 
