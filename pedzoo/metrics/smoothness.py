@@ -133,5 +133,5 @@ def heading_rate_rad_per_s(rollout: Rollout) -> Ratio:
 
 @metric()
 def path_irregularity_rad_per_m(rollout: Rollout) -> Ratio:
-    """All turning divided by all way."""
+    """Total turning divided by total path length."""
     return ratio(turning(*moves(rollout)), length(*moves(rollout)))

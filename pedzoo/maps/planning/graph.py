@@ -1,4 +1,4 @@
-"""The open cells of a floor plan as a graph, and shortest ways on it."""
+"""The open cells of a floor plan as a graph, and shortest paths on it."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class OpenGraph:
 
     @cached_property
     def component(self) -> NDArray[np.int32]:
-        """Which open cells have ways to one another (N,): equal numbers."""
+        """Which open cells have paths to one another (N,): equal numbers."""
         return np.asarray(connected_components(self.matrix, directed=False)[1])
 
     @cached_property

@@ -76,7 +76,7 @@ def _warped(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Te
     between = torch.full((rows, wide, walks), torch.inf)
     apart = first.permute(1, 2, 0).float().unsqueeze(2) - second.permute(1, 2, 0).float().transpose(0, 1)
     between[:, :columns] = torch.hypot(apart[:, 0], apart[:, 1])
-    # the cheapest ways to the cells of the last two diagonals, by row; with an entry before the first row
+    # the cheapest paths to the cells of the last two diagonals, by row; with an entry before the first row
     last, earlier = torch.full((2, rows + 1, walks), torch.inf).unbind(0)
     earlier[0] = 0.0  # the corner before both first points
     result = torch.full((walks,), torch.nan, dtype=torch.float64)

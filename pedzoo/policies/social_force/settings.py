@@ -10,7 +10,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 
 Anisotropy = Literal["view", "smooth", "none"]
-"""Weight of people behind; see `SocialForceSettings`."""
+"""How the weight of others depends on their direction; see `SocialForceSettings`."""
 
 NEGLIGIBLE = 0.01
 """Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
