@@ -1,1 +1,1 @@
-"""What every part uses: the scene batch, errors, drop-ins by name, settings, paths, downloads, geometry."""
+"""Shared parts: the scene batch, errors, drop-ins by name, settings, paths, downloads, geometry."""

@@ -70,7 +70,7 @@ def non_tensor_of(data: Any, batch_size: torch.Size, device: torch.device) -> No
 
 
 def untraceable_error() -> type[Exception]:
-    """Return what ``torch.export`` raises of a model that it cannot trace. torch: it has no public name."""
+    """Return the errors of ``torch.export`` for a model that it cannot trace. torch: no public name."""
     from torch._dynamo.exc import UserError
 
     return UserError

@@ -1,7 +1,7 @@
-"""The one scene batch that flows through pedzoo: its legend, its only constructor, and what reads it.
+"""The scene batch of pedzoo: its legend, its only constructor, and its readers.
 
-B scenes, A agents (padded), T steps, K samples; P people (all agents of a batch that are really there,
-packed). World frame: x right, y up; metres, seconds, radians.
+B scenes, A agents (padded), T steps, K samples; P people (all present agents of a batch, packed). World
+frame: x right, y up; metres, seconds, radians.
 
 A scene batch is a TensorDict of batch size (B,). Recordings, the environment, the stepping controller,
 imitation and ONNX export make theirs with `scene_batch`, so all of them have the same keys:
@@ -143,7 +143,7 @@ def scene_batch(
 
 
 def agents_of(batch: TensorDictBase) -> TensorDict:
-    """Return what a batch says about its agents."""
+    """Return the entries of a batch's agents."""
     return cast("TensorDict", batch["agents"])
 
 
@@ -198,7 +198,7 @@ def maps_of(batch: TensorDictBase) -> MapBank:
 
 
 def _banks(entry: Any) -> Iterator[MapBank]:
-    """Yield the banks that stand under ``maps``, whatever TensorDict made of them."""
+    """Yield the banks under ``maps``, which TensorDict may have wrapped."""
     if isinstance(entry, NonTensorData):
         yield from _banks(entry.data)
     elif isinstance(entry, NonTensorStack):

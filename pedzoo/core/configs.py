@@ -1,4 +1,4 @@
-"""Config files as they are meant: with what they inherit (``base: sgan_goal``), and scenarios as texts."""
+"""Config files with the values that they inherit (``base: sgan_goal``), and scenarios as texts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BASE = "base"
 """Key of the config that another one takes over and changes."""
 
 _OF_COURSE = ("scenario", "scenes", "share")
-"""What a course says itself. Its other keys are settings of its scenario."""
+"""A course's own keys. Its other keys are settings of its scenario."""
 
 
 def load_config(name: str | Path, classes: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
@@ -78,7 +78,7 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _with_scenarios(settings: Any) -> Any:
-    """Return settings whose ``courses`` and ``scenarios`` have texts in the place of mappings."""
+    """Return settings with texts in place of the mappings of ``courses`` and ``scenarios``."""
     if not isinstance(settings, dict):
         return settings
     result = {key: _with_scenarios(value) for key, value in settings.items()}

@@ -1,4 +1,4 @@
-"""Errors that a person can act on: what was given, what was expected, and what fixes it."""
+"""Errors that a person can act on: the given value, the expected one, and the fix."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 PACKAGES = ("torch", "lightning", "torchrl", "tensordict", "torchmetrics", "numpy", "scipy", "pybullet")
-"""What numbers depend on beside pedzoo."""
+"""Versions on which numbers depend, beside pedzoo's."""
 
 
 def versions() -> dict[str, str]:

@@ -1,9 +1,9 @@
-"""Random numbers by counter: what a scene draws depends on its seed and number alone.
+"""Random numbers by counter: a scene's numbers depend on its seed and number alone.
 
-A stream of numbers would make a scene depend on how many others were drawn before it. Here every number
-is a hash of (seed, episode, what it is for, index): the same for every batch size, device and number of
-workers, and any of them can be drawn again at any time (Salmon et al., "Parallel random numbers: as easy
-as 1, 2, 3", SC 2011; the mixing function is SplitMix64's, Steele et al., OOPSLA 2014).
+A stream of numbers would make a scene depend on how many others were drawn before it. Here every number is a
+hash of (seed, episode, purpose, index): the same for every batch size, device and number of workers, and
+reproducible at any time. See Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011; the
+mixing function is SplitMix64's (Steele et al., OOPSLA 2014).
 """
 
 from __future__ import annotations

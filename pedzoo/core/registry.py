@@ -1,9 +1,9 @@
-"""Finds drop-ins by walking their folder: a new model or dataset is one file, and there is no list to edit.
+"""Finds drop-ins by walking their folder: a new model or dataset is one file, without a list to edit.
 
-A file ``constant_velocity.py`` holds a class ``ConstantVelocity`` (the file's name without underscores,
-any capitals). Names and one-line descriptions are read without importing anything, so that ``--help``
-never waits for torch. People who installed the wheel write ``path/to/file.py:Class`` wherever a name is
-accepted, or publish an entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
+A file ``constant_velocity.py`` holds a class ``ConstantVelocity`` (the file's name without underscores, any
+capitals). Names and one-line descriptions are read without imports, so that ``--help`` never waits for
+torch. From an installed wheel, write ``path/to/file.py:Class`` wherever a name is accepted, or publish an
+entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The constants that every part agrees on; what a scene batch holds says `pedzoo.core.batch`."""
+"""The constants that all parts share; `pedzoo.core.batch` describes the scene batch."""
 
 from __future__ import annotations
 

@@ -52,17 +52,17 @@ class Loading:
 
 @dataclass(frozen=True)
 class Imitated:
-    """Further training windows, for a controller that is to walk as these people did.
+    """Further training windows, for a controller that imitates the walks of their people.
 
     With them training batches are ``{"forecast": as without, "unrolled": these windows}``. They keep all
-    people who are there, lone people too, have the goal ``destination``, and are on the true clock whatever
-    ``clock`` is: how fast people walk and accelerate is imitated.
+    present people, lone people too, and have the goal ``destination``. They are on the true clock for every
+    ``clock``: speeds and accelerations are imitated.
 
     Attributes:
         steps: Predicted steps of these windows; 0 for no such windows.
         batch_size: Scenes in a batch of these, at most; ``max_pairs`` changes in proportion.
-        one_recording_per_batch: A batch of these is of one recording. Recordings differ in the accuracy of
-            positions, and so in the accelerations that they seem to have.
+        one_recording_per_batch: A batch of these is of one recording: recordings differ in the accuracy of
+            positions, and so in their apparent accelerations.
     """
 
     steps: int = 0
@@ -91,7 +91,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         loading: Loading = Loading(),
         imitated: Imitated = Imitated(),
     ) -> None:
-        """Set what `setup` will read.
+        """Set the data that `setup` will read.
 
         Args:
             fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class:fold``.
@@ -103,7 +103,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
             obs_len: Observed steps of 0.4 s.
             pred_len: Predicted steps of 0.4 s.
-            goal: What people's ``goal`` is; see `pedzoo.data.goals`.
+            goal: Protocol of people's ``goal``; see `pedzoo.data.goals`.
             clock: ``benchmark`` takes every annotated step as 0.4 s, ``true`` resamples to real 0.4 s.
             keep_people: ``complete``: people seen in the whole window; ``present``: also partly seen ones.
             min_people: Windows with fewer people are dropped.
@@ -148,7 +148,7 @@ class TrajectoryDataModule(L.LightningDataModule):
 
     @property
     def protocol(self) -> dict:
-        """What every number made with these data depends on."""
+        """Settings of the data on which every number made with them depends."""
         own = {"clock": "true"} if self.fold == "files" else {}  # always resampled to a real 0.4 s
         return {key: self.hparams[key] for key in PROTOCOL} | {"fold": self.fold} | own
 

@@ -1,4 +1,4 @@
-"""Goal protocols for recorded people: what a forecaster knows about where they go.
+"""Goal protocols for recorded people: a forecaster's knowledge of where they go.
 
 ``window_end`` is the answer's own last position and leaks it: untrained interpolation to it scores
 FDE 0. It is the paper's Table I. ``destination`` is where the person was last recorded, which is what a

@@ -1,4 +1,4 @@
-"""Which recordings a training saw, where they come from and on whose terms, for model cards."""
+"""The recordings of a training, their sources and their terms, for model cards."""
 
 from __future__ import annotations
 

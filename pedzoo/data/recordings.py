@@ -1,4 +1,4 @@
-"""What a dataset file gives: recordings of a split, each with its floor plan, and what it says of itself."""
+"""The contents of a dataset file: recordings of a split, each with its floor plan, and its description."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class Recording:
 
 
 class Dataset(Protocol):
-    """What a dataset's class provides. Its constants are read without importing it: they must be literals.
+    """Attributes of a dataset's class. Its constants are read without importing it: they must be literals.
 
     Attributes:
-        FOLDS: Names of folds, each with the recordings that it is tested on, which its training leaves out.
-            None of them: the fold trains on everything.
+        FOLDS: Names of folds, each with its tested recordings, which its training leaves out. With none of
+            them the fold trains on everything.
         ALWAYS_TRAINED: Recordings that no fold leaves out.
-        SOURCE: What the recordings are, and where they are from, for cards.
-        TERMS: On whose terms they are used, likewise.
-        PLAN_TERMS: What follows the terms for models that see the floor plans.
-        CITATION: What to cite, likewise.
-        REPLAY_SHARE: Folds with so many people that the suite ``replay``, where each person has a scene,
-            simulates those of this first share of the time only.
+        SOURCE: Description and origin of the recordings, for cards.
+        TERMS: Terms of their use, likewise.
+        PLAN_TERMS: Addition to the terms for models that see the floor plans.
+        CITATION: Publications to cite, likewise.
+        REPLAY_SHARE: For crowded folds, the first share of the time whose people the suite ``replay``
+            simulates, each in a scene of their own.
     """
 
     FOLDS: ClassVar[Mapping[str, Sequence[str]]]

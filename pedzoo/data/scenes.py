@@ -32,7 +32,7 @@ class SceneSet:
         map_id: Floor plan of each scene (S,), -1 for none.
         maps: The bank of these floor plans.
         recording: Number of the recording that each scene is of (S,).
-        counts: Each recording's name, and what was kept and dropped of it.
+        counts: Each recording's name, and its kept and dropped windows and people.
     """
 
     def __init__(

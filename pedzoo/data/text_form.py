@@ -28,7 +28,7 @@ class TextForm:
     """How a text file holds its table.
 
     Attributes:
-        delimiter: What stands between two values; None for white space.
+        delimiter: Separator of two values; None for white space.
         header: Whether the first line names the columns.
         columns: Where frame, agent, x and y stand.
     """

@@ -36,7 +36,7 @@ class Tracks:
         """Return the tracks of rows (N, 4) of frame, agent, x, y in any order.
 
         Args:
-            name: What messages call the recording.
+            name: The recording's name in messages.
             table: The rows.
             place: Says where in its source a row of the table is, for messages.
 
@@ -115,9 +115,8 @@ class Tracks:
         """Return the tracks at every ``step`` seconds; frame k is k x step after the recording's first row.
 
         Positions are interpolated linearly between two rows of an agent. Where an agent was not seen for
-        more than two of their usual intervals (and more than one step), the track ends there and goes on
-        under a new agent number, so that no rows are invented in a hole. Rows that are already one step apart
-        are kept to the last bit.
+        more than two of their usual intervals (and more than one step), the track ends and continues under a
+        new agent number, so that no rows are invented in a hole. Rows one step apart already stay bit-equal.
         """
         time = (self.frame - self.frame.min()) * seconds_per_frame
         gap, same = np.diff(time), np.diff(self.agent) == 0

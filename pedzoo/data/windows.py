@@ -22,14 +22,14 @@ KeptPeople = Literal["complete", "present"]
 class Counts:
     """Windows and people kept and dropped, for the line that every run prints.
 
-    Each person who is seen at the last observed step of a window is counted once for that window, as exactly
-    one of ``people``, ``dropped_partial`` and ``dropped_lone``.
+    Each person seen at the last observed step of a window is counted once for it, as one of ``people``,
+    ``dropped_partial`` and ``dropped_lone``.
 
     Attributes:
         windows: Windows kept.
         people: People in them.
-        dropped_partial: People who are not seen in enough of the window (see `cut_windows`).
-        dropped_lone: People who are, but with too few others beside them.
+        dropped_partial: People not seen in enough of the window (see `cut_windows`).
+        dropped_lone: People with too few others beside them.
     """
 
     windows: int = 0
@@ -57,7 +57,7 @@ class Windows:
         rows: Rows of the tracks table (W, L) for each person of each window, -1 where they are not seen.
         end: The last row of that person's track (W,).
         offsets: Where each window's people start in ``rows`` (S + 1,).
-        counts: What was kept and dropped.
+        counts: Kept and dropped windows and people.
     """
 
     rows: np.ndarray
@@ -75,8 +75,8 @@ def cut_windows(
         tracks: The recording.
         obs_len: Observed steps.
         pred_len: Predicted steps.
-        people: ``complete`` keeps the people who are seen in all frames of a window (Social GAN);
-            ``present`` keeps all people who are seen in the last observed frame and in one before it.
+        people: ``complete`` keeps people seen in all frames of a window (Social GAN); ``present`` keeps
+            people seen in the last observed frame and in one before it.
         min_people: A window with fewer of them is dropped (2 in Social GAN, whose own option says 1).
     """
     length = obs_len + pred_len

@@ -1,1 +1,1 @@
-"""Floor plans: files, occupancy grids, procedural plans, walls, and the planner of ways to goals."""
+"""Floor plans: files, occupancy grids, procedural plans, walls, and the planner of paths to goals."""

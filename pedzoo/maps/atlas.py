@@ -43,7 +43,7 @@ class Atlas:
             images: One (C, h, w) per map.
             to_pixel: Per map, the affine (2, 3) from its frame (metres) to (column, row), whole at pixel
                 centres.
-            nowhere: What people without a map see (C,).
+            nowhere: Values for people without a map (C,).
         """
         # "No map" is a last image of one pixel that every position falls on: index -1 finds it.
         everything = [*images, nowhere.view(-1, 1, 1)]

@@ -32,7 +32,7 @@ class MapBank:
 
     Attributes:
         grids: The floor plans, in the given order without repetitions: row r of the bank is ``grids[r]``.
-        unknown: What their unknown cells count as.
+        unknown: Meaning of their unknown cells.
         max_distance: Signed distances are clipped to plus and minus this, metres.
     """
 
@@ -172,12 +172,12 @@ class MapBank:
     def closest_wall(self, points: Tensor, map_id: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distance to the nearest occupied square and the direction that leads away from it.
 
-        Distances are those to the cells as they are, not to a field read between them: what contacts and
-        sliding along walls rest on. On real maps one place in 20,000 or fewer, none of them beside a wall,
-        gets a few hundredths of a cell too much (see `pedzoo.maps.walls.nearest_boxes`).
+        Distances are exact, to the cells themselves: contacts and sliding along walls need this. On real
+        maps at most one place in 20,000, none of them beside a wall, gets a few hundredths of a cell too
+        much (see `pedzoo.maps.walls.nearest_boxes`).
 
-        The world outside a map is free, its walls are felt from there, and a position inside a wall at the
-        map's edge may be nearest to the outside. Where no wall is within ``max_distance`` or a scene has no
+        The world outside a map is free, and its walls count from there: the nearest place outside a wall at
+        the map's edge may be outside the map. Where no wall is within ``max_distance`` or a scene has no
         map, the distance is ``max_distance`` and the direction zero.
 
         Args:

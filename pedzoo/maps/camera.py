@@ -29,8 +29,8 @@ def seen_from_above(
 ) -> OccupancyGrid:
     """Return the floor plan of a camera's image.
 
-    A cell is occupied where most of its nine samples are solid or any of them is thin, else free where any
-    lies in the image, else unknown.
+    A cell is occupied where most of its nine samples are solid or any of them is thin. Else it is free where
+    any lies in the image, and unknown where none does.
 
     Args:
         solid: Pixels of areas without walking people (height, width).

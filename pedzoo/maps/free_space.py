@@ -12,13 +12,13 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 def free_points(grid: OccupancyGrid, unknown: Unknown, clearance: float) -> NDArray[np.float64]:
     """Return the centres of the cells in the largest connected part of the free space.
 
-    Cells are free whose centre is at least ``clearance`` from every wall by `OccupancyGrid.signed_distance`;
-    they are connected through their four sides. Places that no way leads to, such as closed courtyards, are
-    left out.
+    Cells are free if their centre is at least ``clearance`` from every wall by
+    `OccupancyGrid.signed_distance`; they are connected through their four sides. Unreachable places, such as
+    closed courtyards, are left out.
 
     Args:
         grid: The floor plan.
-        unknown: What its unknown cells count as.
+        unknown: Meaning of its unknown cells.
         clearance: Metres.
 
     Returns:
@@ -51,7 +51,7 @@ def spread_points(
 
     Args:
         grid: The floor plan.
-        unknown: What its unknown cells count as.
+        unknown: Meaning of its unknown cells.
         clearance: Metres to the nearest wall.
         spacing: Least distance between two points, metres.
         seed: Of the random order.

@@ -1,4 +1,4 @@
-"""Occupancy grids: what a floor plan is, its content's identity, and distances to its walls."""
+"""Occupancy grids: floor plans, the identity of their content, and distances to their walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """The values of a cell."""
 
 Unknown = Literal["wall", "free"]
-"""What unknown cells count as: walls indoors, free in recorded scenes (outside the camera's image)."""
+"""Meaning of unknown cells: walls indoors, free in recorded scenes (outside the camera's image)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class OccupancyGrid:
         resolution: Side of a cell in metres.
         origin: Where the outer corner of cell (0, 0) lies in the map's frame, and how the grid is turned
             about it: x and y in metres, yaw in radians.
-        name: What messages and ``MapBank.id_of`` call it; not part of its content.
+        name: Name in messages and ``MapBank.id_of``; not part of its content.
     """
 
     cells: NDArray[np.uint8]
@@ -66,7 +66,7 @@ class OccupancyGrid:
 
     @property
     def map_id(self) -> int:
-        """What scene batches carry: the first 62 bits of the content hash, the same in every bank."""
+        """The id in scene batches: the first 62 bits of the content hash, the same in every bank."""
         return int(self.digest[:16], 16) >> 2
 
     def occupied(self, unknown: Unknown) -> NDArray[np.bool_]:

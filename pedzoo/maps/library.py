@@ -1,4 +1,4 @@
-"""Floor plans by name or file: what a scenario, a controller or a datamodule takes as its map."""
+"""Floor plans by name or file: the maps of scenarios, controllers and datamodules."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plain import rectangles, room, wall
 
 FILES = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")
-"""What the names of map files end in."""
+"""Endings of map files."""
 
 _DRAWN = re.compile(r"(?P<kind>[a-z_]+)\.(?P<seed>\d{1,18})(?P<bare>\.bare)?")
 

@@ -1,4 +1,4 @@
-"""What is computed once for each bank of floor plans, such as segments of walls or features of a network."""
+"""Results computed once for each bank of floor plans, such as wall segments or a network's features."""
 
 from __future__ import annotations
 

@@ -104,8 +104,8 @@ def rectangles(
     Args:
         walls: Rectangles in the map's frame, metres; they may overlap.
         resolution: Side of a cell in metres; None takes the largest of ``RESOLUTIONS`` that fits.
-        around: What the plan covers besides the walls' bounding box.
-        name: What messages call the map.
+        around: Area that the plan covers besides the walls' bounding box.
+        name: The map's name in messages.
 
     Raises:
         UserError: There is no wall, one has no extent, or an edge lies on no border of a cell.
@@ -139,9 +139,9 @@ def check_lengths(what: str, resolution: float, *, instead: str = "", **lengths:
     """Check that lengths are whole cells.
 
     Args:
-        what: Whose lengths they are, for messages.
+        what: Object with these lengths, for messages.
         resolution: Side of a cell, metres.
-        instead: What else would help, for messages.
+        instead: Another fix, for messages.
         lengths: By name, metres.
 
     Raises:

@@ -15,13 +15,13 @@ from pedzoo.sim.rollout import Rollout
 
 
 class _Walks(NamedTuple):
-    """What people needed to reach all goals; (E, A) each, or (E, A, R) for the R runs of a replay's slots.
+    """Times and paths of people to all goals; (E, A) each, or (E, A, R) for the R runs of a replay's slots.
 
     Attributes:
         there: Which people are counted.
         arrived: Which of them arrived in time.
         planned: Length of the planner's paths, metres.
-        walked: Length of the way that they walked, metres.
+        walked: Length of the path that they walked, metres.
         needed: Seconds of free walking, each planned path at the preferred speed. Not of replays.
         taken: Seconds until they arrived, infinite for people who did not. Not of replays.
     """
@@ -138,7 +138,7 @@ def decisions(rollout: Rollout) -> Ratio:
 def time_ratio(rollout: Rollout) -> Ratio:
     """Time of all people who arrive, divided by that of free walking.
 
-    Free walking follows the planner's paths at the preferred speeds. Short ways count little.
+    Free walking follows the planner's paths at the preferred speeds. Short paths count little.
     """
     walks = _walks(rollout)
     return of_sums(walks.taken, walks.needed, walks.arrived)
@@ -146,7 +146,7 @@ def time_ratio(rollout: Rollout) -> Ratio:
 
 @metric()
 def path_ratio(rollout: Rollout) -> Ratio:
-    """Way of all people who arrive, divided by the planner's paths.
+    """Path length of all people who arrive, divided by that of the planner's paths.
 
     A policy that decides rarely walks on after a goal until its next decision: that counts as walked.
     """

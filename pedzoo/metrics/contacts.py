@@ -69,7 +69,7 @@ def wall_contact_episodes(rollout: Rollout) -> Ratio:
 
 @metric()
 def personal_space(rollout: Rollout) -> Ratio:
-    """Share of people's 0.1 s points at which nobody is within 0.5 m."""
+    """Share of people's 0.1 s points at which no other person is within 0.5 m."""
     return ratio(safety.keeps_distance(_nearest(rollout), rollout.scored), rollout.scored)
 
 

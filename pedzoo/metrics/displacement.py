@@ -171,5 +171,5 @@ class SampleDistance(Metric):
             )
 
     def compute(self) -> Tensor:
-        """Return the mean distance, metres; NaN before anybody."""
+        """Return the mean distance, metres; NaN before the first batch."""
         return self.total / self.count

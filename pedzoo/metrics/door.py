@@ -1,11 +1,11 @@
-"""Who goes first through a door, and how many: metrics, and pure functions over the trace of their episodes.
+"""Order and flow of people through a door: metrics, and pure functions over the trace of their episodes.
 
 E episodes of A people (padded), T trace points. A gate (E, 5) is the door's centre c, x and y, the unit
 normal of its wall, x and y, and its clear width: the door line goes through c along the wall, jamb to jamb.
 Nothing here depends on which way the normal points, nor on how people are numbered.
 
-Whom the pair metrics are about: the two people, one from each side, who are nearest to the door's centre when
-the episode begins. Where all come from one side there is no pair.
+A pair is two people, one from each side, who are nearest to the door's centre when the episode begins. Where
+all come from one side there is no pair.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from pedzoo.sim.rollout import Rollout
 
 
 def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
-    """Return when everybody passed the door for good (E, A), seconds; infinite for who is not through.
+    """Return when each person passed the door for good (E, A), seconds; infinite for people not through.
 
-    The last of an odd number of crossings of the door line, interpolated between two trace points: who comes
-    back is not through.
+    That is the last of an odd number of crossings of the door line, interpolated between two trace points.
+    People who come back are not through.
 
     Args:
         path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Who is at each point but the first (E, A, T) bool.
+        scored: Which people are at each point but the first (E, A, T) bool.
         gate: Doors (E, 5).
     """
     ahead, beside = _from_door(path, gate)
@@ -47,8 +47,8 @@ def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     """Return the two people who meet at the door (E, 2) long, and where there are two (E,) bool.
 
     Args:
-        start: Where everybody begins (E, A, 2), metres.
-        mask: Who took part (E, A) bool.
+        start: Where each person begins (E, A, 2), metres.
+        mask: Which people took part (E, A) bool.
         gate: Doors (E, 5).
     """
     ahead, _ = _from_door(start.unsqueeze(2), gate)
@@ -61,16 +61,16 @@ def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
     """Return how far a pair is from walking point-symmetrically (E,), and where that is known (E,) bool.
 
-    The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are there. r is their mean distance from the
-    door's centre c when the episode begins, so that the index has no unit. 0: they are mirror images in c all
-    the time, and nobody yields (ORCA, started alike); about 1: one waits at the start until the other is
+    The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are present. r is their mean distance from
+    the door's centre c when the episode begins, so the index has no unit. 0: they are mirror images in c all
+    the time, and neither yields (ORCA, started alike). About 1: one waits at the start until the other is
     through.
 
     Args:
         path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Who is at each point but the first (E, A, T) bool.
+        scored: Which people are at each point but the first (E, A, T) bool.
         gate: Doors (E, 5).
-        pair: Who meets (E, 2) long.
+        pair: The two people who meet (E, 2) long.
     """
     metres, known = asymmetry(path, scored, gate, pair)
     size = (of_pair(path, pair)[:, :, 0] - gate[:, None, :2]).norm(dim=-1).mean(1)
@@ -80,14 +80,14 @@ def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) 
 def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
     """Return the mean of ``|p1 + p2 - 2c|`` as long as both are there (E,), metres, and where it is known.
 
-    What `index_of_symmetry` is in metres. After one of them arrives the two are no longer about the door:
-    ``there`` that ends with the first arrival tells how they came through it.
+    This is `index_of_symmetry` in metres. To judge how the pair came through the door, let ``there`` end
+    with the first arrival.
 
     Args:
         path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        there: Who counts at each point but the first (E, A, T) bool.
+        there: Which people count at each point but the first (E, A, T) bool.
         gate: Doors (E, 5).
-        pair: Who meets (E, 2) long.
+        pair: The two people who meet (E, 2) long.
     """
     two, both = of_pair(path, pair), of_pair(there, pair).all(1)
     off = (two.sum(1) - 2 * gate[:, None, :2]).norm(dim=-1)[:, 1:]
@@ -101,7 +101,7 @@ def delay(seconds: Tensor) -> Tensor:
     Infinite where not both are through.
 
     Args:
-        seconds: When they passed the door (E, 2), infinite for who is not through.
+        seconds: When they passed the door (E, 2), infinite for people not through.
     """
     return torch.where(seconds.isfinite().all(1), seconds.diff(dim=1).abs().squeeze(1), torch.inf)
 
@@ -112,7 +112,7 @@ def faster_is_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -
     Known where both are through and their preferred speeds differ by more than ``differ``.
 
     Args:
-        seconds: When they passed the door (E, 2), infinite for who is not through.
+        seconds: When they passed the door (E, 2), infinite for people not through.
         pref_speed: The speeds that they like (E, 2), m/s.
         differ: m/s.
     """
@@ -130,7 +130,7 @@ def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor, dt: float) -
     Args:
         velocity: Of the pair in windows (E, 2, S, 2), m/s, see `pedzoo.metrics.smoothness`.
         known: In which windows (E, 2, S) bool.
-        seconds: When they passed the door (E, 2), infinite for who is not through.
+        seconds: When they passed the door (E, 2), infinite for people not through.
         dt: Length of a window, seconds.
     """
     end = dt * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
@@ -148,7 +148,7 @@ def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     passes at the beginning of that time: for small N it is larger than of a steady stream, by N / (N - 1).
 
     Args:
-        seconds: When everybody passed the door (E, A), infinite for who is not through.
+        seconds: When each person passed the door (E, A), infinite for people not through.
         gate: Doors (E, 5).
     """
     through = seconds.isfinite()
@@ -159,7 +159,7 @@ def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def of_pair(value: Tensor, pair: Tensor) -> Tensor:
-    """Return what is about the pair (E, 2, ...) of what is about everybody (E, A, ...)."""
+    """Return a value of the pair (E, 2, ...) from that of all people (E, A, ...)."""
     return value[torch.arange(len(pair), device=pair.device).unsqueeze(1), pair]
 
 
@@ -172,7 +172,7 @@ def _from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _Door(NamedTuple):
-    """What happened at the doors.
+    """Passings of the doors.
 
     Attributes:
         gate: The doors (E, 5).

@@ -54,7 +54,7 @@ def bootstrap_quantile(
 
     Args:
         value: Of people (N,), at least one.
-        episode: Whose episode each is of (N,) long.
+        episode: Episode of each value (N,) long.
         episodes: How many there are, E.
         at: Which quantile, 0.5 for the median.
         resamples: Of episodes, drawn with replacement.

@@ -10,8 +10,8 @@ from pedzoo.metrics.scene_mean import SceneMean
 class NegativeLogLikelihood(SceneMean):
     """Mean of minus the log density of what people did, per person and step: nats, of metres.
 
-    All steps of a person are judged together and the sum is divided by their number, so a model gains by
-    knowing that who is slow stays slow.
+    All steps of a person are judged together, and the sum is divided by their number: a model gains by
+    knowing that slow people stay slow.
     """
 
     def update(self, log_likelihood: Tensor, known: Tensor) -> None:

@@ -12,28 +12,28 @@ from torch import Tensor
 from pedzoo.core.types import TRACE_SECONDS
 
 STILL_POINTS, STILL_METRES, AWAY = round(5.0 / TRACE_SECONDS), 0.1, 0.5
-"""Trace points (5 s), metres in them, and metres to the goal: who moves less, farther away, is deadlocked."""
+"""Trace points (5 s), metres in them, and metres to the goal: less movement, farther away, is a deadlock."""
 
 
 def arrived_in_time(reached: Tensor, goals: int, late: Tensor, failed: Tensor, mask: Tensor) -> Tensor:
-    """Return who has reached all goals in time (E, A) bool; nobody has in an episode that failed.
+    """Return which people have reached all goals in time (E, A) bool; none in an episode that failed.
 
     Args:
         reached: Goals reached until each point (E, A, T) long.
-        goals: That everybody had to reach.
+        goals: Number that each person had to reach.
         late: A goal was not reached in time (E, A) bool.
         failed: The policy gave no number (E,) bool.
-        mask: Who took part (E, A) bool.
+        mask: Which people took part (E, A) bool.
     """
     return (reached[..., -1] >= goals) & ~late & ~failed.unsqueeze(1) & mask
 
 
 def finish_seconds(reached: Tensor, goals: int) -> Tensor:
-    """Return when everybody had reached all goals (E, A), seconds, infinite where they never had.
+    """Return when each person had reached all goals (E, A), seconds, infinite where they never had.
 
     Args:
         reached: Goals reached until each point (E, A, T) long.
-        goals: That everybody had to reach.
+        goals: Number that each person had to reach.
     """
     missing = (reached < goals).sum(-1)
     seconds = (missing + 1).double() * TRACE_SECONDS
@@ -41,28 +41,28 @@ def finish_seconds(reached: Tensor, goals: int) -> Tensor:
 
 
 def episode_seconds(seconds: Tensor, success: Tensor, mask: Tensor) -> Tensor:
-    """Return when the last one had finished (E,), seconds; infinite where not everybody had in time.
+    """Return when the last person had finished (E,), seconds; infinite unless all had in time.
 
     Args:
-        seconds: When everybody had finished (E, A).
+        seconds: When each person had finished (E, A).
         success: Whether in time (E, A) bool.
-        mask: Who took part (E, A) bool.
+        mask: Which people took part (E, A) bool.
     """
-    everybody = (success | ~mask).all(1)
+    all_in_time = (success | ~mask).all(1)
     last = seconds.masked_fill(~mask, 0.0).amax(1)
-    return torch.where(everybody, last, torch.inf)
+    return torch.where(all_in_time, last, torch.inf)
 
 
 def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Return the time that all people of an episode walked (E,), seconds, and the goals they reached (E,).
 
-    0 and 0 where not everybody had reached all goals in time. Whoever is finished early walks on to further
-    goals: their time counts, as do those goals.
+    0 and 0 unless all people had reached all goals in time. People who finish early walk on to further
+    goals: their time and those goals count.
 
     Args:
-        seconds: When the last one had finished (E,), infinite where not everybody had: `episode_seconds`.
+        seconds: When the last person had finished (E,), see `episode_seconds`.
         reached: Goals reached until each point (E, A, T) long.
-        mask: Who took part (E, A) bool.
+        mask: Which people took part (E, A) bool.
     """
     known = seconds.isfinite()
     goals = reached[..., -1].where(mask, 0).sum(1)
@@ -70,27 +70,27 @@ def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Te
 
 
 def planned_metres(planned: Tensor, reached: Tensor, goals: int) -> Tensor:
-    """Return the length of the planner's ways of all goals that everybody had to reach (E, A), metres.
+    """Return the length of the planner's paths of all goals that each person had to reach (E, A), metres.
 
-    Of who never reached all of them: of those until the one that they were walking to at the end.
+    For people who never reached all goals, the paths end with the goal that they were walking to at the end.
 
     Args:
-        planned: Ways of all goals until the one being walked to (E, A, T), metres.
+        planned: Paths of all goals until the one being walked to (E, A, T), metres.
         reached: Goals reached until each point (E, A, T) long.
-        goals: That everybody had to reach.
+        goals: Number that each person had to reach.
     """
     last = (reached < goals).sum(-1, keepdim=True).clamp_max(reached.shape[-1] - 1)
     return planned.gather(2, last).squeeze(2)
 
 
 def walked_metres(path: Tensor, scored: Tensor, reached: Tensor, goals: int) -> Tensor:
-    """Return how far everybody went until they had reached all goals (E, A), metres.
+    """Return how far each person walked until they had reached all goals (E, A), metres.
 
     Args:
         path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Who is at each point but the first (E, A, T) bool.
+        scored: Which people are at each point but the first (E, A, T) bool.
         reached: Goals reached until each point (E, A, T) long.
-        goals: That everybody had to reach.
+        goals: Number that each person had to reach.
     """
     until = reached[..., :-1] < goals  # the step in which the last goal is reached counts
     counts = torch.cat((torch.ones_like(scored[..., :1]), until), dim=2) & scored
@@ -98,16 +98,17 @@ def walked_metres(path: Tensor, scored: Tensor, reached: Tensor, goals: int) -> 
 
 
 def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
-    """Return each person's success weighted by what it took (E, A): ``S * least / max(least, taken)``.
+    """Return each person's success weighted by effort (E, A): ``S * least / max(least, taken)``.
 
-    With lengths of the planned and of the walked way that is SPL (Anderson et al., "On evaluation of embodied
-    navigation agents", 2018, arXiv 1807.06757); with times STL, for which iGibson takes ORCA's time as the
-    least, and pedzoo that of the planned way at the preferred speed. 1 for who arrives and needs nothing.
+    With lengths of the planned and of the walked path this is SPL (Anderson et al., "On evaluation of
+    embodied navigation agents", 2018, arXiv 1807.06757). With times it is STL: iGibson takes ORCA's time as
+    the least, pedzoo that of the planned path at the preferred speed. 1 for people who arrive and need no
+    more.
 
     Args:
-        success: Who arrived in time (E, A) bool.
+        success: Which people arrived in time (E, A) bool.
         least: Length or time that is needed (E, A).
-        taken: That it took (E, A).
+        taken: Length or time that it took (E, A).
     """
     most = torch.maximum(least, taken)
     return torch.where(most > 0, least / most, 1.0).where(success, 0.0)
@@ -118,7 +119,7 @@ def fewest_goals(reached: Tensor, mask: Tensor) -> Tensor:
 
     Args:
         reached: Goals reached until each point (E, A, T) long.
-        mask: Who took part (E, A) bool.
+        mask: Which people took part (E, A) bool.
     """
     last = reached[..., -1]
     return last.masked_fill(~mask, int(last.max())).amin(1)
@@ -130,20 +131,20 @@ def most_goals(reached: Tensor, mask: Tensor) -> Tensor:
 
 
 def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
-    """Return who once stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A) bool.
+    """Return which people once stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A) bool.
 
-    Whoever comes back to a place within 5 s has not stayed there.
+    A person who comes back to a place within 5 s has not stayed there.
 
     Args:
         trace: Positions (E, A, T, 2), metres.
-        goal: Where everybody was going (E, A, T, 2), metres.
-        scored: Who is at each point (E, A, T) bool; in all of the 5 s.
+        goal: Current goal of each person (E, A, T, 2), metres.
+        scored: Which people are scored (E, A, T) bool; it must hold for all of the 5 s.
     """
     return stuck(trace, goal, scored).any(-1)
 
 
 def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
-    """Return at which points 5 s end that make somebody `deadlocked` (E, A, T) bool; arguments as there."""
+    """Return at which points 5 s end that make a person `deadlocked` (E, A, T) bool; same arguments."""
     result = torch.zeros_like(scored)
     if trace.shape[2] <= STILL_POINTS:
         return result
@@ -154,7 +155,7 @@ def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     stayed = count[..., STILL_POINTS:] - count[..., :-STILL_POINTS] == STILL_POINTS
     result[:, :, STILL_POINTS:] = still & away & stayed
     episode, agent = result.any(-1).nonzero(as_tuple=True)
-    if len(episode):  # few: who was there 5 s ago may have been elsewhere in between
+    if len(episode):  # few: the person may have been elsewhere between now and 5 s ago
         place = trace[episode, agent].transpose(1, 2)
         extent = _window_max(place, STILL_POINTS + 1) + _window_max(-place, STILL_POINTS + 1)
         result[episode, agent, STILL_POINTS:] &= extent.norm(dim=1) < STILL_METRES

@@ -1,4 +1,4 @@
-"""Quantiles of what episodes or people did: values cannot be added up, so that groups are drawn with theirs.
+"""Quantiles over episodes or people: they cannot be added up, so whole groups are resampled.
 
 N values of G groups (episodes, people); R resamples are weights (R, G), how often each group counts.
 """
@@ -17,12 +17,12 @@ _AT_ONCE = 4_000_000
 def quantiles(value: Tensor, group: Tensor, weights: Tensor, at: Sequence[float]) -> Tensor:
     """Return quantiles (R, Q) of weighted values, float64; NaN for a resample without any.
 
-    The least value at which the share of the values up to it is no smaller than asked for: the inverse of the
-    cumulative distribution, which is always one of the values.
+    Each is the least value at which the share of the values up to it is no smaller than asked for: the
+    inverse of the cumulative distribution.
 
     Args:
         value: (N,).
-        group: Whose each is (N,) long, 0 to G - 1.
+        group: Group of each value (N,) long, 0 to G - 1.
         weights: How often each group counts (R, G).
         at: Shares, above 0 and at most 1.
     """
@@ -30,10 +30,10 @@ def quantiles(value: Tensor, group: Tensor, weights: Tensor, at: Sequence[float]
     if not len(value):
         return torch.full((len(weights), len(shares)), torch.nan, dtype=torch.float64)
     order = value.argsort()
-    ordered, whose = value[order].double(), group[order]
+    ordered, owner = value[order].double(), group[order]
     result = []
     for part in weights.double().split(max(1, _AT_ONCE // len(value))):
-        until = part[:, whose].cumsum(1)
+        until = part[:, owner].cumsum(1)
         total = until[:, -1:]
         # a share of a whole number of values may be rounded up to just above it
         place = torch.searchsorted(until, total * shares - 1e-9 * total).clamp_max(len(value) - 1)

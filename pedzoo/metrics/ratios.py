@@ -53,7 +53,7 @@ def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
 
 
 def once(function: Callable[[Rollout], T]) -> Callable[[Rollout], T]:
-    """Keep what several metrics need of a rollout for as long as that rollout is there."""
+    """Keep values that several metrics need of a rollout for as long as that rollout exists."""
     known: WeakKeyDictionary[Rollout, T] = WeakKeyDictionary()
 
     @wraps(function)
@@ -66,7 +66,7 @@ def once(function: Callable[[Rollout], T]) -> Callable[[Rollout], T]:
 
 
 def ratio(above: Tensor, below: Tensor | None = None) -> Ratio:
-    """Return the ratio of what is summed over all but episodes; per episode where there is nothing below."""
+    """Return the ratio of sums over all but episodes; per episode where the denominator is empty."""
     above = above.flatten(1).sum(1, dtype=torch.float64) if above.dim() > 1 else above.double()
     if below is None:
         return Ratio(above, torch.ones_like(above))
@@ -79,12 +79,12 @@ def share(above: Tensor, below: Tensor | None = None) -> Ratio:
 
 
 def mean(value: Tensor, known: Tensor) -> Ratio:
-    """Return the mean of what is ``known``, both (E, ...)."""
+    """Return the mean of the ``known`` values, both (E, ...)."""
     return ratio(value.where(known, 0), known)
 
 
 def of_sums(above: Tensor, below: Tensor, known: Tensor) -> Ratio:
-    """Return the sum of one quantity by the sum of another, both of what is ``known``, all (E, ...)."""
+    """Return the sum of one quantity by the sum of another, of their ``known`` values, all (E, ...)."""
     return ratio(above.where(known, 0), below.where(known, 0))
 
 
@@ -109,7 +109,7 @@ def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str,
     intervals: dict[str, Interval] = {}
     for name, (above, below, is_share) in ratios.items():
         if not float(below.sum()) > 0:
-            continue  # nobody arrived, nobody met, nobody walked
+            continue  # no person arrived, met another or walked
         metrics[name] = float(above.sum() / below.sum())
         trials = int((below > 0).sum())
         interval = wilson(metrics[name], trials) if is_share else bootstrap(above, below)

@@ -1,7 +1,7 @@
-"""People who come and go: from what is about slots to what is about persons.
+"""People who come and go: values of slots become values of persons.
 
-In a replay a slot has one person after the other, who are scored without a gap until they leave. Run r of R
-is the r-th such time of a slot (E, A, R); where a slot has fewer, the last ones are empty.
+In a replay a slot has one person after the other, each scored without a gap until they leave. Run r of R is
+the r-th such time of a slot (E, A, R). Where a slot has fewer, the last ones are empty.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pedzoo.metrics.safety import begins
 
 
 class Runs(NamedTuple):
-    """Who is scored when.
+    """When people are scored.
 
     Attributes:
         number: Which run each point is in (E, A, T) long, 0 for points that are in none, runs from 1 on.
@@ -27,7 +27,7 @@ class Runs(NamedTuple):
 
     @classmethod
     def of(cls, scored: Tensor) -> Runs:
-        """Find the runs of who is ``scored`` (E, A, T) bool."""
+        """Find the runs of people who are ``scored`` (E, A, T) bool."""
         number = begins(scored).cumsum(2)
         return cls(number.where(scored, 0), int(number.max()) if number.numel() else 0)
 
@@ -37,7 +37,7 @@ class Runs(NamedTuple):
         return self.sums(torch.ones_like(self.number)) > 0
 
     def sums(self, value: Tensor) -> Tensor:
-        """Return the sums over each run's points (E, A, R) of what is known for every point (E, A, T)."""
+        """Return the sums over each run's points (E, A, R) of values at every point (E, A, T)."""
         result = value.new_zeros(*value.shape[:2], self.count + 1)
         return result.scatter_add_(2, self.number, value)[..., 1:]
 

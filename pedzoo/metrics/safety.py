@@ -1,7 +1,7 @@
-"""Who touches and comes near whom: pure functions over the 0.1 s trace of closed-loop episodes.
+"""Contacts and distances between people: pure functions over the 0.1 s trace of closed-loop episodes.
 
-E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`. Who is scored may come near
-anybody who is there.
+E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`. Scored people may come near
+all people who are present.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def contact_events(contact: Tensor) -> Tensor:
     Two people who touch each other have one event each.
 
     Args:
-        contact: Touching within each 0.1 s (E, A, T) bool, false where nobody is.
+        contact: Touching within each 0.1 s (E, A, T) bool, false where no person is.
     """
     return begins(contact).sum(-1)
 
@@ -47,7 +47,7 @@ def person_minutes(scored: Tensor) -> Tensor:
     """Return how long each person was scored (E, A), minutes.
 
     Args:
-        scored: Who is at each point (E, A, T) bool.
+        scored: Which people are at each point (E, A, T) bool.
     """
     return scored.sum(-1) * TRACE_SECONDS / 60
 
@@ -55,11 +55,11 @@ def person_minutes(scored: Tensor) -> Tensor:
 def nearest(trace: Tensor, present: Tensor) -> Tensor:
     """Return the distance to the nearest other at each point (E, A, T), metres between centres.
 
-    Infinite for who is alone or not there.
+    Infinite for people alone or absent.
 
     Args:
         trace: Positions (E, A, T, 2), metres.
-        present: Who is there in a running episode (E, A, T) bool.
+        present: Which people are present in a running episode (E, A, T) bool.
     """
     parts = []
     for x, y, absent in _frames(present, trace):
@@ -72,23 +72,23 @@ def nearest(trace: Tensor, present: Tensor) -> Tensor:
 
 
 def least_distance(nearest: Tensor, scored: Tensor) -> Tensor:
-    """Return how near the nearest other ever came (E, A), metres between centres; infinite for who is alone.
+    """Return the least distance to another (E, A), metres between centres; infinite for a person alone.
 
     Args:
         nearest: Distance to the nearest other at each point (E, A, T), metres.
-        scored: Who is at each point (E, A, T) bool.
+        scored: Which people are at each point (E, A, T) bool.
     """
     return nearest.masked_fill(~scored, torch.inf).amin(-1)
 
 
 def keeps_distance(nearest: Tensor, scored: Tensor) -> Tensor:
-    """Return at which points nobody is within 0.5 m of each scored person (E, A, T) bool.
+    """Return at which points no other is within 0.5 m of each scored person (E, A, T) bool.
 
     Their share of all scored points is personal-space compliance per frame.
 
     Args:
         nearest: Distance to the nearest other at each point (E, A, T), metres.
-        scored: Who is at each point (E, A, T) bool.
+        scored: Which people are at each point (E, A, T) bool.
     """
     return (nearest >= PERSONAL_SPACE) & scored
 
@@ -96,13 +96,12 @@ def keeps_distance(nearest: Tensor, scored: Tensor) -> Tensor:
 def compliance_igibson(nearest: Tensor, scored: Tensor) -> Tensor:
     """Return each person's personal-space compliance as iGibson counts it (E, A), 0 to 1.
 
-    ``1 - points with somebody within 0.5 m / 500``: divided by the steps of 0.1 s that an episode of
-    iGibson's social navigation may take, not by those that this one took, so that short episodes look
-    better. Not below 0 in longer ones.
+    ``1 - points with another person within 0.5 m / 500``, not below 0. 500 is the number of 0.1 s steps that
+    an episode of iGibson's social navigation may take, so short episodes look better.
 
     Args:
         nearest: Distance to the nearest other at each point (E, A, T), metres.
-        scored: Who is at each point (E, A, T) bool.
+        scored: Which people are at each point (E, A, T) bool.
     """
     intruded = (nearest < PERSONAL_SPACE) & scored
     return (1 - intruded.sum(-1) / IGIBSON_POINTS).clamp_min(0.0)
@@ -121,7 +120,7 @@ def time_to_collision(
     Args:
         position: (E, A, S, 2), metres.
         velocity: (E, A, S, 2), m/s.
-        there: Who is there, with a known velocity (E, A, S) bool.
+        there: Which people are present, with a known velocity (E, A, S) bool.
         radius: Radii of the bodies (E, A), metres; None for those of people.
     """
     own = position.new_full(position.shape[:2], BODY_RADIUS) if radius is None else radius.to(position)
@@ -137,10 +136,10 @@ def time_to_collision(
 
 
 def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: Tensor) -> Tensor:
-    """Return when pairs touch who keep their velocities, at most 10 s; see `time_to_collision`.
+    """Return when pairs that keep their velocities touch, at most 10 s; see `time_to_collision`.
 
     Args:
-        x: From one to the other (...), metres; its memory is used for the result, as that of all others.
+        x: From one to the other (...), metres; its memory is used for the result, as is that of all others.
         y: Likewise.
         vx: Velocity of the other less that of the one (...), m/s.
         vy: Likewise.
@@ -159,7 +158,7 @@ def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
     """Yield the points of all episodes, F at once so that their pairs fit a cache.
 
     Args:
-        there: Who is there (E, A, T) bool.
+        there: Which people are present (E, A, T) bool.
         vectors: (E, A, T, D) each.
 
     Yields:
@@ -178,7 +177,7 @@ def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
 
 
 def _of_people(parts: list[Tensor], there: Tensor) -> Tensor:
-    """Return what the frames have (F, A) as (E, A, T), infinite for who is not there."""
+    """Return values of the frames (F, A) as (E, A, T), infinite for absent people."""
     episodes, agents, points = there.shape
     result = torch.cat(parts).view(episodes, points, agents).transpose(1, 2)
     return result.masked_fill(~there, torch.inf)

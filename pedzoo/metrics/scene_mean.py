@@ -1,4 +1,4 @@
-"""What means over people have in common: exact sums, over processes too, and those of each scene."""
+"""Means over people: exact sums, over processes too, and those of each scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torchmetrics import Metric
 
 
 class SceneMean(Metric):
-    """A sum over people by what they are counted as; state in float64, summed over processes.
+    """A sum over people with their count; state in float64, summed over processes.
 
     Attributes:
         latest: Sums and counts (B,) of each scene of the last update, for intervals over scenes.
@@ -21,17 +21,17 @@ class SceneMean(Metric):
     latest: tuple[Tensor, Tensor]
 
     def __init__(self) -> None:
-        """Begin with nobody."""
+        """Begin without people."""
         super().__init__()
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
     def add(self, value: Tensor, count: Tensor) -> None:
-        """Add a batch: everybody's value (B, A), zero for who does not count, and each scene's count (B,)."""
+        """Add a batch: each person's value (B, A), zero where not counted, and each scene's count (B,)."""
         self.latest = value.sum(1, dtype=torch.float64), count
         self.total += value.sum(dtype=torch.float64)
         self.count += count.sum()
 
     def compute(self) -> Tensor:
-        """Return the mean; NaN before anybody."""
+        """Return the mean; NaN before the first batch."""
         return self.total / self.count

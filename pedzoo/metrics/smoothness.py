@@ -1,10 +1,10 @@
 """How people move: metrics, and pure functions over the 0.1 s trace of their closed-loop episodes.
 
-E episodes of A people (padded), T trace points. Speeds and what follows from them are taken over windows of
-0.4 s: between two decisions a learned model's people walk straight on, so that all of a change of velocity
-falls into one 0.1 s. Windows begin with the episode, as decisions do, and do not overlap: window s of S is
-from point ``4 s`` to ``4 s + 4`` of the path. What has no value is left out, not counted as 0: windows in
-which somebody is scored for a part only, changes of velocity at their ends, headings of who stands still.
+E episodes of A people (padded), T trace points. Speeds and their changes are taken over windows of 0.4 s:
+people of a learned model walk straight on between two decisions, so all of a change of velocity falls into
+one 0.1 s. Windows begin with the episode, as decisions do, and do not overlap: window s of S is from point
+``4 s`` to ``4 s + 4`` of the path. Missing values are left out, not counted as 0: windows in which a person
+is scored only in part, changes of velocity at their ends, headings of standing people.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WINDOW = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in a window."""
 
 STANDS = 0.1
-"""m/s: who is slower in a window has no heading in it."""
+"""m/s: people slower than this in a window have no heading in it."""
 
 
 def velocities(path: Tensor, scored: Tensor, every: int = WINDOW) -> tuple[Tensor, Tensor]:
@@ -30,7 +30,7 @@ def velocities(path: Tensor, scored: Tensor, every: int = WINDOW) -> tuple[Tenso
 
     Args:
         path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Who is at each point but the first (E, A, T) bool, see `Rollout.scored`.
+        scored: Which people are at each point but the first (E, A, T) bool, see `Rollout.scored`.
         every: Points in a window; S is ``T // every``.
     """
     windows = scored.shape[2] // every
@@ -59,7 +59,7 @@ def jerk(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Ten
 def heading_rate(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:
     """Return how fast headings turn, left or right (E, A, S - 1), rad/s, and where it is known.
 
-    That is where somebody walks, faster than 0.1 m/s, in both windows. Arguments as of `acceleration`.
+    That is where a person walks, faster than 0.1 m/s, in both windows. Arguments as of `acceleration`.
     """
     angle, walks = _headings(velocity, known)
     return _wrapped(angle.diff(dim=2)) / dt, walks[..., 1:] & walks[..., :-1]
@@ -68,9 +68,8 @@ def heading_rate(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> t
 def turning(velocity: Tensor, known: Tensor) -> Tensor:
     """Return by how much each person turned in all (E, A), radians, left and right added up.
 
-    Divided by the `length` of the way that is path irregularity, rad/m. Nothing is taken off for corners that
-    the planned way has, too: they are the same for every policy. Who stops and walks on in another direction
-    has turned.
+    Divided by the `length` of the path this is path irregularity, rad/m. Corners of the planned path count:
+    they are the same for every policy. People who stop and walk on in another direction have turned.
 
     Args:
         velocity: In windows (E, A, S, 2), m/s.
@@ -92,7 +91,7 @@ def length(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> Tensor:
 
 
 def _headings(velocity: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """Return headings (E, A, S), radians, and who has one."""
+    """Return headings (E, A, S), radians, and which people have one."""
     return torch.atan2(velocity[..., 1], velocity[..., 0]), known & (velocity.norm(dim=-1) > STANDS)
 
 
@@ -134,5 +133,5 @@ def heading_rate_rad_per_s(rollout: Rollout) -> Ratio:
 
 @metric()
 def path_irregularity_rad_per_m(rollout: Rollout) -> Ratio:
-    """All turning divided by all way."""
+    """Total turning divided by total path length."""
     return ratio(turning(*moves(rollout)), length(*moves(rollout)))

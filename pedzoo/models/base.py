@@ -1,4 +1,4 @@
-"""What every forecaster is: something that turns a scene batch into displacements."""
+"""The interface of forecasters: a scene batch becomes displacements."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Noise = Literal["episode", "step", "scene", "mixed"]
 
 @dataclass(frozen=True)
 class Walking:
-    """How a model walks, unless its policy is told otherwise.
+    """How a model walks, unless its policy has other settings.
 
     Attributes:
-        safety: Whether those who walk are kept clear of others and walls: see
+        safety: Whether walking people are kept clear of others and walls: see
             `pedzoo.policies.learned.safety`.
-        extend_goal: Whether those who walk do not slow down for goals round a corner: see
+        extend_goal: Whether walking people do not slow down for goals round a corner: see
             `pedzoo.policies.learned.extended_goals`.
     """
 
@@ -46,7 +46,7 @@ class Forecaster(nn.Module):
     """A model of the zoo.
 
     Attributes:
-        needs: What it reads besides histories: ``goal``, ``map``.
+        needs: Inputs besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, by default.
@@ -89,7 +89,7 @@ class Forecaster(nn.Module):
 
         Args:
             batch: Scenes.
-            noise: Everybody's noise (B, A, noise_dim); None for the most likely future. A stochastic model
+            noise: Each person's noise (B, A, noise_dim); None for the most likely future. A stochastic model
                 that takes no noise draws its own.
             steps: Steps that are wanted.
             horizon: Steps that the short-term goal lies ahead.
@@ -123,7 +123,7 @@ class Forecaster(nn.Module):
         raise UserError(f"{type(self).__name__} has nothing to train")
 
     def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
-        """Return how likely everybody's true future was (B, A); None for a model without a density.
+        """Return how likely each person's true future was (B, A); None for a model without a density.
 
         Log densities, nats, of the displacements that `known_displacements` tells, all steps of a person
         together, or a lower bound of them; 0 where nothing is known. Where all are known, that is also the
@@ -150,7 +150,7 @@ def known_displacements(batch: TensorDict) -> Tensor:
 
 
 def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:
-    """Return one path for everybody (B, A, T, 2) as every sample (B, K, A, T, 2), zero for padding."""
+    """Return one path per person (B, A, T, 2) as every sample (B, K, A, T, 2), zero for padding."""
     there = agents_of(batch)["mask"][..., None, None]
     # not a product: what padding holds may be NaN
     return torch.where(there, path, 0.0).unsqueeze(1).expand(-1, samples, *path.shape[1:])

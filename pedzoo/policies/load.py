@@ -44,12 +44,12 @@ def load_policy(name: str) -> Policy | Walker:
     """Return a policy of the registry, any model as one, or a mixed crowd.
 
     Args:
-        name: ``orca:radius=0.3``, or whatever `pedzoo.load` takes, with settings of `Walker`:
+        name: ``orca:radius=0.3``, or a name that `pedzoo.load` takes, with settings of `Walker`:
             ``sgan_goal.zara1:noise=step``. For a mixed crowd several of these, joined by ``+``, each with
             its share of the agents: ``orca:share=0.5+sgan_goal_map.indoor``.
 
     Raises:
-        UserError: Unknown name or setting, with the nearest spelling in the message; shares that cannot be.
+        UserError: Unknown name or setting, with the nearest spelling in the message; impossible shares.
     """
     if is_crowd(name):
         return Teams(crowd_of(name))

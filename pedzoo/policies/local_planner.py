@@ -1,4 +1,4 @@
-"""What a local planner of a robot sees, and what it answers. B robots, N people around each (padded)."""
+"""Inputs and outputs of a robot's local planner. B robots, N people around each (padded)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Drive(NamedTuple):
 
 
 class People(NamedTuple):
-    """The people whom the robot knows of.
+    """The people that the robot knows of.
 
     Attributes:
         position: Centres (B, N, 2), metres; any numbers where there is no person.

@@ -1,8 +1,8 @@
-"""Who is near whom: the one way to ask, for scenes of two people and for crowds.
+"""The nearest neighbours of people, for scenes of two and for crowds.
 
-Up to `ALL_PAIRS` people per scene everybody is compared with everybody. In larger scenes people are sorted
-into square cells as wide as they can see, and compared with those in the nine cells around them (cell lists:
-Allen and Tildesley, "Computer Simulation of Liquids", 1987, section 5.3.2). Both ways give the same answers.
+Up to `ALL_PAIRS` people per scene all pairs are compared. In larger scenes people are sorted into square
+cells as wide as they can see, and compared with those in the nine cells around them (cell lists: Allen and
+Tildesley, "Computer Simulation of Liquids", 1987, section 5.3.2). Both ways give the same answers.
 """
 
 from __future__ import annotations
@@ -13,18 +13,23 @@ import torch
 from torch import Tensor
 
 ALL_PAIRS = 128
-"""People per scene beyond which cells are used. On one CPU thread both ways of finding 10 within 5 m take the
-same time at 80 people per scene (32 scenes, 0.1 per square metre) to 500 (one scene, 1 per square metre)."""
+"""People per scene beyond which cells are used.
+
+For 10 neighbours within 5 m on one CPU thread, both ways take the same time at 80 people (32 scenes, 0.1 per
+square metre) to 500 (one scene, 1 per square metre).
+"""
 
 NETWORK, NETWORK_PEOPLE = 9, 500
-"""People per scene up to which, and in the batch from which, a sorting network over a few long rows takes the
-place of a sort of many short ones: for 1024 scenes of 5 a quarter of the time, for a few scenes more."""
+"""Most people per scene, and fewest in the batch, for a sorting network over a few long rows.
+
+For 1024 scenes of 5 it takes a quarter of the time of many short sorts, for a few scenes more.
+"""
 
 _BITS = 21
-"""Of a cell's number along x, and along y; the cells at the rim hold everybody beyond them."""
+"""Largest number of a cell along x, and along y; cells at the rim hold all people beyond them."""
 
 _MARGIN = 1 + 1e-6
-"""How much wider than necessary cells are, so that rounding of a distance loses nobody."""
+"""How much wider than necessary cells are, so that rounding a distance loses no neighbour."""
 
 
 class Neighbors(NamedTuple):
@@ -43,11 +48,11 @@ class Neighbors(NamedTuple):
 def nearest(
     position: Tensor, mask: Tensor, reach: float, most: int | None, rows: Tensor | None = None
 ) -> Neighbors:
-    """Return everybody's nearest others; absent people have none and are nobody's.
+    """Return each person's nearest others; absent people have none and are no person's.
 
     Args:
         position: Positions (B, A, 2), metres; anything for absent people.
-        mask: Who is there (B, A) bool.
+        mask: Which people are present (B, A) bool.
         reach: Metres between centres from which on others are ignored.
         most: So many at most; None: all within reach.
         rows: Which of the B * A people are asked for (N,) long; None: all.
@@ -70,7 +75,7 @@ def nearest(
             few = _least(keys if rows is None else keys.index_select(0, rows), most)
     low, high = (bound.tolist() for bound in few.aminmax(dim=1))
     few = few[: sum(least < _NOBODY for least in low)]
-    # the own key comes before those of all who are ignored, and after the others
+    # the own key comes before those of ignored people, and after the others
     own = _NOBODY + _places(mask, rows)
     index = few.minimum(own).bitwise_and_(_PLACE)
     return Neighbors(index, None if max(high[: len(few)], default=0) < _NOBODY else few < _NOBODY)
@@ -105,10 +110,10 @@ _PLACE = (1 << 31) - 1
 """The bits of a key that tell the place."""
 
 _FAR = 1e30
-"""Squared metres from which on others are ignored, whatever the reach."""
+"""Squared metres from which on others are ignored, for every reach."""
 
 _NOBODY = int(torch.tensor(_FAR).view(torch.int32)) - 1 << 31
-"""Where the keys of those who are ignored begin."""
+"""Where the keys of ignored people begin."""
 
 
 def _key(distance2: Tensor, place: Tensor) -> Tensor:
@@ -124,14 +129,14 @@ def _finite(position: Tensor) -> Tensor:
 
 
 def _places(mask: Tensor, rows: Tensor | None) -> Tensor:
-    """Return the places of those who are asked for (N,)."""
+    """Return the places of the people asked for (N,)."""
     return torch.arange(mask.numel(), device=mask.device) if rows is None else rows
 
 
 def _keys_of_all(position: Tensor, mask: Tensor, reach: float) -> Tensor:
-    """Return the keys (A - 1, A, B) of everybody with those in the slots after, the first after the last."""
+    """Return the keys (A - 1, A, B) of each person with those in the next slots, cyclically."""
     present = mask if position.sum().isfinite() else mask & _finite(position)
-    if not present.all():  # absent people are far from everybody, and from each other
+    if not present.all():  # absent people are far from all people, and from each other
         far = torch.arange(1, 1 + mask.shape[1], device=mask.device)[:, None] * 1e18
         position = torch.where(present[..., None], position, far.to(position))
     number = _places(mask, None).view(mask.shape).T.contiguous()
@@ -142,10 +147,10 @@ def _keys_of_all(position: Tensor, mask: Tensor, reach: float) -> Tensor:
     return _key(distance2.add_(ignored, alpha=_FAR), _after(number, 0))
 
 
-def _after(everybody: Tensor, dim: int) -> Tensor:
+def _after(value: Tensor, dim: int) -> Tensor:
     """Return the others (..., A - 1, A, ...) of a dimension's A people, by how many slots after they come."""
-    agents = everybody.shape[dim]
-    twice = torch.cat((everybody, everybody), dim).narrow(dim, 1, 2 * agents - 2)
+    agents = value.shape[dim]
+    twice = torch.cat((value, value), dim).narrow(dim, 1, 2 * agents - 2)
     return twice.unfold(dim, agents, 1).movedim(-1, dim + 1)
 
 
@@ -188,7 +193,7 @@ def _expanded(begin: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | None) -> Tensor:
-    """Return the keys (N, C) of everybody near the people who are asked for."""
+    """Return the keys (N, C) of all people near those asked for."""
     asked = _places(mask, rows)
     present = mask & _finite(position)
     width = position.new_full((len(present), 1, 1), max(reach, torch.finfo(position.dtype).tiny))

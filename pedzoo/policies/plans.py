@@ -1,4 +1,4 @@
-"""What a team has decided and not yet walked, kept between the decisions of a crowd.
+"""Decided steps of a team that are not walked yet, kept between the decisions of a crowd.
 
 Scenes are known by their key and floor plan, people by their number. So resets, other environments in
 between, parts of a batch and changed slots mix nothing up.
@@ -82,7 +82,7 @@ class Memory:
         self._others: Plans | None = None
 
     def recall(self, like: Plans, person: Tensor) -> Plans:
-        """Return what is kept of scenes.
+        """Return the kept values of scenes.
 
         Args:
             like: Plans in which nothing was decided, for the scenes that are unknown.

@@ -1,4 +1,4 @@
-"""What every policy is."""
+"""The interface of policies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pedzoo.policies.learned.walker import Walker
 
 
 class Policy(TensorDictModuleBase):
-    """Reads a scene batch and writes everybody's velocity (B, A, 2) in m/s to ``agents/action``.
+    """Reads a scene batch and writes each person's velocity (B, A, 2) in m/s to ``agents/action``.
 
     Attributes:
         decision_dt: Seconds between its decisions.

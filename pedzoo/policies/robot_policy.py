@@ -1,4 +1,4 @@
-"""What every policy of robots is, and how robots on wheels follow a wanted velocity."""
+"""The interface of robots' policies, and how robots on wheels follow a wanted velocity."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TURN_GAIN = 4.0
 
 
 class RobotPolicy(TensorDictModuleBase):
-    """Reads what `pedzoo.make_robot_env` observes, and writes ``robots/action`` (B, R, 2).
+    """Reads an observation of `pedzoo.make_robot_env`, and writes ``robots/action`` (B, R, 2).
 
     The bodies of the robots stand in the batch: `bodies_of`. A policy by name is a file in
     `pedzoo.policies.robots`, or ``file.py:Class``: one of these, or a `LocalPlanner`.
@@ -103,7 +103,7 @@ class Planned(RobotPolicy):
 
 
 def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
-    """Return what each of the B * R robots knows of itself and of all other agents, in one row each."""
+    """Return the observation of each of the B * R robots of itself and all other agents, in one row each."""
     agents = agents_of(scenes)
     count = bodies.radius.shape[-1]
     position = cast("Tensor", agents["history"])[:, :, -1]

@@ -64,7 +64,7 @@ class Team(nn.Module):
         return self._asked(scenes, mine)
 
     def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
-        """Return what the policy says (B, A, 2): it controls no other team's agents."""
+        """Return the policy's answer (B, A, 2): it controls no other team's agents."""
         seen = copied(scenes)
         agents = agents_of(seen)
         agents["controlled"] = mine
@@ -123,12 +123,12 @@ class Team(nn.Module):
 class Teams(Policy):
     """A mixed crowd: which policy moves which agents, each policy at its own decision interval.
 
-    Which team an agent belongs to is drawn by the scene's key and the agent's number. So it is the same in
-    every batch and in every process, and stays with the person for the episode.
+    An agent's team is drawn by the scene's key and the agent's number. So it is the same in every batch and
+    process, and stays for the episode.
 
-    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy
-    does not move any other agent. Policies do all of the avoidance of agents that they do not move. So where
-    two teams meet, both do all of it.
+    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy does
+    not move any other agent. Policies do all of the avoidance of agents that they do not move: where two
+    teams meet, both do all of it.
 
     The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
     people who are new or just taken over it is asked at once; later these decide with their team. In

@@ -1,4 +1,4 @@
-"""When people reach a goal, on the 0.1 s trace and not only at decisions, and what they do next."""
+"""When people reach a goal, on the 0.1 s trace and not only at decisions, and their next goals."""
 
 from __future__ import annotations
 

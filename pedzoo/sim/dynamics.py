@@ -50,7 +50,7 @@ def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Ten
     Args:
         state: Bodies, headings, velocities.
         command: As the agent's drive has it (2, B, A).
-        velocity: What holonomic agents want in each trace step (2, S, B, A), m/s.
+        velocity: Wanted velocities of holonomic agents in each trace step (2, S, B, A), m/s.
     """
     wheels = state.drive != HOLONOMIC
     left, right = command

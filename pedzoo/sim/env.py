@@ -1,4 +1,4 @@
-"""The scene as a TorchRL environment: people who walk through a building, B scenes at once."""
+"""The scene as a TorchRL environment: people walk through a building, B scenes at once."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MADE, _AGENTS_MADE = 128, 640
 
 
 class _Scenes(NamedTuple):
-    """What B scenes are like, and what the planner says in them."""
+    """Specs of B scenes, and the planner's answer for them."""
 
     state: State
     guidance: Guidance
@@ -56,20 +56,19 @@ class _Scenes(NamedTuple):
 
 
 class PedestrianEnv(EnvBase):
-    """A policy decides all velocities, agents move, and physics says what they touch.
+    """A policy decides all velocities, agents move, and physics finds their contacts.
 
-    Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. ``agents/info``
-    has what closed-loop metrics are made of. ``trace``, ``agent_contact``, ``wall_contact`` and ``reached``
-    are those of every 0.1 s since the last decision (see `Events`); ``overdue`` and
-    ``remaining_path`` are those of `State`.
+    Keys as in `pedzoo.core.batch`, with ``action`` (m/s) and ``reward`` under ``agents``. Closed-loop
+    metrics read ``agents/info``. Its ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are
+    those of every 0.1 s since the last decision (`Events`), ``overdue`` and ``remaining_path`` of `State`.
 
-    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` where
-    something was touched. `scene_key` is what noise is drawn by: it names the scene, whatever its row.
+    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` for a contact.
+    Noise is drawn by `scene_key`, which names the scene in any row.
 
     Attributes:
-        group: Under which key actions and rewards stand.
-        policy_name: What warnings call the policy.
-        prepared: The scenario, with its floor plans and ways.
+        group: Key under which actions and rewards stand.
+        policy_name: Name of the policy in warnings.
+        prepared: The scenario, with its floor plans and paths.
     """
 
     group = "agents"
@@ -91,8 +90,8 @@ class PedestrianEnv(EnvBase):
         """Take a prepared scenario and the physics that moves them; `pedzoo.make_env` does both.
 
         Args:
-            prepared: What `Scenario.prepare` returned.
-            physics: Moves agents, and answers what is touched.
+            prepared: The result of `Scenario.prepare`.
+            physics: Moves agents, and finds contacts.
             num_envs: B.
             seed: Of all scenes; scene i of a seed is the same however many are run at once.
             decision_dt: Seconds between two decisions, a multiple of 0.1.
@@ -173,10 +172,10 @@ class PedestrianEnv(EnvBase):
         for keys, which takes longer than a step of few scenes.
 
         Args:
-            tensordict: What agents saw, with their actions; the key ``next`` is added.
+            tensordict: The observation, with actions; the key ``next`` is added.
 
         Returns:
-            This, and what agents see now. Keys that a policy has added stand in both.
+            This, and the new observation. Keys that a policy has added stand in both.
         """
         if "next" in tensordict.keys() or "_step" in tensordict.keys():
             return super().step_and_maybe_reset(tensordict)
@@ -198,7 +197,7 @@ class PedestrianEnv(EnvBase):
         return tensordict, now
 
     def reset(self, tensordict: TensorDictBase | None = None, **settings: Any) -> Any:
-        """Begin scenes anew, and return what all agents see.
+        """Begin scenes anew, and return the observation of all agents.
 
         This is `EnvBase.reset`, but all rows are taken as `_reset` returns them; TorchRL would pick those
         that begin anew, key by key.

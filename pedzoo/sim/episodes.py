@@ -23,7 +23,7 @@ from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenar
 from pedzoo.sim.state import PAST_LEN, State
 
 TRIES = 8
-"""Goals that are drawn at most for a person who begins near one."""
+"""Most draws of a goal for a person who begins near one."""
 
 
 class Episodes:
@@ -81,7 +81,7 @@ class Episodes:
         cut_off = ((opening.controlled | (state.stands > 0)) & remaining_path.isinf()).nonzero()
         if len(cut_off):
             raise self._no_way(state, guidance, *cut_off[0].tolist())
-        if layout.opening is not None:  # people who are played back may be where no way leads from
+        if layout.opening is not None:  # played-back people may stand where no path leads away
             remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
         clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
         position, past = state.position, state.past

@@ -46,7 +46,7 @@ class Playback(Protocol):
 
 @dataclass(frozen=True)
 class Rules:
-    """What holds for all scenes of a simulation.
+    """Constants of all scenes of a simulation.
 
     Attributes:
         guidance: The planner's carrots and desired velocities of all agents.
@@ -83,7 +83,7 @@ def rules_of(
 
 
 def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
-    """Return what the scenario's planner says to all agents."""
+    """Return the planner's guidance of all agents."""
     return prepared.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
@@ -96,7 +96,7 @@ def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
 
 
 def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
-    """Return what comes of a decision.
+    """Return the result of a decision.
 
     A scene in which the command of a controlled agent is not finite stays as it is and is truncated. Agents
     without a goal stand.
@@ -183,7 +183,7 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
         state: At its beginning.
         hits: Which agents have reached their goal until each trace point (B, A, S) bool.
         trace: Positions every 0.1 s (B, A, S, 2), metres.
-        failed: Scenes whose policy gave no number (B,) bool.
+        failed: Scenes whose policy returned NaN or infinity (B,) bool.
         rules: Of the scenes.
     """
     hit = hits[..., -1]

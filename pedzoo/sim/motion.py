@@ -1,4 +1,4 @@
-"""What comes of a decision: where bodies go, what they touch, and what is near them."""
+"""The result of a decision: paths of bodies, their contacts, and distances."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CLOCK_ROUNDING = 1e-3
 
 
 class Contacts(NamedTuple):
-    """What is touched at each trace point.
+    """Contacts at each trace point.
 
     Attributes:
         agent: Whether another agent is touched at trace point s (B, A, S) bool.
@@ -42,7 +42,7 @@ class Distances(NamedTuple):
 
 
 class MotionInput(NamedTuple):
-    """What agents on the common path do in a decision of S trace points.
+    """Motion of agents on the common path in a decision of S trace points.
 
     Attributes:
         velocity: In each 0.1 s (2, S, B, A), m/s, limits respected already.
@@ -64,7 +64,7 @@ class MotionInput(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What comes of a decision of S trace points.
+    """The result of a decision of S trace points.
 
     Attributes:
         trace: Positions every 0.1 s (B, A, S, 2), metres.
@@ -99,7 +99,7 @@ class Owned(NamedTuple):
 
 
 class Events(NamedTuple):
-    """What happened in one decision of S trace points.
+    """The events of one decision of S trace points.
 
     Attributes:
         trace: Positions every 0.1 s (B, A, S, 2), metres.

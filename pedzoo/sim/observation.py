@@ -1,4 +1,4 @@
-"""What agents see of their scenes: the scene batch of a state, its specs, and recorded windows as states."""
+"""Observations of agents: the scene batch of a state, its specs, and recorded windows as states."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
 def observed(state: State, guidance: Guidance, maps: MapBank) -> TensorDict:
-    """Return the scene batch (B,) of a state: every policy decides from it, wherever its agents walk.
+    """Return the scene batch (B,) of a state, from which every policy decides.
 
     Args:
         state: The scenes.
-        guidance: What the planner says to their agents.
+        guidance: The planner's answer for their agents.
         maps: The floor plans of their ``map_id``.
     """
     return scene_batch(

@@ -1,4 +1,4 @@
-"""Motion in the open: no walls, and contacts that are not asked for. What imitation walks in."""
+"""Motion in the open, for imitation: no walls, and no contacts."""
 
 from __future__ import annotations
 

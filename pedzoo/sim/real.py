@@ -79,7 +79,7 @@ def _still(state: State) -> Guidance:
 def _walked(
     scenario: Scenario, script: Script, physics: Physics, rules: kernel.Rules, start: State
 ) -> Rollout:
-    """Return what really happened in scenes that begin so."""
+    """Return the recorded continuation of scenes that begin so."""
     people, scene = script.people, start.scene
     goal_point = people.goal.float()
     planned = (people.path_length.float() - GOAL_RADIUS).clamp_min(0)

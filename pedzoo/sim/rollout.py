@@ -1,4 +1,4 @@
-"""What closed-loop metrics and pictures are made of: where all agents were, every 0.1 s."""
+"""Positions of all agents every 0.1 s, for closed-loop metrics and pictures."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ OVER_TIME = (
 class Rollout:
     """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
 
-    Nothing changes after an episode's end: positions and counts stay as they were, no agent is present.
+    After an episode's end positions and counts stay as they were, and no agent is present.
 
-    Only ``controlled`` agents are scored; other present agents are met and touched. In ordinary scenes each
-    agent has a slot of its own and is controlled while present. In a replay people are played back before
-    the policy takes them over. People who come later take the slots of people who have left.
+    Only ``controlled`` agents are scored; other present agents can be touched. In ordinary scenes each agent
+    has its own slot and is controlled while present. In a replay people are played back before the policy
+    takes them over; people who come later take the slots of people who have left.
 
     Attributes:
         trace: Positions (E, A, T, 2), metres.
         goal: Goals of that moment (E, A, T, 2), metres.
-        present: Which agents are there, the episode still running (E, A, T) bool.
+        present: Which agents are there, in a running episode (E, A, T) bool.
         controlled: Which agents are there and moved by the policy (E, A, T) bool.
         person: Person in the slot (E, A, T) long, -1 for none; the slot's number in ordinary scenes.
-        planned: Length of the planner's ways of all goals until the one being walked to (E, A, T), metres,
-            each as long as it was when the goal was set, less the goal's radius and not below 0.
+        planned: Length of the planner's paths of all goals until the one being walked to (E, A, T), metres:
+            each as of when the goal was set, less the goal's radius and not below 0.
         agent_contact: A body was touched in that 0.1 s (E, A, T) bool; false in empty slots.
         wall_contact: A wall was (E, A, T) bool.
         reached: Goals that the person in the slot has reached until then (E, A, T) long.
         overdue: A goal was not reached in time (E, A) bool.
-        failed: The policy gave no number (E,) bool.
+        failed: The policy returned NaN or infinity (E,) bool.
         mask: Which agents were there at the beginning (E, A) bool.
         past: The warm start (E, A, 29, 2), its last point is where the episode begins.
         pref_speed: The speed that people like (E, A), m/s.
@@ -190,7 +190,7 @@ def rollout_of(
     Args:
         scenario: Where they are from.
         start: How they began.
-        steps: What has a value for every trace point, piece by piece (E, A, S, ...).
+        steps: Values for every trace point, piece by piece (E, A, S, ...).
         overdue: Which agents did not reach a goal in time (E, A) bool.
         failed: In which the policy gave no number (E,) bool.
         decision_dt: Seconds between two decisions.

@@ -17,7 +17,7 @@ PAST_LEN = (OBS_LEN - 1) * TRACE_PER_STEP + 1
 
 
 class State(NamedTuple):
-    """B scenes of A agents. Never written in place: what a rollout was given stays as it was.
+    """B scenes of A agents. Never written in place: states handed out stay as they were.
 
     Attributes:
         key: Key of each scene's draws (B,) long.
@@ -53,8 +53,8 @@ class State(NamedTuple):
         deadline: When the goal has to be reached (B, A), seconds on the clock.
         overdue: A goal was not reached in time (B, A) bool.
         remaining_path: Length of the path to the goal (B, A), metres.
-        planned: Ways of all goals up to this one, as long as they were when the goal was set and without what
-            a goal's radius saves (B, A), metres.
+        planned: Paths of all goals up to this one, each as of when the goal was set and less its radius (B,
+            A), metres.
         stands: Until when an agent stands where it began (B, A), seconds on the clock; 0 where it does not.
     """
 
@@ -96,13 +96,13 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, past: Tensor, mask: Tensor, pref_speed: Tensor, **given: Tensor | None) -> State:
-        """Return people who have done nothing yet; what is not given is that of a person, without limits.
+        """Return people at their start; missing values are those of a person, without limits.
 
         Args:
-            past: As in the class, as all others.
+            past: As in the class, like all others.
             mask: Which agents are there.
             pref_speed: The speed that agents like.
-            given: All that differs between scenes, and whatever else is not as usual.
+            given: All that differs between scenes, and every other unusual value.
         """
         nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
         endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)

@@ -24,15 +24,15 @@ from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 WarmStart = Literal["orca", "static", "recorded"]
 
 ORCA = OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8)
-"""The same for every row of a table, whatever walks afterwards."""
+"""The same for every row of a table and every policy."""
 
 
 @torch.no_grad()
 def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegments) -> State:
-    """Return the state after 7 steps with ORCA of people who begin to walk; goals that they pass are renewed.
+    """Return the state after 7 steps with ORCA of people who begin to walk; reached goals are renewed.
 
-    Robots and agents with wheels stand meanwhile. So do agents that stand where they start; their time does
-    not run yet.
+    Robots, agents with wheels and agents that stand where they start stay in place. The standing time starts
+    afterwards.
 
     Args:
         state: All agents where they start.

@@ -22,12 +22,12 @@ from pedzoo.train.run import RunFolder
 def start_from(module: ForecastModule, weights: str) -> None:
     """Fill the generator of ``module`` with ``weights``.
 
-    Everything else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo
-    weights do not have. The goal protocol and whose the noise is may be others than theirs, and the losses.
+    All else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo weights
+    do not have. The goal protocol, the noise and the losses may differ from theirs.
 
     Args:
         module: About to be trained.
-        weights: What `pedzoo.load` accepts.
+        weights: A name that `pedzoo.load` accepts.
 
     Raises:
         UserError: No such weights, or they are of another architecture.
@@ -67,7 +67,7 @@ def options_of(weights: str) -> list[str]:
 def options_to_continue(run: RunFolder) -> list[str]:
     """Return the options of ``pedzoo fit`` that go on with a run.
 
-    Earlier versions trained in the loop without dropout, whatever the config said: such a run goes on so.
+    Earlier versions trained in the loop without dropout for every config; such a run continues without it.
 
     Raises:
         UserError: Its checkpoint cannot be read.
@@ -87,7 +87,7 @@ def architecture_options(weights: str, config: str) -> list[str]:
     To other configs weights have to fit.
 
     Args:
-        weights: What `pedzoo.load` accepts.
+        weights: A name that `pedzoo.load` accepts.
         config: Name or file.
     """
     settings = load_config(config)

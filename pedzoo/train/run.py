@@ -1,4 +1,4 @@
-"""A training run's folder: what was asked for, with which versions, its metrics and its checkpoints."""
+"""A training run's folder: its settings, versions, metrics and checkpoints."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Wandb = Literal["off", "offline", "online"]
 
 
 def run_name(config: Path) -> str:
-    """Return what runs of a config file are called: shipped ones in folders are ``FOLDER.NAME``."""
+    """Return the name of a config file's runs: shipped ones in folders are ``FOLDER.NAME``."""
     home = shipped("configs").resolve()
     inside = config.resolve().is_relative_to(home)
     name = config.resolve().relative_to(home) if inside else Path(config.name)
@@ -102,7 +102,7 @@ class RunFolder:
     def callbacks(
         self, config: dict[str, Any], argv: list[str], monitor: str | None, mode: str
     ) -> list[Callback]:
-        """Return what writes the records and, unless ``monitor`` is None, checkpoints."""
+        """Return the callbacks that write the records and, unless ``monitor`` is None, checkpoints."""
         result: list[Callback] = [Record(self, config, argv)]
         if monitor is None:
             return result
@@ -114,7 +114,7 @@ class RunFolder:
 
 
 def finish_wandb(succeeded: bool) -> None:
-    """Write what Weights & Biases still holds back; the next run of this process begins another one."""
+    """Flush the values of Weights & Biases; the next run of this process begins another one."""
     import wandb
 
     if wandb.run is not None:

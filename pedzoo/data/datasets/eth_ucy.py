@@ -1,8 +1,8 @@
 """ETH/UCY: five outdoor scenes of real people, leave one scene out.
 
-Pellegrini et al., "You'll never walk alone", ICCV 2009; Lerner et al., "Crowds by example", 2007; the
-split of Gupta et al., "Social GAN", CVPR 2018. Two layouts of the data root are read: Social GAN's
-(``zara1/train/*.txt``), and one with floor plans, whose ``splits.json`` lists the files of every fold, the
+Pellegrini et al., "You'll never walk alone", ICCV 2009; Lerner et al., "Crowds by example", 2007; the split
+of Gupta et al., "Social GAN", CVPR 2018. Two layouts of the data root are read. One is Social GAN's
+(``zara1/train/*.txt``). The other has floor plans; its ``splits.json`` lists the files of every fold, the
 floor plan of every recording and the true time between two annotated steps.
 """
 

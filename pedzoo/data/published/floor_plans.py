@@ -1,4 +1,4 @@
-"""Floor plans of ETH/UCY, made of what is published: image masks, homographies and recordings."""
+"""Floor plans of ETH/UCY, made from published image masks, homographies and recordings."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
 
     Args:
         file: Anything that OpenCV reads: png, pgm (plain and binary), jpg.
-        owner: What names the file, for messages: ``"plan.yaml: its "``.
+        owner: The file's name in messages: ``"plan.yaml: its "``.
 
     Raises:
         UserError: The file does not exist or is no image.

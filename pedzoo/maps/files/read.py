@@ -1,4 +1,4 @@
-"""Floor plans in files, whatever their format."""
+"""Floor plans in files of all formats."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGri
     `pedzoo.maps.files.ros`, `igibson` and `images` read these formats one by one, with their settings.
 
     Args:
-        path: Its name says what it is.
+        path: Its name tells the format.
         resolution: Metres per cell: needed for an image, 0.1 by default for iGibson, not for a yaml.
 
     Raises:

@@ -1,1 +1,1 @@
-"""The global planner: ways to goals, next waypoints, carrots."""
+"""The global planner: paths to goals, next waypoints, carrots."""

@@ -1,4 +1,4 @@
-"""The carrot: the point ahead on agents' ways that they walk to."""
+"""The carrot: the point ahead on agents' paths that they walk to."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SPACING = 0.3
 """Metres between the points looked at: with the clearance around each, no wall fits between two of them."""
 
 _PARTS = 3
-"""How many parts of the way beyond the waypoint are tried: all of it, a half and a quarter."""
+"""How many parts of the path beyond the waypoint are tried: all of it, a half and a quarter."""
 
 
 def seen_beyond(
@@ -31,7 +31,7 @@ def seen_beyond(
         walls: As agents see them from their positions on the map.
         home: Where agents are, in the map's frame (2, *E), metres.
         waypoint: Their next waypoints (2, *E), which they see.
-        beyond: Unit vectors of where the way goes from there (2, *E).
+        beyond: Unit vectors of where the path goes from there (2, *E).
         rest: Metres that the carrot is beyond the waypoint (*E), not negative.
         farthest: Length of the longest line, metres.
     """

@@ -1,4 +1,4 @@
-"""Shortest ways through a floor plan by way of the corners of its open cells."""
+"""Shortest paths through a floor plan by way of the corners of its open cells."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _SMALL = 1_000_000
 class CornerGraph:
     """The K corners of the open cells, joined where they see one another: a visibility graph.
 
-    A shortest way between two points bends only at corners of what is in the way, so that searching these
-    few cells finds any-angle ways that are never longer than the best 8-connected one, without the search
-    over all open cells. Edges that no shortest way takes (it would not bend around the corner at their end)
-    are left out (taut edges: Oh and Leong, SoCS 2017).
+    A shortest path between two points bends only at corners of obstacles. So a search of these few cells
+    finds any-angle paths that are never longer than the best 8-connected one. Edges that no shortest path
+    takes (it would not bend around the corner at their end) are left out (taut edges: Oh and Leong, SoCS
+    2017).
 
     Attributes:
         graph: The open cells.
-        cells: Numbers of the corners among them (K,): the cell diagonally beside them is not open, the two
-            between are.
+        cells: Numbers of the corners among them (K,): the cell diagonally beside a corner is not open, the
+            two between are.
     """
 
     def __init__(self, graph: OpenGraph) -> None:
@@ -51,7 +51,7 @@ class CornerGraph:
         )
         self.cells = graph.index[np.flatnonzero(rising | falling)]
         at = graph.cells[self.cells]
-        # what is in the way lies along the rising (or falling) diagonal: ways bend around it only if they
+        # obstacles lie along the rising (or falling) diagonal: paths bend around them only if they
         # leave falling (or rising), or straight along an axis
         self._falls, self._rises = rising.ravel()[at], falling.ravel()[at]
         self._place = graph.place[self.cells]
@@ -66,9 +66,9 @@ class CornerGraph:
         return coo_array((np.concatenate((length, length)), both), shape=(count, count)).tocsr()
 
     def _seen_from(self, cells: NDArray[np.int32], only_edges: bool = False) -> NDArray[np.int64]:
-        """Return which of the open cells ``cells`` (S,) sees which corner that a way may bend around (2, E).
+        """Return which of the open cells ``cells`` (S,) sees which corner that a path may bend around (2, E).
 
-        With ``only_edges`` the cells are the corners; pairs are those that ways bend around at both ends,
+        With ``only_edges`` the cells are the corners; pairs are those that paths bend around at both ends,
         each in one order.
         """
         chunks = [np.empty((2, 0), dtype=np.int64)]
@@ -92,10 +92,10 @@ class CornerGraph:
     def way(
         self, start: int, goal: int, start_place: NDArray[np.float64], goal_place: NDArray[np.float64]
     ) -> NDArray[np.int32]:
-        """Return the open cells (W,) that a shortest way bends at, in their order; empty for a straight one.
+        """Return the open cells (W,) that a shortest path bends at, in their order; empty for a straight one.
 
         Args:
-            start: Number of the open cell where the way begins, in one component with ``goal``.
+            start: Number of the open cell where the path begins, in one component with ``goal``.
             goal: Where it ends.
             start_place: Column and row of the start itself (2,), whole at cell centres.
             goal_place: Of the goal itself (2,).
@@ -119,7 +119,7 @@ class CornerGraph:
         return self.cells[chain[::-1]]
 
     def prepare(self) -> None:
-        """Compute what is kept for all queries; the first query does so, too."""
+        """Compute the values kept for all queries; the first query does so, too."""
         if self._small:
             _ = self._all_views, self._all_pairs
         _ = self.matrix
@@ -129,7 +129,7 @@ class CornerGraph:
         return len(self.graph) * len(self.cells) <= _SMALL
 
     def _views(self, start: int, goal: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the corners that the two ends of a way see."""
+        """Return the corners that the two ends of a path see."""
         if self._small:
             begin, corners = self._all_views
             return corners[begin[start] : begin[start + 1]], corners[begin[goal] : begin[goal + 1]]

@@ -1,4 +1,4 @@
-"""Fields of next waypoints: for every open cell of a floor plan the way to a goal, one look-up away."""
+"""Fields of next waypoints: for every open cell of a floor plan the path to a goal, one look-up away."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Fields:
     """Ways from all N open cells of a floor plan to G goals.
 
     Attributes:
-        waypoint: Number of the open cell that is the next waypoint (G, N) int32: the farthest one of the way
-            in sight; N is the goal itself. Where no way leads to the goal it is the cell's own number.
-        length: Metres of the way from the cell's centre to the goal (G, N) float32; ``inf`` where none leads.
+        waypoint: Number of the open cell that is the next waypoint (G, N) int32: the farthest one of the path
+            in sight; N is the goal itself. Where no path leads to the goal it is the cell's own number.
+        length: Metres of the path from the cell's centre to the goal (G, N) float32; ``inf`` for none.
     """
 
     waypoint: Tensor
@@ -41,7 +41,7 @@ class Fields:
 def build_fields(graph: OpenGraph, cells: NDArray[np.int64], points: NDArray[np.float64]) -> Fields:
     """Return the fields of goals in the open cells ``cells`` (G,) at the places ``points`` (G, 2).
 
-    Dijkstra's distances on the graph give an order in which cells come after their way to the goal. In this
+    Dijkstra's distances on the graph give an order in which cells come after their path to the goal. In this
     order every cell takes the best of its neighbours' waypoints that is in sight, as in Theta* (Nash et al.,
     AAAI 2007), and goes by way of the best neighbour if none is. All goals are swept together, so a step of
     the sweep is as wide as all their wave fronts.
@@ -75,7 +75,7 @@ class _Front:
     Attributes:
         waypoint: Cell of every goal's and cell's waypoint (G, P) int32, flat: 0, a cell of the border, is the
             goal itself; -1 where the sweep has not been.
-        length: Cells of way (G, P) float32, flat.
+        length: Cells of path (G, P) float32, flat.
     """
 
     def __init__(self, graph: OpenGraph, cells: NDArray[np.int64], points: NDArray[np.float64]) -> None:
@@ -96,11 +96,11 @@ class _Front:
         self.length[begin] = _norm(*(graph.place[cells] - self.points).T)
         # which of STEPS each cell can take, one bit each
         self.legal = np.packbits(graph.neighbours < len(graph), axis=1, bitorder="little")[:, 0]
-        # a wedge between two lines of sight is free only if whatever is in the way is thicker than a cell
+        # a wedge between two lines of sight is free only if obstacles are thicker than a cell
         self.thick = graph.clearance >= 2 * graph.grid.resolution
 
     def fields(self) -> Fields:
-        """Return what was found, by numbers of open cells."""
+        """Return the results, by numbers of open cells."""
         goals, count = len(self.own), len(self.graph)
         waypoint = self.waypoint.reshape(goals, self.size)[:, self.at]
         numbers = np.where(waypoint == 0, np.int32(count), self.number[waypoint])
@@ -109,7 +109,7 @@ class _Front:
         return Fields(torch.from_numpy(numbers), torch.from_numpy(length))
 
     def advance(self, goal: NDArray[np.int64], number: NDArray[np.int64]) -> None:
-        """Find the waypoints of open cells (M,), after those of all cells that their ways lead through."""
+        """Find the waypoints of open cells (M,), after those of all cells that their paths lead through."""
         cell = self.at[number]
         base = goal * self.size
         here = base + cell
@@ -213,7 +213,7 @@ def _surely(
 def _bands(reach: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return reachable entries by growing distance in cells, and where each band of one cell's width ends.
 
-    A step is at least one cell long: what a cell's way leads through is always in an earlier band. The
+    A step is at least one cell long: what a cell's path leads through is always in an earlier band. The
     goals' own cells, at distance 0, are not in the order.
     """
     band = np.where(np.isfinite(reach), reach, -1.0).round(6).astype(np.int32)

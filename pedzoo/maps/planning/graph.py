@@ -1,4 +1,4 @@
-"""The open cells of a floor plan as a graph, and shortest ways on it."""
+"""The open cells of a floor plan as a graph, and shortest paths on it."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class OpenGraph:
 
     @cached_property
     def component(self) -> NDArray[np.int32]:
-        """Which open cells have ways to one another (N,): equal numbers."""
+        """Which open cells have paths to one another (N,): equal numbers."""
         return np.asarray(connected_components(self.matrix, directed=False)[1])
 
     @cached_property
@@ -151,8 +151,8 @@ class OpenGraph:
 def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:
     """Leave out parts of less than `POCKET` square metres, unless nothing is larger.
 
-    Scanned maps have many, between pieces of furniture. No way leads out of them, and whoever is pushed near
-    one must not be sent into it.
+    Scanned maps have many, between pieces of furniture. No path leads out of them, and the planner must not
+    send a person who is pushed near one into it.
     """
     # connected through their sides, as the graph is; part 0 is everything else
     _, parts, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=4)

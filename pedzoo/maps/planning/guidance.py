@@ -1,4 +1,4 @@
-"""What the planner says: where people's ways lead, and how they are guided."""
+"""The planner's answer: people's paths, and the guidance along them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ EPSILON = 1e-6
 
 
 class NextWaypoints(NamedTuple):
-    """Where people's ways lead, in the scene's frame, metres."""
+    """Where people's paths lead, in the scene's frame, metres."""
 
     waypoint: Tensor
-    """The farthest point of the way in sight (P, 2); where none leads to the goal, the person's position."""
+    """The farthest point of the path in sight (P, 2); where none leads to the goal, the person's position."""
     next_waypoint: Tensor
-    """The waypoint after that (P, 2): the same where the way ends."""
+    """The waypoint after that (P, 2): the same where the path ends."""
     goal_point: Tensor
     """The goal (P, 2)."""
     distance: Tensor
-    """Length of the way to the goal (P,): ``inf`` where none leads to it, 0 for people without a goal."""
+    """Length of the path to the goal (P,): ``inf`` where none leads to it, 0 for people without a goal."""
 
 
 class Guidance(NamedTuple):
@@ -43,10 +43,10 @@ class Guidance(NamedTuple):
 
 
 def segments(home: Tensor, waypoints: WaypointLookup) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the lengths (P,) of the next two segments of people's ways, and where it goes then (2, P)."""
+    """Return the lengths (P,) of the next two segments of people's paths, and where it goes then (2, P)."""
     way, second = waypoints.waypoint - home, waypoints.after - waypoints.waypoint
     length, second_length = torch.hypot(*way), torch.hypot(*second)
-    # beyond the goal the way goes on as it came
+    # beyond the goal the path goes on as it came
     beyond = torch.where(
         second_length < EPSILON,
         way / length.clamp_min(EPSILON),
@@ -62,6 +62,6 @@ def heading(
     way = waypoint - points
     distance = way.norm(dim=-1)
     unit = way / distance.clamp_min(EPSILON)[..., None]
-    # on the waypoint the way goes on along the second segment
+    # on the waypoint the path goes on along the second segment
     there = length < EPSILON
     return torch.where(there[..., None], frame.turn_to_scene(beyond), unit), distance

@@ -1,4 +1,4 @@
-"""The global planner: ways through floor plans to people's goals, looked up for all people at once."""
+"""The global planner: paths through floor plans to people's goals, looked up for all people at once."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from pedzoo.maps.planning.waypoint_table import Goal, WaypointLookup, WaypointTa
 
 
 class Planner:
-    """Ways to goals on the floor plans of a bank.
+    """Paths to goals on the floor plans of a bank.
 
-    Goals are registered once (`add_goals`); at first use every goal gets a field of next waypoints over its
-    whole floor plan, so that the way from any place is two look-ups. People who are not on
-    an open cell (pushed towards a wall, or outside the map) take the way of the nearest open cell, and go to
-    that cell's centre first when it is farther away than the clearance.
+    Goals are registered once (`add_goals`). At first use every goal gets a field of next waypoints over its
+    whole floor plan, so that the path from any place is two look-ups. People outside open cells (pushed
+    towards a wall, or outside the map) take the path of the nearest open cell. They go to that cell's centre
+    first when it is farther away than the clearance.
 
     Attributes:
         bank: The floor plans.
-        clearance: Metres that ways keep from walls, at the centres of the cells they lead through.
+        clearance: Metres that paths keep from walls, at the centres of the cells they lead through.
         snap: Metres that a goal may be moved to the nearest open cell.
-        cell: Metres to which finer cells are joined before ways are looked for.
-        share: Side of squares, metres, in which all goals have the ways to one of them.
+        cell: Metres to which finer cells are joined for the search.
+        share: Side of squares, metres, in which all goals have the paths to one of them.
         compiled: Whether compiled loops are used on the CPU.
     """
 
@@ -167,7 +167,7 @@ class Planner:
         Args:
             points: Scene positions (P, 2), metres.
             goal_id: From `add_goals` (P,) long; -1 for no goal: the waypoint is the position itself.
-            map_id: Floor plan of each person (P,) long, -1 for none: the way leads straight to the goal.
+            map_id: Floor plan of each person (P,) long, -1 for none: the path leads straight to the goal.
             pose: Scene poses (P, 4).
 
         Raises:
@@ -227,10 +227,10 @@ class Planner:
     ) -> Guidance:
         """Return the carrots and desired velocities of the agents of B scenes, (B, A, ...).
 
-        The carrot is the point of the way that is reached in ``look_ahead_seconds`` at ``pref_speed``. Past
+        The carrot is the point of the path that is reached in ``look_ahead_seconds`` at ``pref_speed``. Past
         the goal the last segment is prolonged, so that people walk through it instead of braking. A carrot
         beyond the next waypoint is moved back until the line to it keeps a body's radius from walls. A half
-        of what is beyond is kept, a quarter, or nothing. Agents without a goal, or a way to it, stay.
+        of what is beyond is kept, a quarter, or nothing. Agents without a goal, or a path to it, stay.
 
         Nothing is read back to the host. On the CPU compiled loops answer. Carrots, velocities and distances
         are differentiable with respect to points and speeds; waypoints are constants.
@@ -271,17 +271,17 @@ class Planner:
         return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + waypoints.onward)
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
-        """Return the waypoints (W, 2) of a shortest way in the map's frame: the goal is the last.
+        """Return the waypoints (W, 2) of a shortest path in the map's frame: the goal is the last.
 
         Start and goal are moved like goals in `add_goals` when they are not in open cells.
 
         Args:
-            start: Where the way begins (2,), metres.
+            start: Where the path begins (2,), metres.
             goal: Where it ends (2,).
             row: Row of the map in the bank, -1 for none: straight to the goal.
 
         Raises:
-            UserError: No way leads there, or an end of it is in a wall or outside the map.
+            UserError: No path leads there, or an end of it is in a wall or outside the map.
         """
         ends = np.concatenate((as_points(start), as_points(goal)))
         if row < 0:

@@ -28,7 +28,7 @@ class Sight:
         """Take which cells are open (H, W)."""
         square = np.zeros_like(is_open)
         square[:-1, :-1] = is_open[:-1, :-1] & is_open[1:, :-1] & is_open[:-1, 1:] & is_open[1:, 1:]
-        # How many columns on are certain to be clear, whatever the direction; 0 where the line is blocked.
+        # How many columns on are certain to be clear in every direction; 0 where the line is blocked.
         # Squares are entered anywhere and left diagonally; along an axis only cells' centres matter.
         squares = np.maximum((_room(square) - _DIAGONAL) / _DIAGONAL, 1) * square
         cells = np.maximum(np.ceil(_room(is_open)) - 1, 1) * is_open

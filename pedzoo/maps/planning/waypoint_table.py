@@ -30,7 +30,7 @@ class Goal(NamedTuple):
 
 
 class WaypointLookup(NamedTuple):
-    """Where the ways of P people lead, in the map's frame; x and y are rows."""
+    """Where the paths of P people lead, in the map's frame; x and y are rows."""
 
     waypoint: Tensor
     """The next waypoint (2, P)."""
@@ -39,7 +39,7 @@ class WaypointLookup(NamedTuple):
     goal: Tensor
     """The goal (2, P)."""
     onward: Tensor
-    """Metres of the way from the next waypoint to the goal (P,), ``inf`` where none leads there."""
+    """Metres of the path from the next waypoint to the goal (P,), ``inf`` where none leads there."""
     last: Tensor
     """Whether the waypoint after the next is the goal (P,) bool."""
 
@@ -52,15 +52,15 @@ class WaypointTable:
 
     Attributes:
         to_cell: Affine from a map's frame in metres to cells by rows (6), last column and last row (2), and
-            the square of the metres from the nearest open cell at which people go there first (9, R + 1).
+            the squared distance in metres beyond which people go to the nearest open cell first (9, R + 1).
         begin: Columns, first cell in ``nearest`` and first open cell in ``x`` and ``y`` (3, R + 1).
         nearest: Nearest open cell of every cell of every map.
         x: Centres of the open cells of all maps, then the places of the goals.
         y: The same.
-        goal: First entry of each goal, number of open cells of its map (which means the goal itself), and
+        goal: First entry of each goal, number of open cells of its map (it stands for the goal itself), and
             row of its map (3, G + 1).
         waypoint: Next waypoint of every entry, int32.
-        length: Metres of its way to the goal, float32.
+        length: Metres of its path to the goal, float32.
     """
 
     to_cell: Tensor
@@ -78,7 +78,7 @@ class WaypointTable:
 
         Args:
             maps: Open cells of each map of the bank; None for maps without goals.
-            clearance: Metres that ways keep from walls.
+            clearance: Metres that paths keep from walls.
         """
         # "no map" is a single cell
         to_cell, begin = [np.zeros(9)], [(1, 0, 0)]
@@ -160,7 +160,7 @@ class WaypointTable:
         return tuple(getattr(self, part.name).numpy() for part in fields(self))
 
     def lookup(self, points: Tensor, goal: Tensor, row: Tensor) -> WaypointLookup:
-        """Return where the ways of people at map-frame ``points`` lead.
+        """Return where the paths of people at map-frame ``points`` lead.
 
         Args:
             points: Positions (2, P), metres.
@@ -180,7 +180,7 @@ class WaypointTable:
         line = (d * x + e * y + (f - 0.5)).ceil().clamp_min(0).minimum(last_row).long()
         cell = self.nearest.index_select(0, line * width + column + cells)
 
-        # without a goal there is a single entry, whatever the cell
+        # without a goal all cells share a single entry
         first = self.waypoint.index_select(0, start + cell * has_goal)
         entry = start + first
         second, onward = self.waypoint.index_select(0, entry), self.length.index_select(0, entry)

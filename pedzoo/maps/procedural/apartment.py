@@ -45,7 +45,7 @@ def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
 
 
 def _hall(dice: Dice, inside: Rect) -> tuple[tuple[Rect, ...], list[Rect]]:
-    """Return the hall's parts and what is left of the inside."""
+    """Return the hall's parts and the remaining inside."""
     x0, _, x1, _ = inside
     width = dice.integer(units(1.2), units(1.7))
     room = inside.height - width - 2 * WALL
@@ -88,7 +88,7 @@ def _split(dice: Dice, room: Rect) -> tuple[Rect, Rect] | None:
 
 
 def _uses(dice: Dice, rooms: list[Rect]) -> list[Room]:
-    """Return what each room is for: the largest to live in, the smallest a bathroom."""
+    """Return the use of each room: the largest to live in, the smallest a bathroom."""
     rooms = sorted(rooms, key=lambda room: room.area)
     uses = ["bathroom", "kitchen", *["bedroom"] * (len(rooms) - 3), "living"]
     if len(rooms) > 5:

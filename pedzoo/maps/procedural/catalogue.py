@@ -1,4 +1,4 @@
-"""Furniture by the use of a room: what there is, how large it is, and where it stands."""
+"""Furniture by the use of a room: its kinds, sizes and places."""
 
 from __future__ import annotations
 
@@ -121,4 +121,4 @@ CATALOGUE: dict[str, tuple[Kind, ...]] = {
         Kind("basins", (0.9, 1.6), (0.45, 0.5), "wall", 14, 1.0),
     ),
 }
-"""What stands in a room, in the order in which it is put there."""
+"""Furniture of a room, in the order in which it is placed."""

@@ -19,7 +19,7 @@ class Dice:
     """
 
     def __init__(self, seed: int, *parts: int | str) -> None:
-        """Start the stream of ``seed`` and of what it is for: other parts give independent numbers."""
+        """Start the stream of ``seed`` and of its purpose: other parts give independent numbers."""
         entropy = [seed, *(crc32(part.encode()) if isinstance(part, str) else part for part in parts)]
         self._bits = np.random.PCG64(np.random.SeedSequence(entropy))
 

@@ -122,7 +122,7 @@ def _between(a: Rect, b: Rect, axis: int) -> Rect | None:
 def _door(dice: Dice, rooms: Sequence[Room], wall: _Wall, widths: tuple[int, int]) -> Door:
     """Return a door somewhere in a wall: half of the doors are close to one of its ends."""
     shares = [_HABITS[rooms[i].use].widths for i in wall.rooms]
-    # the narrower habit counts: a bathroom has a narrow door wherever it leads
+    # the narrower habit counts: all doors of a bathroom are narrow
     low, high = min(shares, key=lambda share: share[1])
     width = widths[0] + round((widths[1] - widths[0]) * dice.uniform(low, high))
     width = min(width, wall.length - 2 * JAMB)

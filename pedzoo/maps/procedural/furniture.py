@@ -16,8 +16,10 @@ CLEARANCE = 0.25
 """Metres from walls at which the free space of a room is one piece: the planner's."""
 
 _LAYERS = ((1, CLEARANCE), (1, 0.3), (2, CLEARANCE))
-"""Grids on which that is looked at: cells per unit, and metres from walls. A finer grid has cells whose
-centres keep a clearance where the coarser one has none: places that might be cut off."""
+"""Grids for this check: cells per unit, and metres from walls.
+
+A finer grid has cells with a clearance where the coarser one has none: places that might be cut off.
+"""
 
 BEFORE_DOORS = units(0.9)
 """Units that are kept free on both sides of a door."""
@@ -37,7 +39,7 @@ class RoomFloor:
     """The free space of a room, on which furniture is put piece by piece.
 
     Attributes:
-        pieces: What stands there.
+        pieces: The furniture.
     """
 
     def __init__(self, room: Room, doors: Sequence[Door]) -> None:
@@ -192,7 +194,7 @@ def _beyond(length: int, clearance: int) -> NDArray[np.int64]:
 
 
 def _eroded(solid: NDArray[np.uint8], clearance: int) -> NDArray[np.uint8]:
-    """Return the cells whose centre keeps the clearance from everything solid."""
+    """Return the cells whose centre keeps the clearance from all solid cells."""
     import cv2
 
     disk = 1 - _outside(1, 1, clearance)

@@ -17,7 +17,7 @@ from pedzoo.maps.procedural.furniture import CLEARANCE, Piece, furnish
 from pedzoo.maps.procedural.shapes import UNIT, Door, Rect, Room, placed, units
 
 KINDS: dict[str, ModuleType] = {"apartment": apartment, "office": office}
-"""What can be drawn: each module has the sides that are possible, and draws a size and the rooms."""
+"""The generators: each module has the possible sides, and draws a size and the rooms."""
 
 DOORS = (0.7, 1.5)
 """Least and largest width of a door, metres."""
@@ -27,7 +27,7 @@ _ATTEMPTS = 200
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A floor plan and what it consists of. Rectangles are in units of 5 cm from its low corner.
+    """A floor plan and its parts. Rectangles are in units of 5 cm from its low corner.
 
     Attributes:
         kind: One of `KINDS`.
@@ -83,8 +83,8 @@ def generate(
     """Return the floor plan of a seed: the same cells on every machine.
 
     Walls and furniture lie on a lattice of 5 cm, so that grids of all resolutions show the same plan. Inner
-    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The free space is one connected piece for all people who
-    keeps 0.25 m from walls, the planner's clearance, and it reaches through every door.
+    walls are 0.1 m thick, outer ones 0.1 to 0.2 m. The space at least 0.25 m from walls, the planner's
+    clearance, is one connected piece that reaches through every door.
 
     Args:
         kind: ``apartment`` (a hall and 4 to 7 rooms) or ``office`` (corridors, rooms, open-plan rooms).
@@ -96,8 +96,8 @@ def generate(
         doors: Least and largest width of a door, metres, within 0.7 to 1.5.
 
     Raises:
-        UserError: A setting is out of range, no plan was found for the size, or at a fine resolution some
-            cells are cut off from all others.
+        UserError: A setting is out of range, no plan was found for the size, or some cells are cut off at a
+        fine resolution.
     """
     if kind not in KINDS:
         raise unknown("kind of floor plan", kind, KINDS)
@@ -133,7 +133,7 @@ def generate(
 
 
 def is_connected(grid: OccupancyGrid, clearance: float) -> bool:
-    """Return whether there are cells whose centre keeps a clearance (metres), and all of them are one piece.
+    """Return whether the cells whose centre keeps a clearance (metres) exist and are one piece.
 
     They are connected through their four sides, as the planner's are.
     """

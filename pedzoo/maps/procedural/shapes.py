@@ -1,4 +1,4 @@
-"""What floor plans are drawn with: rectangles, rooms and doors, all of them in whole units of 5 cm."""
+"""Shapes of floor plans: rectangles, rooms and doors, all of them in whole units of 5 cm."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Room:
     """Free space between walls.
 
     Attributes:
-        use: What it is: ``hall``, ``bedroom``, ``corridor``, ``open_plan``, ...
+        use: Its use: ``hall``, ``bedroom``, ``corridor``, ``open_plan``, ...
         parts: Rectangles that touch or overlap; most rooms are one, halls and corridors may be several.
     """
 
@@ -99,7 +99,7 @@ class Door:
 
     Attributes:
         rooms: Numbers of the rooms that it joins.
-        opening: What is left out of the wall.
+        opening: Part left out of the wall.
         axis: Along which its width is measured: 0 for x, 1 for y.
     """
 

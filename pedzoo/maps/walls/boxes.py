@@ -1,4 +1,4 @@
-"""Walls as few axis-aligned boxes: what a physics engine or a distance query handles instead of cells."""
+"""Walls as few axis-aligned boxes, for physics engines and distance queries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def boxes(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
 
     Args:
         grid: The floor plan.
-        unknown: What its unknown cells count as.
+        unknown: Meaning of its unknown cells.
 
     Returns:
         Boxes (M, 4): x0, y0, x1, y1 in metres in the grid's own frame, where the outer corner of cell (0, 0)

@@ -1,14 +1,14 @@
-"""Which boxes can be the nearest wall of a place: few enough to compare, and none left out.
+"""The boxes that can be the nearest wall of a place: few enough to compare, and none left out.
 
 Boxes and places are lattice-aligned: corners of boxes are corners of cells, places are quarters of cells. A
-place then lies wholly beside, above or at a corner of every box, and the difference of the squared distances
-to two boxes is a sum of a monotonic function of x and one of y over it. So it is largest and smallest at the
-place's corners, and a box that is no nearer than another at all four corners is no nearer anywhere between.
+place then lies wholly beside, above or at a corner of every box. The difference of the squared distances to
+two boxes is a monotonic function of x plus one of y over it, largest and smallest at the place's corners. So
+a box that is no nearer than another at all four corners is no nearer anywhere between.
 
-* Where one box is the nearest of all four corners it is the nearest of the whole place.
-* Elsewhere the boxes contend that are nearest to one of the sixteen corners of the place and its neighbours,
-  less those that another beats at all four. A box whose region squeezes between corners of two places in a
-  row without holding any would be missed; tests count how rare that is.
+* The box nearest to all four corners is the nearest of the whole place.
+* Otherwise the boxes nearest to one of the sixteen corners of the place and its neighbours compete, less
+  those that another beats at all four. A box is missed if its region lies between corners of two places in a
+  row without holding any; tests count how rare that is.
 """
 
 from __future__ import annotations

@@ -23,19 +23,19 @@ MOST_CLOSE = 20
 """Places with more others close by count as if they had this many."""
 
 TAIL = {"p95": 0.95, "p99": 0.99}
-"""Quantiles of acceleration: means hide who brakes hard now and then."""
+"""Quantiles of acceleration: means hide people who brake hard now and then."""
 
 MINUTES = TRACE_SECONDS / 60
 """Of one trace point."""
 
 
 class Crowd(NamedTuple):
-    """What P people did in K rounds, as far as it can be added up.
+    """Sums over the walks of P people in K rounds.
 
     Attributes:
         samples: Of every feature, all rounds together.
         minutes: For how long each person was on the way (P,), all rounds together.
-        agent_contact: For how long of it they touched somebody, minutes, and how often they began to (2, P).
+        agent_contact: Minutes in contact with another person, and number of contacts that began (2, P).
         wall_contact: Likewise a wall.
         round: In which round each sample of speed was taken (N,) long.
         speeds_at: Sums of speeds (P, C) by the number of others within `CLOSE`, m/s.
@@ -59,7 +59,7 @@ def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor
         steps: The same every 0.4 s.
         first: Number of the first one.
         scenes: Episodes in a round.
-        start: Where everybody's line begins (P, 2), metres.
+        start: Where the line of each person begins (P, 2), metres.
         goal: Where it ends (P, 2), metres.
     """
     people, underway, around = len(start), rollout.underway, surroundings(steps)
@@ -110,12 +110,12 @@ def only(crowd: Crowd, seen: Tensor) -> Crowd:
 
 
 def spreads(real: Crowd) -> dict[str, float]:
-    """Return the standard deviation of every feature in the real crowd: what distances are measured in."""
+    """Return the standard deviation of every feature in the real crowd: the unit of distances."""
     return {name: float(samples.value.double().std()) for name, samples in real.samples.items()}
 
 
 def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
-    """Return the exact Wasserstein-1 distance (1,) of every feature, everybody counting once."""
+    """Return the exact Wasserstein-1 distance (1,) of every feature, each person counting once."""
     return {
         name: first.minutes.new_tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
         for name in FEATURES
@@ -146,19 +146,19 @@ def compared(
     """Return every number of a crowd beside the real one, of R resamples (R,) each, NaN for none.
 
     * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances. ``w1_speed``, ...: divided by the real crowd's
-      standard deviation. ``realism``: the mean of the latter over the features that both crowds have: who
-      never walks has no heading. Lower is better in all.
-    * ``agent_contact_share``: of the time, in which a person touches somebody; ``agent_contacts_per_min``:
-      how often they begin to. ``agent_contact_excess``, ``agent_contact_excess_per_min``: less those of the
-      real crowd, which are not 0: friends touch, and people lean on walls. The same of ``wall_contact``.
-    * ``speed_std_m_per_s``: between people, of their mean speeds: pooled distributions hide whether everybody
-      walks at the same mixed speed.
+      standard deviation. ``realism``: the mean of the latter over the features that both crowds have (a
+      person who never walks has no heading). Lower is better in all.
+    * ``agent_contact_share``: share of the time in contact with another person; ``agent_contacts_per_min``:
+      contacts that begin. ``agent_contact_excess``, ``agent_contact_excess_per_min``: less those of the real
+      crowd, which are not 0: friends touch, and people lean on walls. The same of ``wall_contact``.
+    * ``speed_std_m_per_s``: between people, of their mean speeds. Pooled distributions hide whether all
+      people walk at the same mixed speed.
     * ``density_speed_rmse_m_per_s``: see `density_speed`.
     * ``acceleration_p95_m_per_s2``, ``acceleration_p99_m_per_s2``: quantiles of all samples; with ``_ratio``
       instead of the unit divided by those of the real crowd.
 
     Args:
-        crowd: Somebody's.
+        crowd: The simulated one.
         real: The recorded one.
         mine: How often each person counts in the first (R, P).
         theirs: In the second.
@@ -192,12 +192,12 @@ def compared(
 
 
 def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the mean speed (R, C) at every density, m/s, NaN where nobody is, and of how many steps.
+    """Return the mean speed (R, C) at every density, m/s, NaN for a density without people, and the steps.
 
     The density is that of the circle of 2 m around a person, see `densities`, with a bin for every number of
-    others in it. Real and simulated people are counted alike, so that what a camera does not see lowers both.
-    In the RMSE of two curves a density weighs as much as it occurs in the real crowd; those at which either
-    has nobody do not count.
+    others in it. Real and simulated people are counted alike: people outside the camera's view lower both.
+    In the RMSE of two curves a density weighs as much as it occurs in the real crowd. Densities that only
+    one crowd has do not count.
 
     Args:
         crowd: The crowd.

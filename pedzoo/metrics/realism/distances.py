@@ -23,7 +23,7 @@ class Samples(NamedTuple):
 
     Attributes:
         value: (N,) float64.
-        person: Whose they are (N,) long, 0 to P - 1.
+        person: Person of each value (N,) long, 0 to P - 1.
     """
 
     value: Tensor
@@ -31,7 +31,7 @@ class Samples(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How many of everybody's samples lie below some edges: all that resampling has to know.
+    """Number of each person's samples below some edges: all that resampling needs.
 
     Attributes:
         until: Samples up to each edge, itself included (P, G) float64.
@@ -92,14 +92,14 @@ def counted(samples: Samples, edges: Tensor, people: int) -> Counts:
 def resampled(first: Counts, second: Counts, edges: Tensor, mine: Tensor, theirs: Tensor) -> Tensor:
     """Return the Wasserstein-1 distance (R,) of two crowds in every resample, NaN where one is empty.
 
-    Between two edges the distance of the cumulative distributions is taken to change evenly, which
-    errs by the larger crowd's share between them at most.
+    Between two edges the cumulative distributions are taken to differ evenly. The error is at most the
+    larger crowd's share between them.
 
     Args:
         first: Samples of one crowd.
         second: Of the other, at the same edges.
         edges: (G,).
-        mine: How often each person counts (R, P) in the first crowd; who has no samples does not matter.
+        mine: How often each person counts (R, P) in the first crowd; people without samples do not matter.
         theirs: In the second.
     """
     until = _shares(first.until, first.until, mine) - _shares(second.until, second.until, theirs)
@@ -117,12 +117,12 @@ def drawn_people(people: int, resamples: int = 2000, seed: int = 0) -> Tensor:
 
 
 def halves(people: int, splits: int = 200, seed: int = 0) -> Tensor:
-    """Return who is in the first half of a crowd (R, P), 1 or 0, split at random R times."""
+    """Return which people are in the first half of a crowd (R, P), 1 or 0, split at random R times."""
     generator = torch.Generator().manual_seed(seed)
     rank = torch.rand(splits, people, generator=generator).argsort(1)
     return torch.zeros(splits, people, dtype=torch.float64).scatter_(1, rank[:, : people // 2], 1.0)
 
 
 def _shares(part: Tensor, whole: Tensor, weights: Tensor) -> Tensor:
-    """Return shares (R, G) of the weighted samples; NaN where nobody who was drawn has any."""
+    """Return shares (R, G) of the weighted samples; NaN where no person that was drawn has any."""
     return weights @ part / (weights @ whole[:, -1:])

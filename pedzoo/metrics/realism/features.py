@@ -1,9 +1,9 @@
-"""What people's walks are compared by: speed, acceleration, heading, nearness and deviation, every 0.4 s.
+"""Features that compare walks: speed, acceleration, heading, nearness and deviation, every 0.4 s.
 
-Recorded people are annotated every 0.4 s, so simulated ones are looked at every 0.4 s, too: differences at a
-shorter step would compare the interpolation of the one with the other. E episodes of A slots, S steps, P
-people numbered as in ``person``, N samples; every scored step of everybody is one sample, if it has the
-feature. How a policy takes a person over is part of its walk: the velocity before is the recorded one.
+Recorded people are annotated every 0.4 s, so simulated ones are sampled every 0.4 s, too: a shorter step
+would compare interpolations. E episodes of A slots, S steps, P people numbered as in ``person``, N samples.
+Every scored step of a person is one sample, if it has the feature. The change when a policy takes a person
+over counts: the velocity before is the recorded one.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ FEATURES = {
 """Names and units, of which ``realism`` is the mean."""
 
 LINE = 1.0
-"""Metres: who begins nearer to their goal has no line from which to deviate."""
+"""Metres: people who begin nearer to their goal have no line from which to deviate."""
 
 CLOSE = 2.0
-"""Metres: how far those reach who make a place dense."""
+"""Metres: others within this distance make a place dense."""
 
 _AT_ONCE = 250_000
 """Pairs of people that are compared at once: several such tensors fit a cache."""
 
 
 class Steps(NamedTuple):
-    """A rollout every 0.4 s, with its begin, and the step before it of who is controlled at once.
+    """A rollout every 0.4 s, from its begin and with the step before, for people controlled at once.
 
     Attributes:
         xy: Positions (E, A, S, 2), metres.
-        person: Who is there (E, A, S) long, -1 for nobody.
+        person: Which person is there (E, A, S) long, -1 for none.
         velocity: Over the 0.4 s until then (E, A, S, 2), m/s.
         known: Whether the same person was there at their begin (E, A, S) bool.
-        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known. Not the step in
-            which they arrive: who decides every 0.1 s leaves in the middle of it.
+        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known. Not the step
+            in which they arrive: policies that decide every 0.1 s leave in the middle of it.
         radius: Radii of the bodies (E, A), metres.
     """
 
@@ -62,12 +62,12 @@ class Steps(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What is around each of N scored steps.
+    """The surroundings of each of N scored steps.
 
     Attributes:
-        person: Whose step it is (N,) long.
+        person: Person of each step (N,) long.
         speed: Theirs (N,), m/s.
-        nearest: Distance to the nearest other (N,), metres between centres; infinite for who is alone.
+        nearest: Distance to the nearest other (N,), metres between centres; infinite for a person alone.
         collision: Least time to a collision (N,), seconds, see `pedzoo.metrics.safety.time_to_collision`.
         close: Others within `CLOSE` (N,) long.
     """
@@ -103,12 +103,12 @@ def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) ->
     """Return the samples of every feature of `FEATURES`.
 
     * ``speed`` and ``acceleration``, the amount of the change of velocity since the step before.
-    * ``heading_rate``, to either side; of who walks faster than 0.1 m/s in both steps: who stands has no
+    * ``heading_rate``, to either side, of people faster than 0.1 m/s in both steps: standing people have no
       heading.
-    * ``nearest_distance`` to the centre of anybody who is there, and ``time_to_collision``, at most 10 s; of
-      who is not alone.
+    * ``nearest_distance`` to the centre of any other person, and ``time_to_collision``, at most 10 s; of
+      people who are not alone.
     * ``lateral_deviation`` from the straight line between start and goal, positive to the left of it; of
-      those for whom these are `LINE` or more apart.
+      people with `LINE` or more between them.
 
     Args:
         steps: Every 0.4 s.
@@ -123,25 +123,25 @@ def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) ->
     line = goal - start
     length = line.norm(dim=-1)
     along = line / length.clamp_min(LINE).unsqueeze(-1)
-    who = steps.person.clamp_min(0)
-    offset = steps.xy - start[who]
-    aside = along[who][..., 0] * offset[..., 1] - along[who][..., 1] * offset[..., 0]
+    of = steps.person.clamp_min(0)
+    offset = steps.xy - start[of]
+    aside = along[of][..., 0] * offset[..., 1] - along[of][..., 1] * offset[..., 0]
     return {
         "speed": Samples(around.speed, around.person),
         "acceleration": _samples(change, scored & has_change, person),
         "heading_rate": _samples(turn, scored & has_turn, person),
         "nearest_distance": Samples(around.nearest[company], around.person[company]),
         "time_to_collision": Samples(around.collision[company], around.person[company]),
-        "lateral_deviation": _samples(aside, steps.scored & (length[who] >= LINE), steps.person),
+        "lateral_deviation": _samples(aside, steps.scored & (length[of] >= LINE), steps.person),
     }
 
 
 def surroundings(steps: Steps) -> Surroundings:
-    """Return what is around every scored step; others count whether they are scored or played back."""
+    """Return the surroundings of every scored step; others count whether scored or played back."""
     episode, slot, step = steps.scored.nonzero().unbind(1)
     place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
     place = (*place, steps.radius.unsqueeze(2).expand_as(steps.person))
-    rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): all who are there at once
+    rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): people present at once
     moments = episode * steps.person.shape[2] + step
     size = max(1, _AT_ONCE // steps.xy.shape[1])
     result = []
@@ -163,17 +163,17 @@ def _around(
     radius: Tensor,
     slot: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return distance, time to collision and number of those close to whoever is in a ``slot`` (N,) each.
+    """Return distance, time to collision and number of others close to the person in each ``slot`` (N,).
 
     Args:
         x: Where all A slots are (N, A), metres.
         y: Likewise.
         vx: Their velocities (N, A), m/s.
         vy: Likewise.
-        there: Whether there is somebody (N, A) bool.
+        there: Which slots hold a person (N, A) bool.
         known: Whether they have a velocity (N, A) bool.
         radius: Radii of the bodies (N, A), metres.
-        slot: Whose surroundings are wanted (N,) long.
+        slot: Slots whose surroundings are wanted (N,) long.
     """
     own = slot.unsqueeze(1)
     x, y, vx, vy = (value - value.gather(1, own) for value in (x, y, vx, vy))

@@ -45,10 +45,10 @@ def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
 def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor:
     """Return the dynamic time warping distance of pairs of walks (W,), metres; NaN where one has no points.
 
-    Points are matched in order, each at least once, so that the sum of distances is least; a match that goes
-    on in both walks counts twice, so that all weights add up to the number of points, by which the sum is
-    divided (the symmetric form of Sakoe and Chiba, "Dynamic programming algorithm optimization for spoken
-    word recognition", 1978, without a window). Whoever takes the same way at another pace is near 0.
+    Points are matched in order, each at least once, so that the sum of distances is least. A match that goes
+    on in both walks counts twice: all weights add up to the number of points, by which the sum is divided.
+    This is the symmetric form of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken
+    word recognition", 1978) without a window. The same path at another pace is near 0.
 
     Args:
         first: Walks (W, L, 2), metres.
@@ -76,7 +76,7 @@ def _warped(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Te
     between = torch.full((rows, wide, walks), torch.inf)
     apart = first.permute(1, 2, 0).float().unsqueeze(2) - second.permute(1, 2, 0).float().transpose(0, 1)
     between[:, :columns] = torch.hypot(apart[:, 0], apart[:, 1])
-    # the cheapest ways to the cells of the last two diagonals, by row; with an entry before the first row
+    # the cheapest paths to the cells of the last two diagonals, by row; with an entry before the first row
     last, earlier = torch.full((2, rows + 1, walks), torch.inf).unbind(0)
     earlier[0] = 0.0  # the corner before both first points
     result = torch.full((walks,), torch.nan, dtype=torch.float64)

@@ -1,7 +1,7 @@
-"""What each recorded person did in each round of a replay, beside what they did in the recording.
+"""Each recorded person's walk in each round of a replay, beside that in the recording.
 
 P people, K rounds of the R scenes of a recording; E episodes, W walks: one for every person of an episode
-whom the policy moves, or should have moved.
+that the policy moves, or should have moved.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Tracks(NamedTuple):
     """The recorded walks of P people, from where a policy takes over.
 
     Attributes:
-        scene: In which scene each is (P,) long, -1 for those whom no policy moves.
+        scene: Scene of each person (P,) long, -1 for people that no policy moves.
         seconds: Until they are within 0.3 m of their goal (P,), NaN likewise.
         xy: Positions every 0.4 s (P, L, 2), metres.
         points: How many (P,) long.
@@ -41,9 +41,9 @@ class Walks(NamedTuple):
     Attributes:
         episode: (W,) long.
         person: (W,) long.
-        deadlock: Who once moved less than 0.1 m in 5 s, more than 0.5 m from the goal (W,) bool.
-        seconds: From when the policy took over until within 0.3 m of the goal; NaN for who never was. A
-            replay takes out whoever needs more than twice the recorded time.
+        deadlock: Which walks had a `deadlocked` person, as in `pedzoo.metrics.navigation` (W,) bool.
+        seconds: From when the policy took over until within 0.3 m of the goal; NaN for never. A replay takes
+            out people who need more than twice the recorded time.
         ade: Mean distance to the recorded positions of the same times, metres; NaN without any.
         dtw: Dynamic time warping distance to the recorded walk, metres; NaN likewise.
     """
@@ -64,7 +64,7 @@ class Walks(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What P people did in K rounds, (K, P) each, NaN where there was no walk; ``real_seconds`` is (P,)."""
+    """Walks of P people in K rounds, (K, P) each, NaN for no walk; ``real_seconds`` is (P,)."""
 
     success: Tensor
     deadlock: Tensor
@@ -88,16 +88,16 @@ def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
     """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
     scene = torch.full((people,), -1)
     seconds = torch.full((people,), torch.nan, dtype=torch.float64)
-    positions, whose, before = [], [], 0
+    positions, persons, before = [], [], 0
     for part in parts:
         steps = every_step(part)
         scene[part.person[part.controlled]] = part.controlled.nonzero()[:, 0] + before
         result = _seconds(part, torch.arange(people).expand(len(part.failed), people), people)
         seconds = torch.where(result.isnan(), seconds, result)
         positions.append(steps.xy[steps.scored])
-        whose.append(steps.person[steps.scored])
+        persons.append(steps.person[steps.scored])
         before += len(part.failed)
-    return Tracks(scene, seconds, *padded(torch.cat(positions), torch.cat(whose), people))
+    return Tracks(scene, seconds, *padded(torch.cat(positions), torch.cat(persons), people))
 
 
 def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tracks) -> Walks:
@@ -108,7 +108,7 @@ def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tr
         steps: The same every 0.4 s.
         first: Number of the first one.
         scenes: R.
-        tracks: What really happened.
+        tracks: The recorded walks.
     """
     scene = (first + torch.arange(len(rollout.failed))) % scenes
     episode, person = (scene.unsqueeze(1) == tracks.scene).nonzero().unbind(1)
@@ -132,7 +132,7 @@ def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tr
 
 
 def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
-    """Return what is a mean or a median over people, for weights (R, P), (R,) each."""
+    """Return values that are means or medians over people, for weights (R, P), (R,) each."""
     rounds = len(tables.success)
     ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
     walks = weights @ (~tables.success.isnan()).sum(0).double()
@@ -150,11 +150,11 @@ def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
 
 
 def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
-    """Return after how long people reached their goal (W,), seconds, NaN for never.
+    """Return the times at which people reached their goals (W,), seconds, NaN for never.
 
     Args:
         rollout: Episodes.
-        number: Which walk is whose in each of them (E, P) long.
+        number: Walk of each person in each of them (E, P) long.
         count: W.
     """
     first = []

@@ -1,4 +1,4 @@
-"""Baseline: everybody starts with their last velocity and bends to where the straight walk ends."""
+"""Baseline: people start with their last velocity and bend to where the straight walk ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Baseline: everybody repeats their last displacement."""
+"""Baseline: people repeat their last displacement."""
 
 from __future__ import annotations
 

@@ -37,13 +37,13 @@ from pedzoo.models.blocks.variety import VarietyLoss
 
 
 class Encoded(NamedTuple):
-    """What does not depend on the noise: computed once for all samples of a batch.
+    """Values that do not depend on the noise: computed once for all samples of a batch.
 
     Attributes:
         context: Decoder state without its noise (P, decoder_dim - noise_dim).
-        first: Last observed displacement (P, 2), in everybody's frame.
+        first: Last observed displacement (P, 2), in each person's frame.
         base: Displacements in the world (P, T, 2) that the network's output is added to; None for none.
-        heading: Direction of everybody's frame (P, 2); None for the world's.
+        heading: Direction of each person's frame (P, 2); None for the world's.
         crowd: The packing.
     """
 
@@ -56,7 +56,7 @@ class Encoded(NamedTuple):
 
 @dataclass(frozen=True)
 class Architecture:
-    """What the network is made of; with it weights belong together.
+    """The network's architecture; it belongs to the weights.
 
     Attributes:
         embedding_dim: Width of embedded displacements.
@@ -64,18 +64,18 @@ class Architecture:
         decoder_dim: Width of the decoder LSTM.
         mlp_dim: Width of the hidden layer between encoder and decoder.
         noise_dim: Width of the noise z.
-        noise: One z per ``scene`` (published models) or per ``agent``; ``mixed`` likewise, and half of it
-            is drawn anew at every step of those who walk.
+        noise: One z per ``scene`` (published models) or per ``agent``; ``mixed`` likewise, and half of it is
+            redrawn at every step of walking people.
         bottleneck_dim: Width of social pooling; 0 for none.
         goal_dim: Width of the goal's linear layer; 0 for no goal.
         goal_protocol: The goal protocol of the training data.
         map: Floor plan encoder; None for no floor plan.
         map_dim: Width of its features.
-        approach_dim: Width of what people see of each other's closest approach; 0 for none.
-        trait_dim: Width of the network by which noise changes what is made of a situation; 0 for none.
-        frame: Directions in the ``world``, in everybody's own ``heading``, so that turning the scene
-            turns the answer (pooling stays in the world), or likewise in that of their ``way`` to the
-            goal, which does not turn with every small step.
+        approach_dim: Width of features of people's closest approach; 0 for none.
+        trait_dim: Width of the network by which noise changes the reading of a situation; 0 for none.
+        frame: Directions in the ``world``, or in each person's own ``heading``, so that turning the scene
+            turns the answer (pooling stays in the world). ``way`` is the direction to the goal, which does
+            not turn with every small step.
         residual: The trivial continuation that the output is added to.
     """
 
@@ -128,8 +128,8 @@ class SGAN(Forecaster):
         """Create the parameters.
 
         Args:
-            architecture: What the network is made of.
-            losses: What it is trained by.
+            architecture: The network's architecture.
+            losses: Its losses.
             walking: How it walks.
         """
         super().__init__()
@@ -285,7 +285,7 @@ class SGAN(Forecaster):
         Args:
             batch: Recorded scenes.
             generator: Draws the noise.
-            encoded: What `encode` gives for this batch, where that is known already.
+            encoded: The result of `encode` for this batch, if computed already.
             sample: Whether the random sample is wanted.
         """
         steps = agents_of(batch)["future"].shape[2]

@@ -1,16 +1,15 @@
 """Social-VRNN: a variational recurrent network whose output is a mixture of whole futures.
 
 Brito, Zhu, Pan and Alonso-Mora, "Social-VRNN: One-Shot Multi-modal Trajectory Prediction for Interacting
-Pedestrians", CoRL 2020, arXiv:2010.09056. From there: what people did, the occupancy map around them and the
-others' relative states are the inputs x; a latent z is inferred; one pass gives a mixture of Gaussians over
-all future displacements y; training maximises the evidence lower bound.
+Pedestrians", CoRL 2020, arXiv:2010.09056. As there, the inputs x are people's tracks, the occupancy map
+around them and the others' relative states. A latent z is inferred, and one pass gives a mixture of
+Gaussians over all future displacements y. Training maximises the evidence lower bound.
 
-Beyond the paper: everybody's own frame, displacements relative to the last one repeated, pooling instead of
-an LSTM over the others in order of distance, distances to walls instead of a pretrained autoencoder's
+Beyond the paper: each person's own frame, displacements relative to the last one repeated, pooling instead
+of an LSTM over the others in order of distance, distances to walls instead of a pretrained autoencoder's
 features, and a loss of the most likely future alone. The posterior sees the future, q(z | x, y), as in
-conditional variational autoencoders (Sohn et al., NeurIPS 2015): of a posterior that sees x alone, the bound
-is highest where z says nothing. The published code's diversity term, which it computes and does not add to
-its loss, is left out here too.
+conditional variational autoencoders (Sohn et al., NeurIPS 2015): with x alone, the bound is highest if z
+means nothing. As in the published code, its diversity term is not part of the loss.
 """
 
 from __future__ import annotations
@@ -39,12 +38,12 @@ from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 
 class Seen(NamedTuple):
-    """What is known about the people of a batch before anything is drawn.
+    """Values of the people of a batch that do not depend on a draw.
 
     Attributes:
         features: The inputs x (P, D), encoded.
         prior: Distribution p(z | x) of the latents (P, latent_dim).
-        last: Last displacements (P, 2) in everybody's frame.
+        last: Last displacements (P, 2) in each person's frame.
         heading: Directions of these frames (P, 2).
         crowd: The packing.
     """
@@ -58,19 +57,19 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True)
 class Architecture:
-    """What the network is made of; with it weights belong together.
+    """The network's architecture; it belongs to the weights.
 
     Attributes:
         embedding_dim: Width of embedded displacements.
-        state_dim: Width of the LSTM over what a person did.
-        others_dim: Width of what the others do; 0 to leave them out.
+        state_dim: Width of the LSTM over a person's track.
+        others_dim: Width of the features of others; 0 to leave them out.
         map: Encoder of the occupancy map around the person; None to leave it out.
         map_dim: Width of its features.
         latent_dim: Width of the latent z.
-        hidden_dim: Width of everything between.
+        hidden_dim: Width of all layers between.
         components: Futures in the mixture.
-        min_scale: Smallest standard deviation, metres per step. Who stands is recorded at exactly one
-            place, and the likelihood of that would have no bound.
+        min_scale: Smallest standard deviation, metres per step. Standing people are recorded at exactly one
+            place, and without it the likelihood of that would have no bound.
     """
 
     embedding_dim: int = 16
@@ -98,7 +97,7 @@ class Architecture:
 
 @dataclass(frozen=True)
 class Losses:
-    """What the network is trained by.
+    """Losses of the training.
 
     Attributes:
         kl_weight: Weight of the divergence of posterior and prior; at 1 the loss is the bound itself.
@@ -119,8 +118,8 @@ class SocialVRNN(Forecaster):
         """Compose a model.
 
         Args:
-            architecture: What the network is made of.
-            losses: What it is trained by.
+            architecture: The network's architecture.
+            losses: Its losses.
         """
         super().__init__()
         self.config = flat(architecture, losses)
@@ -139,7 +138,7 @@ class SocialVRNN(Forecaster):
         self.decoder = MixtureDecoder(width, a.latent_dim, a.hidden_dim, a.components, a.min_scale)
 
     def see(self, batch: TensorDict) -> Seen:
-        """Return what is known about everybody."""
+        """Return the known features of all people."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
@@ -156,7 +155,7 @@ class SocialVRNN(Forecaster):
         return Seen(joined, self.prior(joined), own[:, -1], heading, crowd)
 
     def mixture(self, seen: Seen, latent: Tensor, steps: int) -> FutureMixture:
-        """Return p(y | z, x) in everybody's frame, of K x P people for latents (K, P, latent_dim)."""
+        """Return p(y | z, x) in each person's frame, of K x P people for latents (K, P, latent_dim)."""
         samples = latent.shape[0]
         base = lines.constant_velocity(seen.last, steps).repeat(samples, 1, 1)
         written = self.decoder(seen.features.repeat(samples, 1), latent.flatten(0, 1), base)
@@ -165,7 +164,7 @@ class SocialVRNN(Forecaster):
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Return random futures (B, K, A, T, 2): latent, component and what the component leaves open."""
+        """Return random futures (B, K, A, T, 2), of random latent, component and position in it."""
         seen = self.see(batch)
         z = _draw(seen.prior, samples, generator)
         mixture = self.mixture(seen, z, steps)
@@ -218,7 +217,7 @@ class SocialVRNN(Forecaster):
     def log_likelihood(
         self, batch: TensorDict, generator: torch.Generator | None = None, samples: int = 20
     ) -> Tensor:
-        """Return a lower bound of everybody's log p(y | x) (B, A), nats; 0 where nothing of y is known.
+        """Return a lower bound of each person's log p(y | x) (B, A), nats; 0 where nothing of y is known.
 
         The importance-weighted bound (Burda et al., ICLR 2016, eq. 8), which rises to the likelihood with the
         number of ``samples`` K:
@@ -235,12 +234,12 @@ class SocialVRNN(Forecaster):
         return seen.crowd.unpack(bound * known.any(-1))
 
     def _most_likely(self, seen: Seen, steps: int) -> Tensor:
-        """Return the most likely component's mean (1, P, T, 2) in everybody's frame, at the latent's mode."""
+        """Return the likeliest component's mean (1, P, T, 2) in each person's frame, at the mode."""
         mixture = self.mixture(seen, seen.prior.mean.unsqueeze(0), steps)
         return mixture.mean_of(mixture.most_likely())
 
     def _truth(self, batch: TensorDict, seen: Seen) -> tuple[Tensor, Tensor]:
-        """Return true displacements (P, T, 2) in everybody's frame and which are known (P, T)."""
+        """Return true displacements (P, T, 2) in each person's frame and which are known (P, T)."""
         path = frames.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
         return path, seen.crowd.pack(known_displacements(batch))
 
@@ -250,7 +249,7 @@ class SocialVRNN(Forecaster):
         return self.posterior(seen.features, self.future(surprise))
 
     def _world(self, seen: Seen, path: Tensor) -> Tensor:
-        """Return paths (K, P, T, 2) of everybody's frame as displacements in the world (B, K, A, T, 2)."""
+        """Return paths (K, P, T, 2) of each person's frame as displacements in the world (B, K, A, T, 2)."""
         turned = frames.out_of(seen.heading, path)
         return seen.crowd.unpack(turned.transpose(0, 1)).transpose(1, 2)
 

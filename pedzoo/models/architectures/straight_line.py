@@ -1,4 +1,4 @@
-"""Baseline: everybody walks straight to their goal."""
+"""Baseline: people walk straight to their goal."""
 
 from __future__ import annotations
 

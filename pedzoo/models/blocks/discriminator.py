@@ -15,7 +15,7 @@ from pedzoo.models.blocks.recurrent import DisplacementEncoder
 class Discriminator(nn.Module):
     """An LSTM over all steps of a window and a classifier (Gupta et al., CVPR 2018, section 3.2).
 
-    ``local`` judges everybody alone; ``global`` pools the people of a scene around where they started.
+    ``local`` judges each person alone; ``global`` pools the people of a scene around where they started.
     """
 
     def __init__(
@@ -48,18 +48,18 @@ class Discriminator(nn.Module):
         Args:
             displacements: Observed and then predicted ones (P, T, 2), metres; before them goes a zero.
             start: World positions at the start of the window (P, 2).
-            crowd: Who shares a scene with whom.
+            crowd: Which people share a scene.
         """
         return self._classify(self.encoder(displacements), start, crowd)
 
     def of_futures(self, observed: Tensor, futures: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
-        """Return scores (N * P,) of N futures of the same people; what was observed is read only once.
+        """Return scores (N * P,) of N futures of the same people; the observed part is read only once.
 
         Args:
             observed: Displacements (P, 7, 2), metres.
             futures: Displacements after them (N, P, T, 2).
             start: World positions at the start of the window (P, 2).
-            crowd: Who shares a scene with whom, in N copies of all scenes.
+            crowd: Which people share a scene, in N copies of all scenes.
         """
         hidden, cell = (state.repeat(1, len(futures), 1) for state in self.encoder.states(observed))
         hidden, _ = self.encoder.states(futures.flatten(0, 1), (hidden, cell))

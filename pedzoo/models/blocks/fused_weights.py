@@ -1,4 +1,4 @@
-"""What Social GAN's parts compute from their parameters alone, before they see anybody."""
+"""Products of Social GAN's parameters that do not depend on people."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pedzoo.models.blocks.recurrent import (
 
 
 class FusedWeights(NamedTuple):
-    """What the parts' ``fuse`` compute from parameters alone; None where each call shall do so."""
+    """Results of the parts' ``fuse``, from parameters alone; None where each call computes them."""
 
     encoder: EncoderWeights | None = None
     pooling: PoolingWeights | None = None

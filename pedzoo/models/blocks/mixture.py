@@ -1,4 +1,4 @@
-"""A mixture of Gaussians over whole futures: what a one-shot multi-modal forecaster puts out.
+"""A mixture of Gaussians over whole futures: the output of a one-shot multi-modal forecaster.
 
 Each component m is one future with a mean and an uncertainty at every step; its weight pi_m is the
 probability that the future is of its kind. Given the component, steps are independent:
@@ -58,7 +58,7 @@ class FutureMixture(NamedTuple):
         return (share.unsqueeze(-1) >= reached).sum(-1)
 
     def mean_of(self, component: Tensor) -> Tensor:
-        """Return the mean (..., T, 2) of everybody's ``component`` (...) long."""
+        """Return the mean (..., T, 2) of each person's ``component`` (...) long."""
         return _pick(self.mean, component)
 
     def scale_of(self, component: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class MixtureDecoder(nn.Module):
         """Create the parameters.
 
         Args:
-            context_dim: Width of what is known about a person.
+            context_dim: Width of a person's features.
             latent_dim: Width of the latent.
             hidden_dim: Width of the LSTM's state.
             components: Number of components M.
@@ -93,10 +93,10 @@ class MixtureDecoder(nn.Module):
         self.logits = nn.Linear(hidden_dim, components)
 
     def forward(self, context: Tensor, latent: Tensor, base: Tensor) -> FutureMixture:
-        """Return everybody's mixture.
+        """Return each person's mixture.
 
         Args:
-            context: What is known (P, context_dim).
+            context: Features of each person (P, context_dim).
             latent: The latent (P, latent_dim).
             base: Displacements (P, T, 2) that the means are added to.
         """

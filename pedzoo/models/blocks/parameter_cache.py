@@ -72,7 +72,7 @@ class _Origin:
         self.memory = [parameter.untyped_storage() for parameter in self.parameters]
 
     def stays(self, module: nn.Module) -> bool:
-        """Return whether ``module`` and its parameters are still what they were."""
+        """Return whether ``module`` and its parameters are unchanged."""
         if module is not self.module or _values(self.parents) != self.children:
             return False
         now = _values(self.owners)

@@ -24,7 +24,7 @@ DecoderWeights: TypeAlias = tuple[list[Tensor], Tensor, Tensor]
 class DisplacementEncoder(nn.Module):
     """Summarises a person's displacements: e = W_e d + b_e, h_t = LSTM(h_{t-1}, e_t) (eq. 1).
 
-    As published, a zero goes before the first displacement. The state after it is the same for everybody.
+    As published, a zero goes before the first displacement. The state after it is the same for all people.
     """
 
     def __init__(self, embedding_dim: int, hidden_dim: int) -> None:
@@ -51,7 +51,7 @@ class DisplacementEncoder(nn.Module):
         """Return hidden and cell state (1, P, hidden_dim) after ``displacements``.
 
         Args:
-            displacements: What people did (P, T, 2), metres per step.
+            displacements: Displacements of people (P, T, 2), metres per step.
             start: The states before it; None where nothing was before but the zero.
             fused: What `fuse` returned for the same parameters.
         """
@@ -67,7 +67,7 @@ class DisplacementEncoder(nn.Module):
         return torch.cat([end[0] for end in ends], 1), torch.cat([end[1] for end in ends], 1)
 
     def fuse(self) -> EncoderWeights:
-        """Return hidden and cell state (1, 1, H) after a displacement of zero, and what `_folded` does."""
+        """Return hidden and cell state (1, 1, H) after a zero displacement, and the result of `_folded`."""
         weights = _folded(self.lstm, self.embedding)
         gates = _without_forget(weights[2] + weights[3])
         return *_from_rest(gates.view(1, 1, -1)), weights

@@ -1,4 +1,4 @@
-"""How far futures are apart, per scene: what variety losses and energy scores are made of."""
+"""Distances between futures, per scene: for variety losses and energy scores."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What kind of person somebody is: the noise changes what is made of a situation, and not only the answer."""
+"""Personal traits: the noise changes how a situation is read, and not only the answer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 
 class Trait(nn.Module):
-    """Adds to a context what a small network makes of it and of the noise together.
+    """Adds to a context the output of a small network for it and the noise together.
 
     A decoder that starts from [context; z] adds the two in every gate, so z can shift what people do and
     hardly choose between two ways of doing it. Untrained, it adds nothing.

@@ -1,4 +1,4 @@
-"""What forecasts with noise are trained by: the best of several, two at random, and the one without noise."""
+"""Losses of forecasts with noise: the best of several, two at random, and the one without noise."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class VarietyLoss:
     """The variety loss, the energy score and the error of the most likely forecast, weighed.
 
     For each scene the error of the best of ``best_k`` samples, best for all its people together (Gupta et
-    al., CVPR 2018, eq. 8). Only the winners have a gradient, so the candidates are drawn without one and just
-    the winners run again.
+    al., CVPR 2018, eq. 8). Only the winners have a gradient: candidates are drawn without one, and the
+    winners run again.
 
     Attributes:
         best_k: Samples of the variety loss.
-        error: What losses are made of; see `pedzoo.models.blocks.scene_error`.
+        error: Error of a sample; see `pedzoo.models.blocks.scene_error`.
         variety_weight: Weight of the variety loss.
         mode_weight: Weight of the same loss on the noise-free prediction.
         energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
             minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
-        map_dropout: Share of a floor plan's features left out in training: recordings have few floor plans,
-            which a network soon knows by heart.
+        map_dropout: Share of a floor plan's features left out in training, against overfitting to few floor
+            plans.
     """
 
     best_k: int = 20
@@ -69,7 +69,7 @@ class VarietyLoss:
         Args:
             model: Decodes.
             batch: Recorded scenes.
-            encoded: What it encoded of them.
+            encoded: Their encoding.
             steps: T.
             generator: Draws the noise.
             sample: Whether the random sample is wanted.

@@ -1,4 +1,4 @@
-"""A forecaster as a function of plain tensors: what is traced into a graph for programs without pedzoo."""
+"""A forecaster as a function of plain tensors, traced into a graph for programs without pedzoo."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Port(NamedTuple):
     """An input or output of a graph.
 
     Attributes:
-        shape: Its sizes; those with names are free, and the same wherever the name is.
-        about: What it is.
-        dtype: Of its numbers.
+        shape: Its sizes; those with names are free, and equal for equal names.
+        about: Its meaning.
+        dtype: Type of its numbers.
     """
 
     shape: tuple[int | str, ...]
@@ -64,9 +64,9 @@ class Graph(nn.Module):
         """Return the ``outputs`` of ``inputs``, which are as ``ports`` says."""
         mask, history = inputs["mask"], inputs["history"]
         scenes = history.shape[0]
-        # padding stands where somebody of the scene is: far away it would cost the digits of differences
-        somebody = history[torch.arange(scenes), mask.long().argmax(1)]
-        history = torch.where(mask[..., None, None], history, somebody.unsqueeze(1))
+        # padding stands where a person of the scene is: far away it would cost digits of differences
+        first = history[torch.arange(scenes), mask.long().argmax(1)]
+        history = torch.where(mask[..., None, None], history, first.unsqueeze(1))
         maps = self._no_plans
         if "map_image" in inputs:
             maps = PlanInput(inputs["map_image"], inputs["map_affine"])
@@ -85,7 +85,7 @@ class Graph(nn.Module):
         return tuple(torch.where(mask[..., None, None], path, 0.0) for path in result)
 
     def answers(self, model: Forecaster, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, ...]:
-        """Return what the ``outputs`` of a batch are by ``model``, each (B, A, steps, 2)."""
+        """Return the ``outputs`` of ``model`` for a batch, each (B, A, steps, 2)."""
         some = model.next_steps(batch, noise, self.steps, self.steps)
         return (some, model.mode(batch, self.steps)[:, 0]) if len(self.outputs) > 1 else (some,)
 
@@ -100,7 +100,7 @@ class Graph(nn.Module):
 def _inputs(model: Forecaster) -> dict[str, Port]:
     result = {
         "history": Port(("scenes", "people", OBS_LEN, 2), "positions, metres, oldest first, every 0.4 s"),
-        "mask": Port(("scenes", "people"), "who is there; the others are padding", torch.bool),
+        "mask": Port(("scenes", "people"), "which people are present; the others are padding", torch.bool),
     }
     if "goal" in model.needs:
         result["goal"] = Port(("scenes", "people", 2), "short-term goal, metres, where history is, too")
@@ -126,5 +126,5 @@ def _outputs(model: Forecaster, steps: int) -> dict[str, Port]:
         about += "; noise zero gives the most likely future"
     result = {"displacements": Port(shape, about)}
     if model.noise_dim and not model.mode_at_zero:
-        result["most_likely"] = Port(shape, "the most likely future, whatever the noise")
+        result["most_likely"] = Port(shape, "the most likely future, for every noise")
     return result

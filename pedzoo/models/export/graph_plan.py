@@ -20,8 +20,8 @@ def plan_inputs(model: nn.Module, bank: MapBank, grid: OccupancyGrid) -> dict[st
     """Return the inputs ``map_image`` (C, rows, columns) and ``map_affine`` (2, 3) of a floor plan.
 
     Args:
-        model: Says what it sees of plans: distances to walls, or AlexNet's features.
-        bank: Says what unknown cells count as.
+        model: Tells which maps it reads: distances to walls, or AlexNet's features.
+        bank: Tells the meaning of unknown cells.
         grid: The floor plan.
 
     Raises:
@@ -50,7 +50,7 @@ def reading_from_plan(model: Forecaster) -> Forecaster:
 
 
 class PlanInput(MapBank):
-    """A bank whose only floor plan is an input of the graph, whichever ``map_id`` scenes have.
+    """A bank whose only floor plan is an input of the graph, for every ``map_id`` of scenes.
 
     Scenes lie on it as they are: their pose is the identity.
     """

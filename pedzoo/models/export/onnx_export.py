@@ -29,7 +29,7 @@ from pedzoo.models.export.onnx_parity import Parity, parity
 from pedzoo.models.zoo.loading import config_of
 
 PACKAGES = ("onnx", "onnxscript", "onnxruntime")
-"""What the optional extra ``onnx`` installs."""
+"""The packages of the optional extra ``onnx``."""
 
 _SIZES = {"scenes": 3, "people": 5, "rows": 11, "columns": 13}
 """Sizes that a graph is traced with; it runs with all others, too."""
@@ -152,7 +152,7 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what the exporter says about itself from the terminal."""
+    """Keep the exporter's own output from the terminal."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

@@ -44,7 +44,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     Args:
         data: The ONNX file.
         model: The model.
-        graph: What the file was traced from.
+        graph: The traced graph.
 
     Raises:
         UserError: The graph cannot be run with these numbers of scenes and people, or differs from torch by
@@ -58,7 +58,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     batch, plan = _embedded(model)
     generator = torch.Generator().manual_seed(0)
-    checks, who = [], f"the ONNX graph of {type(model).__name__}"
+    checks, name = [], f"the ONNX graph of {type(model).__name__}"
     for scenes in (_cut(batch, 1, 1), _cut(batch, 1), batch, _crowd(batch)):
         agents = agents_of(scenes)
         noise = torch.randn(*agents.shape, model.noise_dim, generator=generator)
@@ -68,7 +68,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
         except (Fail, InvalidArgument, RuntimeException) as error:
             reason = " ".join(str(error).split())
             raise UserError(
-                f"{who} fails with {agents.shape[0]} scenes of {agents.shape[1]} people ({reason}): in the "
+                f"{name} fails with {agents.shape[0]} scenes of {agents.shape[1]} people ({reason}): in the "
                 "model, take sizes from x.shape[0] and not from len(x), which the graph does not follow"
             ) from error
         expected = graph.answers(model, scenes, noise)
@@ -77,7 +77,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     worst = max(checks, key=lambda check: check.difference)
     if worst.difference > TOLERANCE:
         raise UserError(
-            f"{who} differs from torch by {worst.difference:.2g} m per step with {worst.scenes} scenes of "
+            f"{name} differs from torch by {worst.difference:.2g} m per step with {worst.scenes} scenes of "
             f"{worst.people} people; at most {TOLERANCE:g} is rounding, so nothing was written"
         )
     return checks
@@ -104,8 +104,8 @@ def _cut(batch: TensorDict, scenes: int, people: int | None = None) -> TensorDic
 
 
 def _crowd(batch: TensorDict) -> TensorDict:
-    """Return one scene with everybody of a batch; padding is wherever it was."""
+    """Return one scene with all people of a batch; padding stays in place."""
     one, agents = _cut(batch, 1), agents_of(batch)
-    everybody = {key: value.flatten(0, 1).unsqueeze(0) for key, value in agents.items()}
-    one["agents"] = TensorDict(everybody, batch_size=(1, agents.numel()))
+    people = {key: value.flatten(0, 1).unsqueeze(0) for key, value in agents.items()}
+    one["agents"] = TensorDict(people, batch_size=(1, agents.numel()))
     return one

@@ -1,4 +1,4 @@
-"""Makes weights of the zoo and their model card, of a training run or of what weights say themselves."""
+"""Makes weights of the zoo and their model card, of a training run or of the weights' own metadata."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LICENCE = "MIT"
 """Of weights, unless something else is said. The terms of the recordings are in the card, too."""
 
 IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
-"""What weights say themselves about their training; the rest is in the card."""
+"""Metadata of weights about their training; the rest is in the card."""
 
 
 def publish(
@@ -44,14 +44,14 @@ def publish(
         checkpoint: ``RUN/checkpoints/best.ckpt`` of ``pedzoo fit``, in its run folder.
         folder: Where to write; made where it is missing.
         name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
-        measured: Reports of what the model does, for the card; None keeps those of a card that is there, if
-            it is of the same weights.
+        measured: Reports of evaluations for the card; None keeps those of an existing card of the same
+            weights.
         licence: Of the weights.
         url: Where the weights can be downloaded, if not beside the card.
 
     Raises:
         UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
-            in a file of one's own, or the name cannot be one.
+            in your own file, or the name is impossible.
     """
     checkpoint = Path(checkpoint)
     content = read_checkpoint(checkpoint)
@@ -73,7 +73,7 @@ def publish(
 
 
 def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
-    """Write the card of weights whose run is gone, from what they say themselves, and return its path.
+    """Write the card of weights whose run is gone, from their own metadata, and return its path.
 
     Args:
         weights: ``ARCHITECTURE.TAG/weights.safetensors`` or ``ARCHITECTURE.TAG.safetensors``.
@@ -149,7 +149,7 @@ def _write(
 
 
 def _with_zoo_names(record: RunRecord) -> RunRecord:
-    """Return what a run recorded, with the zoo's name of a checkpoint that it began with, if it has one."""
+    """Return a run's record, with the zoo's name of a checkpoint that it began with, if it has one."""
     began = record.began_with
     if not began or not began.endswith(".ckpt") or not Path(began).is_file():
         return record
@@ -169,7 +169,7 @@ def _with_zoo_names(record: RunRecord) -> RunRecord:
 
 
 def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:
-    """Return what a model card says of the data, with those of the weights that the run began with."""
+    """Return the data section of a card, with those of the weights that the run began with."""
     data = provenance(record.training["fold"], record.files, plans)
     if not (weights := record.began_with):
         return data

@@ -1,4 +1,4 @@
-"""What the folder of a training run says about a checkpoint in it."""
+"""The record of a checkpoint in the folder of a training run."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _FREE = frozenset({"seed_everything", "runs", "wandb", "rollout", "root", "enabl
 
 
 class RunRecord(NamedTuple):
-    """What is known of a run.
+    """The record of a run.
 
     Attributes:
         training: As a model card has it, see `pedzoo.models.zoo.card.Training`.
         files: Recordings of one's own that it was trained on; None for those of a fold.
-        versions: Of what it ran with.
+        versions: Versions it ran with.
         began_with: Weights or checkpoint that it began with, as they were named; None for new ones.
     """
 
@@ -50,7 +50,7 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
 
     Args:
         checkpoint: ``RUN/checkpoints/best.ckpt`` or another beside it.
-        content: What is in it.
+        content: Its content.
 
     Raises:
         UserError: It does not lie in the folder of a run.
@@ -151,7 +151,7 @@ def _best(seed: int, values: dict[int, float], config: dict[str, Any]) -> dict[i
 
 
 def _agree(one: Any, other: Any) -> bool:
-    """Return whether two configurations say the same wherever both say something."""
+    """Return whether two configurations agree wherever both have a value."""
     if isinstance(one, dict) and isinstance(other, dict):
         return all(_agree(one[key], other[key]) for key in one.keys() & other.keys() - _FREE)
     return one == other

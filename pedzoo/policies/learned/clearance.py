@@ -1,4 +1,4 @@
-"""Room kept between people and to walls: where the next step lacks it, which way out, what touches.
+"""Room kept between people and to walls: steps that lack it, ways out, and contacts.
 
 Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
 is read back to the host. `pedzoo.policies.learned.clearance_loops` says the same in compiled loops, and
@@ -22,15 +22,16 @@ NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
 
 MARGIN = 0.02
-"""Metres that are kept beyond a contact: what the last correction leaves undone, and corners."""
+"""Metres kept beyond a contact, for corners and the error of the last correction."""
 
 SHOULDERS = 0.71
-"""Metres between two people who are in a narrow place or come to one; more where their bodies need more.
+"""Metres between two people in or near a narrow place; more where their bodies need more.
 
-A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993. Bodies are slimmer
-than people with their arms and steps. Bodies alone would squeeze past each other in a door where one person
-waits, and their queues would be faster than real ones: 2.9 persons per metre and second. Real queues have
-1.9, see Seyfried et al., "New insights into pedestrian flow through bottlenecks", 2009."""
+A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993: bodies are slimmer
+than people with their arms and steps. With bodies alone people would squeeze past a waiting person in a
+door. Their queues would have 2.9 persons per metre and second; real ones have 1.9 (Seyfried et al., "New
+insights into pedestrian flow through bottlenecks", 2009).
+"""
 
 FIRST = 0.125
 """Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
@@ -48,7 +49,7 @@ _QUARTER = TRACE_SECONDS / STEP_SECONDS
 
 
 class ProposedSteps(NamedTuple):
-    """What B scenes of A people are about to do.
+    """The proposed steps of B scenes of A people.
 
     Attributes:
         position: Where they are (B, A, 2), metres.
@@ -202,7 +203,7 @@ class WallConstraints(NamedTuple):
         room: Distance that is to be kept (B, A), metres.
         least: That below which a wall is touched (B, A), metres: the radius.
         moved: Which agents' steps may be changed (B, A) bool.
-        blend: What a place is made of (S, 3): parts of the three places of a walk.
+        blend: Composition of a place (S, 3): parts of the three places of a walk.
         weight: How much a place moves with the step (S, 1, 1).
     """
 

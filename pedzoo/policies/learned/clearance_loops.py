@@ -34,16 +34,16 @@ def keep_clear(
 ):  # fmt: skip
     """Write steps (B, A, 2), metres, without contacts: see `pedzoo.policies.learned.safety.kept_clear`.
 
-    Args are those of `ProposedSteps`, with velocities as metres in a quarter of a step; whether velocities
-    blend; and constants. Then walls as scenes see them, frames (B, 7) and places (B, 3), no rows without
-    walls, and their tables. Then the results:
+    Args are those of `ProposedSteps`, with velocities in metres per quarter of a step; whether velocities
+    blend; and constants. Then the walls: frames (B, 7) and places (B, 3), no rows without walls, and their
+    tables. Then the results:
 
     * the steps;
     * which agents are in a narrow place (B, A);
-    * how the room that they keep to walls grows with their place (B, A, 2), 0 but for those who lack it;
-    * which part of their steps they walk (B, A);
+    * how the room to walls grows with their place (B, A, 2), not 0 only for agents that lack room;
+    * share of their steps that they walk (B, A);
     * how many rounds had corrections (B,);
-    * of each round (B, R, A, 7), size 0 for none, steps at its begin, after others and after walls, and the
+    * of each round (B, R, A, 7): size, 0 for none; steps at its begin, after others and after walls; the
       place on the way that a wall corrects, 0 for none.
     """
     scenes, agents = moved.shape
@@ -51,7 +51,7 @@ def keep_clear(
     path, levels, still = np.zeros((agents, 6)), np.zeros((3, agents, 6)), np.zeros(6)
     room, asking, level = np.zeros(agents), np.zeros(agents), np.zeros(agents, np.int64)
     near, stops = np.zeros((2, agents), np.bool_)
-    who, number = np.zeros((agents * agents, 2), np.int64), np.zeros((8, agents * agents))
+    members, number = np.zeros((agents * agents, 2), np.int64), np.zeros((8, agents * agents))
     from_x, from_y, apart, wanted, firm, touch, mine, theirs = number
     frame, place = np.zeros(7), np.zeros(3, np.int64)
     for b in range(scenes):
@@ -88,7 +88,7 @@ def keep_clear(
             )  # fmt: skip
         pairs = meetings(
             position[b], step, longest[b], present[b], moved[b], waits[b], radius[b], robot[b], narrow[b],
-            margin, shoulders, beyond, who, number,
+            margin, shoulders, beyond, members, number,
         )  # fmt: skip
         settled, safe = False, False
         used[b] = 0
@@ -96,7 +96,7 @@ def keep_clear(
             settled, safe = True, True
             change[:], asking[:] = 0.0, 0.0
             for k in range(pairs):
-                a, o = who[k]
+                a, o = members[k]
                 lacks, x, y = correction(
                     from_x[k], from_y[k], apart[k], wanted[k], firm[k], path[a], path[o],
                     blends, first, beyond, rounding,
@@ -152,7 +152,7 @@ def keep_clear(
             for turn in range(agents + 2):
                 stops[:] = False
                 for k in range(pairs):
-                    a, o = who[k]
+                    a, o = members[k]
                     x, y, least = from_x[k], from_y[k], touch[k]
                     my_path, their_path = levels[level[a], a], levels[level[o], o]
                     if closest(x, y, my_path, their_path, least, least, blends, first, 1.0)[0] > 0:

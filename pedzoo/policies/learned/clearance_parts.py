@@ -178,12 +178,12 @@ def correction(x, y, apart, room, firm, mine, theirs, blends, first, beyond, rou
 @jit
 def meetings(
     position, step, longest, present, moved, waits, radius, robot, narrow, margin, shoulders, beyond,
-    who, number,
+    members, number,
 ):  # fmt: skip
-    """Write the pairs of a scene who may come too near, and return how many there are.
+    """Write the pairs of a scene that may come too near, and return their number.
 
-    Args are the agents' (A, ...), constants, and the results: whose pairs they are (N, 2), and of each pair
-    (8, N) the place, the distance, rooms that are wanted, firm and not to be touched, shares of both.
+    Args are the agents' (A, ...), constants, and the results: the agents of each pair (N, 2), and of each
+    pair (8, N) the place, the distance, the wanted, firm and untouchable room, and both shares.
     """
     pairs = 0
     for a in range(len(moved)):
@@ -202,7 +202,7 @@ def meetings(
             yields, other = moved[a] and not robot[a], moved[o] and not robot[o]
             gives, other_gives = yields or (moved[a] and not other), other or (moved[o] and not yields)
             share = 0.5 if gives and other_gives else 1.0
-            who[pairs, 0], who[pairs, 1] = a, o
+            members[pairs, 0], members[pairs, 1] = a, o
             number[0, pairs], number[1, pairs], number[2, pairs] = x, y, distance
             number[3, pairs], number[4, pairs] = min(distance, most), min(distance, bodies + margin)
             number[5, pairs] = min(distance, bodies + 0.001) - 1e-4

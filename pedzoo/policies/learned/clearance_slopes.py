@@ -1,4 +1,4 @@
-"""The way back over what `clearance_loops` has recorded: gradients of the safety layer.
+"""The backward pass of `clearance_loops`, from its records: gradients of the safety layer.
 
 They are those of the torch path: parts of a way, shares of steps and directions of walls count as constants.
 """
@@ -140,7 +140,7 @@ def keep_clear_slope(
     step, path, of_path = np.zeros((agents, 2)), np.zeros((agents, 6)), np.zeros((agents, 6))
     grown, place, asking = np.zeros((agents, 2)), np.zeros((agents, 2)), np.zeros(agents)
     before, pair, out = np.zeros((agents, 2)), np.zeros(8), np.zeros(4)
-    who, number = np.zeros((agents * agents, 2), np.int64), np.zeros((8, agents * agents))
+    members, number = np.zeros((agents * agents, 2), np.int64), np.zeros((8, agents * agents))
     from_x, from_y, apart, wanted, firm, _, mine, theirs = number
     for b in range(scenes):
         place[:], before[:] = 0.0, 0.0
@@ -151,7 +151,7 @@ def keep_clear_slope(
             step[:] = record[b, 0, :, 0:2]
             pairs = meetings(
                 position[b], step, longest[b], present[b], moved[b], waits[b], radius[b], robot[b], narrow[b],
-                margin, shoulders, beyond, who, number,
+                margin, shoulders, beyond, members, number,
             )  # fmt: skip
         for r in range(used[b] - 1, -1, -1):
             steps = record[b, r]
@@ -162,7 +162,7 @@ def keep_clear_slope(
                     blends and moved[b, a], path[a],
                 )  # fmt: skip
             for k in range(pairs):
-                a, o = who[k]
+                a, o = members[k]
                 lacks, _, _ = correction(
                     from_x[k], from_y[k], apart[k], wanted[k], firm[k], path[a], path[o],
                     blends, first, beyond, rounding,
@@ -194,7 +194,7 @@ def keep_clear_slope(
                     before[a, 0], before[a, 1] = before[a, 0] + out[2], before[a, 1] + out[3]
             of_path[:] = 0.0
             for k in range(pairs):
-                a, o = who[k]
+                a, o = members[k]
                 if asking[a] == 0 or asking[o] == 0:
                     continue
                 lacks, _, _ = correction(

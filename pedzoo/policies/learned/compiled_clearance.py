@@ -26,7 +26,7 @@ def loops_take(steps: ProposedSteps) -> bool:
 
 
 def kept_clear_compiled(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
-    """Do what `pedzoo.policies.learned.safety.kept_clear` does, with its gradients."""
+    """`pedzoo.policies.learned.safety.kept_clear`, compiled, with its gradients."""
     return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls)
 
 

@@ -23,8 +23,10 @@ from pedzoo.policies.learned.compiled_clearance import kept_clear_compiled, loop
 from pedzoo.policies.learned.yielding import yielding
 
 WAITED = 0.4
-"""Metres within the observed steps, 2.8 s, below which a person waits. Two people who wait for each other in
-a narrow place turn a shoulder, too: nothing else would end that."""
+"""Metres within the observed steps, 2.8 s, below which a person waits.
+
+Two people who wait for each other in a narrow place turn a shoulder, too: otherwise they wait for ever.
+"""
 
 _SHARES = 1.0, 0.5, 0.0
 """Of a step that would touch something all the same."""
@@ -38,7 +40,7 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
     scene nor the order of its people changes anything. Differentiable.
 
     Args:
-        steps: What is asked for.
+        steps: Proposed steps.
         walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
     """
     return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
@@ -49,7 +51,7 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
 
     Args:
         batch: Scenes.
-        step: What people are asked to do (B, A, 2), metres.
+        step: Proposed steps (B, A, 2), metres.
     """
     agents, bank = agents_of(batch), maps_of(batch)
     moved = agents["mask"] & agents["controlled"]
@@ -72,7 +74,7 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
 
 
 def kept_clear_in_torch(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
-    """Do what `kept_clear` does on any device and in any precision."""
+    """`kept_clear` on any device and in any precision."""
     narrow = wall_constraints = None
     if walls is not None:
         walls = walls.per_scene()

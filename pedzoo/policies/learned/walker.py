@@ -36,7 +36,7 @@ class Plan(NamedTuple):
 
 
 class Walker(TensorDictModuleBase):
-    """Predicts everybody's future from a scene batch and walks its first step: displacement / 0.4 s.
+    """Predicts each person's future from a scene batch and walks its first step: displacement / 0.4 s.
 
     Under a deterministic exploration type of TorchRL the noise is zero. Else it is drawn by the scene's
     key: the same scene gets the same noise in every batch and on every worker.
@@ -90,7 +90,7 @@ class Walker(TensorDictModuleBase):
         self._plan: Plan | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's velocity (B, A, 2), m/s."""
+        """Write each person's velocity (B, A, 2), m/s."""
         check_interval(tensordict, STEP_SECONDS, "a learned model")
         if self.execute_steps == 1:
             step = self._predicted(tensordict, 1)[..., 0, :]
@@ -124,12 +124,12 @@ class Walker(TensorDictModuleBase):
         return self.model.next_steps(scenes, self.noise_of(tensordict), steps, PRED_LEN)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
-        """Return everybody's noise (B, A, noise_dim) in scenes as they are now, None for none."""
+        """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""
         if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
             return None
         agent = ids_of(tensordict)
-        who = torch.zeros_like(agent) if self.noise == "scene" else agent
-        key = randomness.join(tensordict["scene_key"], "noise", who)
+        drawn_for = torch.zeros_like(agent) if self.noise == "scene" else agent
+        key = randomness.join(tensordict["scene_key"], "noise", drawn_for)
         if self.noise_seed:
             key = randomness.join(key, self.noise_seed)
         now = randomness.join(key, (tensordict["time"] / STEP_SECONDS).round().long())

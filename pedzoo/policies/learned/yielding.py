@@ -24,7 +24,7 @@ ROOM = 0.1
 """Metres that are kept beyond a contact with a robot: between two decisions velocities blend."""
 
 WEIGHT = 3.0
-"""Metres: what a contact after t seconds costs in m/s, as WEIGHT / t, less the same at the horizon."""
+"""Metres: a contact after t seconds costs WEIGHT / t in m/s, less the same at the horizon."""
 
 DIRECTIONS, SPEEDS, PLACES = 24, 4, 8
 """Sampled directions, speeds, and places on the way at which walls are asked for."""
@@ -44,7 +44,7 @@ def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     what is asked for.
 
     Args:
-        steps: What is asked for.
+        steps: Proposed steps.
         walls: Of the scenes (`MapBank.walls_around`), B entries; None for none.
     """
     avoided = steps.present & ~steps.moved & (steps.robot | ~usual_body(steps.radius))

@@ -29,15 +29,15 @@ def agent_lines(
         velocity: Velocities (B, A, 2), m/s; likewise.
         radius: Radii of the disks (B, A), metres; likewise.
         share: How much of avoiding each of them is left to the others (B, A), 0.5 or 1; likewise.
-        mask: Who is there (B, A).
+        mask: Which people are present (B, A).
         rows: Which of the B * A people are asked for (N,) long; None: all.
         settings: Time step, neighbours and horizon.
     """
     neighbor, near = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
     moving = (position.flatten(0, 1).T, velocity.flatten(0, 1).T)
-    everybody = torch.cat((*moving, radius.flatten()[None], share.flatten()[None]))
-    own = everybody if rows is None else everybody.index_select(1, rows)
-    theirs = everybody.index_select(1, neighbor.flatten()).view(6, *neighbor.shape)
+    agents = torch.cat((*moving, radius.flatten()[None], share.flatten()[None]))
+    own = agents if rows is None else agents.index_select(1, rows)
+    theirs = agents.index_select(1, neighbor.flatten()).view(6, *neighbor.shape)
     relative = theirs[:4].sub_(own[:4, None])
     place, current = relative[:2], -relative[2:]
 
@@ -45,7 +45,7 @@ def agent_lines(
     combined2 = combined * combined
     distance2 = dot(place, place)
     overlap = at_most(distance2, combined2)
-    # Those who overlap are to be apart after one step, the others for the whole horizon.
+    # Overlapping people are to be apart after one step, the others for the whole horizon.
     rate = (overlap * (1 / settings.dt)).add_((1 - overlap).mul_(1 / settings.time_horizon))
     w = current - rate * place
     w2, ahead = dot(w, w), dot(w, place)

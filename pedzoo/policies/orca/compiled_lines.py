@@ -1,4 +1,4 @@
-"""What `wall_lines` computes, one person after the other: compiled by numba for single precision on the CPU.
+"""`wall_lines`, one person after the other: compiled by numba for single precision on the CPU.
 
 Every operation is that of `wall_lines`, in its order, so that both give the same lines.
 """
@@ -17,7 +17,7 @@ _FAR, _TOUCHING, _TINY = np.float32(1e30), np.float32(1e-6), np.finfo(np.float32
 
 @jit
 def _corner(corner, convex, next_x, next_y, own_x, from_y, apart, radius, scale):
-    """Return what one corner makes of the velocity obstacle, as if it were the left one."""
+    """Return one corner's part of the velocity obstacle, as if it were the left one."""
     # Legs pass corners that stick out; others are those of the segment's line.
     apart2 = apart * apart
     distance2 = corner * corner + apart2
@@ -107,7 +107,7 @@ def compiled_lines(
                 break
             right_x, right_y = direction[0, k, i], direction[1, k, i]
             ahead_x, ahead_y = mirror * -right_y, mirror * right_x
-            # What lies behind the line of a nearer segment does not count.
+            # Walls behind the line of a nearer segment do not count.
             one_x = (apart[k, i] * ahead_x - along[k, i] * right_x) * scale
             one_y = (apart[k, i] * ahead_y - along[k, i] * right_y) * scale
             long = scale * length[k, i]

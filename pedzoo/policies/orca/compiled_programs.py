@@ -1,4 +1,4 @@
-"""What `pedzoo.policies.orca.programs.solve` computes, one person after the other: compiled by numba.
+"""`pedzoo.policies.orca.programs.solve`, one person after the other: compiled by numba.
 
 For single precision on the CPU. A person's program ends where it is solved; the batched one goes on until
 the last person's is.

@@ -5,12 +5,12 @@ the order of steps and the tolerance of their library RVO2, so that the answers 
 
 Constraints of N people are ``lines`` (4, L, N): x and y of a point of the line, x and y of its unit
 direction; velocities to its left are permitted. Rows of L are in order of importance, walls before people. A
-line of direction (0, 0) constrains nothing, so people with fewer constraints are padded with zeros.
+line of direction (0, 0) constrains nothing: it pads people with fewer constraints.
 
-RVO2's incremental program visits one line after the other: where the velocity found so far violates a line,
-the best one on that line that obeys all lines before it takes its place. That best one does not depend on the
-velocity so far. So it is computed for all lines at once, and each person's way through their lines is looked
-up. Many people with many lines first go to their next violated line together, until few are left.
+RVO2's incremental program visits one line after the other. Where the velocity found so far violates a line,
+the best velocity on that line that obeys all earlier lines takes its place. This one does not depend on the
+velocity so far: it is computed for all lines at once, and each person's sequence of lines is looked up. In
+large crowds people first go to their next violated line together, until few are left.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def nearest(
         values, feasible = _best_on(chosen, lines, above(line, number), optimum, max_speed, towards)
         own = pick(feasible, values, own)
         end = torch.full_like(line, count)
-        last = pick(feasible, line, end)  # who is stuck has no further lines
+        last = pick(feasible, line, end)  # people who are stuck have no further lines
         result.index_copy_(1, rows, own)
         failed.index_copy_(0, rows, pick(feasible, end, line).long())
 
@@ -110,7 +110,7 @@ def _few(lines: Tensor) -> bool:
 def _at_once(
     lines: Tensor, start: Tensor, last: Tensor | None, optimum: Tensor, max_speed: Tensor, towards: bool
 ) -> tuple[Tensor, Tensor]:
-    """Do what `nearest` does, from velocities ``start`` (2, N) that obey everybody's lines up to ``last``."""
+    """Like `nearest`, from velocities ``start`` (2, N) that obey a person's lines up to ``last``."""
     count = lines.shape[1]
     number = torch.arange(-1, count, device=lines.device, dtype=lines.dtype)[:, None]
     one, other = number[1:], number.T[..., None]  # of pairs (one, other, person)
@@ -123,7 +123,7 @@ def _at_once(
     if last is not None:
         wrong[:, 0] *= above(one, last)
     line = _first(wrong)
-    # Who can obey it stands on that line then, who cannot stays; a step of two steps, of four, ...
+    # People who can obey it stand on that line then, others stay; a step of two steps, of four, ...
     able = torch.cat((feasible, feasible.new_zeros(1, feasible.shape[1])))
     following = line.long()
     able = able.gather(0, following)
@@ -230,10 +230,10 @@ def violation(lines: Tensor, velocity: Tensor) -> Tensor:
     return (py - y).mul_(dx).sub_((px - x).mul_(dy))
 
 
-def _of(everybody: Tensor, rows: Tensor) -> Tensor:
-    """Return what belongs to some people (..., M) of all (..., N)."""
+def _of(values: Tensor, rows: Tensor) -> Tensor:
+    """Return the values of some people (..., M) from those of all (..., N)."""
     # selecting from a matrix is several times faster than from three dimensions
-    return everybody.flatten(0, -2).index_select(1, rows).view(*everybody.shape[:-1], -1)
+    return values.flatten(0, -2).index_select(1, rows).view(*values.shape[:-1], -1)
 
 
 def _first(wrong: Tensor) -> Tensor:

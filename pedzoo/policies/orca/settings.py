@@ -1,4 +1,4 @@
-"""What ORCA can be told."""
+"""Settings of ORCA."""
 
 from __future__ import annotations
 
@@ -22,18 +22,16 @@ class OrcaSettings:
     """Settings of ORCA; its parameters are in RVO2's meaning and mostly with its names.
 
     Attributes:
-        radius: Of the disk of every person that ORCA moves, metres. It is ORCA's own: bodies and planners
-            have theirs.
+        radius: Of the disk of every person that ORCA moves, metres; bodies and planners have their own.
         walls: Whether walls are avoided. iGibson's ORCA never sees them.
         dt: Seconds between decisions, in which people who already overlap are to be apart again.
         jitter: Standard deviation of noise on the preferred velocity, m/s.
-        preset: ``pedzoo``, or ``igibson`` for the constants of iGibson's social navigation. They have the
-            settings of `PRESETS`.
-        neighbor_dist: Metres between centres from which on others are ignored.
-        max_neighbors: So many nearest others are heeded; the preset ``igibson`` heeds all.
+        preset: ``pedzoo``, or ``igibson`` for the constants of iGibson's social navigation, see `PRESETS`.
+        neighbor_dist: Metres between centres beyond which others are ignored.
+        max_neighbors: Nearest others that are avoided; the preset ``igibson`` avoids all.
         time_horizon: Seconds for which velocities are safe with respect to others.
         time_horizon_obst: Seconds for which they are safe with respect to walls.
-        max_obstacles: So many nearest wall segments are heeded (RVO2: all of them).
+        max_obstacles: Nearest wall segments that are avoided (RVO2: all of them).
         top_speed_ratio: Top speed, divided by the preferred one; iGibson's people have no other.
     """
 
@@ -50,7 +48,7 @@ class OrcaSettings:
     top_speed_ratio: float = OF_PRESET
 
     def __post_init__(self) -> None:
-        """Take what is not given from the preset, and check the values.
+        """Take missing values from the preset, and check all.
 
         Raises:
             UserError: No such preset, a length or time that is not positive, or a count that is negative.
@@ -97,7 +95,7 @@ class OrcaSettings:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "pedzoo": {"radius": 0.2, "max_neighbors": 10, "top_speed_ratio": TOP_SPEED_RATIO},
-    # iGibson 2.0's social navigation; everybody in the scene is a neighbour there
+    # iGibson 2.0's social navigation, where all people in the scene are neighbours
     "igibson": {"radius": 0.5, "max_neighbors": None, "top_speed_ratio": 1.0},
 }
 """Settings of the presets."""

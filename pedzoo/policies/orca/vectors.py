@@ -1,7 +1,7 @@
 """Arithmetic of vectors whose two coordinates come first (2, ...), and of shares: conditions as 0 and 1.
 
-On a CPU floating point comes in vectors of 8, while truth values, `torch.where` among them, come one by one:
-ORCA computes with shares several times faster.
+On a CPU floating point is computed in vectors of 8, truth values (also `torch.where`) one by one: ORCA is
+several times faster with shares.
 """
 
 from __future__ import annotations

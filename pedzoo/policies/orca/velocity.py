@@ -1,4 +1,4 @@
-"""ORCA for batches of scenes: everybody's new velocity."""
+"""ORCA for batches of scenes: each person's new velocity."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ def _velocity(
     walls: Segments | None,
     passive: Tensor | None,
 ) -> Tensor:
-    """Do what `orca_velocity` does."""
+    """Return the velocities of `orca_velocity`; arguments likewise."""
     asked = mask if passive is None else mask & ~passive
     rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
-    if rows is not None:  # whatever stands in for absent people
+    if rows is not None:  # placeholders of absent people
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
     share = torch.full_like(radius, 0.5)
     if passive is not None:

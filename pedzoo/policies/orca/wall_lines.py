@@ -3,9 +3,9 @@
 RVO2's static obstacles: section 6 of van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision
 avoidance" (ISRR 2009), in the form of the library, where a segment knows its corners and neighbours.
 
-All is computed in the frame of each segment (see `Segments`), where its wall lies ahead and across. What
-concerns the right corner is computed in the mirror, as if it were the left one, together with what concerns
-the left one in tensors (2, K, N); a line found in the mirror is turned back at the end.
+All is computed in the frame of each segment (see `Segments`), where its wall lies ahead and across. The
+right corner is mirrored and computed together with the left one, in tensors (2, K, N); its line is mirrored
+back at the end.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FAR = 1e30
 """More than any square of a speed."""
 
 _TOUCHING = 1e-6
-"""Metres: nearer to a wall nobody is. Those who stand for no wall may be anywhere."""
+"""Metres: people are farther from walls than this. Padding without a wall may be anywhere."""
 
 
 def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
@@ -35,7 +35,7 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
         walls: K segments of each person, nearest first.
         velocity: Velocities (2, N), m/s.
         radius: Radii of the disks (N,), metres.
-        settings: Horizon and how many segments are heeded.
+        settings: Horizon and number of segments.
     """
     walls = walls.nearest(settings.max_obstacles)
     if compiles(velocity):
@@ -57,7 +57,7 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
 def _uncovered(
     walls: Segments, ahead: Tensor, lines: Tensor, counts: Tensor, radius: Tensor, settings: OrcaSettings
 ) -> Tensor:
-    """Return which lines count (K, N), 1 or 0: not those of what lies behind the line of a nearer segment."""
+    """Return which lines count (K, N), 1 or 0: not those behind the line of a nearer segment."""
     scale = 1 / settings.time_horizon_obst
     margin = (radius * scale - EPSILON).clamp_min(torch.finfo(lines.dtype).tiny)
     one = (walls.line_distance * ahead).sub_(walls.along * walls.direction).mul_(scale)
@@ -82,7 +82,7 @@ def _lines(
     corner = torch.stack((-walls.along, walls.along - walls.length))
     apart2 = apart * apart
 
-    # Whoever touches the wall moves away from its nearest point.
+    # A person who touches the wall moves away from its nearest point.
     beyond = corner.amax(0).clamp_min(0)
     gap2 = (beyond * beyond).add_(apart2)
     touch = at_most(gap2, radius * radius)

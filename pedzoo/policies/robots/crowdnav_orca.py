@@ -12,7 +12,7 @@ from pedzoo.policies.orca.settings import OrcaSettings
 
 
 class CrowdnavOrca:
-    """Does half of what avoids everybody, also where people do not see it and do nothing."""
+    """Does half of the avoidance, even if people do not see it and do nothing."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class CrowdnavOrca:
 
 
 def toward(way: Tensor) -> Tensor:
-    """Return CrowdNav's preferred velocities (..., 2): the ways to goals, cut at 1 m/s for everybody."""
+    """Return CrowdNav's preferred velocities (..., 2): the vectors to goals, cut at 1 m/s."""
     return way / way.norm(dim=-1, keepdim=True).clamp_min(1)
 
 

@@ -12,10 +12,10 @@ from pedzoo.policies.local_planner import People, Robot
 
 
 class CrowdnavSocialForce:
-    """Is driven to the goal, and pushed away from people whatever their velocities.
+    """Is driven to the goal, and pushed away from people independent of their velocities.
 
-    Forces of circles as CrowdNav++ has them (``crowd_nav/policy/social_force.py``). This project's people
-    have those of ellipses, `pedzoo.policies.social_force`.
+    Forces of circles as in CrowdNav++ (``crowd_nav/policy/social_force.py``); those of ellipses are in
+    `pedzoo.policies.social_force`.
     """
 
     def __init__(

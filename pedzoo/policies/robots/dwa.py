@@ -19,7 +19,7 @@ from pedzoo.policies.local_planner import Clearance, Drive, People, Robot
 
 @dataclass(frozen=True)
 class DwaSettings:
-    """What a robot can do, which arcs are tried, and what is good about one.
+    """Limits of a robot, the sampled arcs, and the weights that judge them.
 
     Attributes:
         acceleration: Forwards and backwards, m/s^2.
@@ -70,13 +70,13 @@ def dwa_command(
 ) -> tuple[Tensor, Tensor]:
     """Return the speeds and turn rates (B,) for the next step, m/s and rad/s.
 
-    An arc is admissible if the robot can stop before it comes nearer to anything than the margin. Of these
-    the one with the best sum of heading, clearance and speed is taken. Where there is none, the robot brakes.
+    An arc is admissible if the robot can stop before it comes nearer to anything than the margin. The best
+    of these by the sum of heading, clearance and speed is taken. Without any, the robot brakes.
 
     Args:
-        robot: Places, goals, radii and top speeds; velocities are not looked at.
+        robot: Places, goals, radii and top speeds; velocities are ignored.
         drive: How they move now.
-        people: Those whom they know of, who go on at constant velocity.
+        people: Those known to them, at constant velocity.
         time_step: Seconds for which a command is held.
         settings: Limits, samples and weights.
         walls: How far points are from walls; None: there are none.
@@ -150,10 +150,10 @@ def free_seconds(
     Args:
         robot: Where the robots are, and their radii.
         drive: Where they face.
-        people: Those whom they know of.
+        people: Those known to them.
         speed: Of the arcs (B, S), m/s.
         turn_rate: Of the arcs (B, S), rad/s.
-        settings: Places that are looked at, and the margin.
+        settings: Points along the arc, and the margin.
         walls: How far points are from walls.
     """
     seconds = torch.arange(settings.horizon + 1, device=speed.device, dtype=speed.dtype) * settings.step
@@ -188,7 +188,7 @@ class Dwa:
         clearance_weight: float = 0.8,
         speed_weight: float = 0.4,
     ) -> None:
-        """Set what `DwaSettings` has; ``time_step`` is in seconds.
+        """Set the `DwaSettings`; ``time_step`` is in seconds.
 
         Raises:
             UserError: A setting is out of range.

@@ -22,7 +22,7 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """Which velocities are tried, and what is good about one.
+    """The sampled velocities, and the weights that judge them.
 
     Attributes:
         directions: Tried, the first one straight to the goal.
@@ -65,13 +65,13 @@ def sampled_velocity(
 ) -> Tensor:
     """Return the best of the sampled velocities (B, 2), m/s.
 
-    A sample earns the way that it brings the robot nearer to its goal, step by step, until it arrives or
-    touches something. It pays for touching, and for every moment in which it is nearer to people than the
-    margin. A robot that touches something already pays for going deeper.
+    A sample earns the distance by which the robot comes nearer to its goal, step by step, until it arrives
+    or touches something. It pays for contacts, and for every moment nearer to people than the margin. A
+    robot already in contact pays for going deeper.
 
     Args:
         robot: The robots; ``v_pref`` is their top speed.
-        people: Those whom they know of.
+        people: Those known to them.
         time_step: Seconds of a step.
         settings: Samples and costs.
         walls: How far points are from walls; None: there are none.
@@ -115,7 +115,7 @@ def people_gap(robot: Robot, people: People, samples: Tensor, time_step: float, 
 
     Args:
         robot: The robots.
-        people: Those around them, who go on at constant velocity.
+        people: Those around them, at constant velocity.
         samples: Velocities of the robots (B, S, 2), m/s.
         time_step: Seconds of a step.
         horizon: How many steps, H.
@@ -148,7 +148,7 @@ class Sampling:
         margin_cost: float = 16.0,
         collision_cost: float = 10.0,
     ) -> None:
-        """Set what `SamplingSettings` has; ``time_step`` is in seconds.
+        """Set the `SamplingSettings`; ``time_step`` is in seconds.
 
         Raises:
             UserError: A setting is out of range.

@@ -1,4 +1,4 @@
-"""Baseline: straight to the goal, whatever is in the way."""
+"""Baseline: straight to the goal, through all obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Baseline: everybody walks along the planner's way as if alone."""
+"""Baseline: people walk along the planner's path as if alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pedzoo.policies.policy import Policy
 
 
 class GoToGoal(Policy):
-    """The desired velocity itself: what any avoidance has to improve on."""
+    """The desired velocity itself: the baseline of all avoidance."""
 
     def __init__(self, dt: float = STEP_SECONDS, safety: bool = False) -> None:
         """Say how often it decides.
@@ -30,7 +30,7 @@ class GoToGoal(Policy):
         self.safety = safety
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's velocity."""
+        """Write each person's velocity."""
         velocity = tensordict["agents", "desired_velocity"]
         if self.safety:
             velocity = safe(tensordict, velocity * STEP_SECONDS) / STEP_SECONDS

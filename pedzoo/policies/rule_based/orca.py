@@ -22,8 +22,8 @@ class Orca(Policy):
     The preferred velocity is the planner's desired one. Robots, and other bodies that the policy does not
     move, count with their own radius.
 
-    People who have the same preferred velocity and are each other's mirror image stop for ever: a small
-    ``jitter`` of the preferred velocity, usual with RVO2, frees most of them.
+    Mirror-image people with the same preferred velocity stop for ever. A small ``jitter`` of the preferred
+    velocity, usual with RVO2, frees most of them.
     """
 
     def __init__(self, settings: OrcaSettings = OrcaSettings()) -> None:

@@ -21,12 +21,12 @@ from pedzoo.policies.social_force.velocity import social_force_velocity
 
 
 class SocialForce(Policy):
-    """People accelerate along the planner's way, away from each other and away from walls.
+    """People accelerate along the planner's path, away from each other and away from walls.
 
     `SocialForceSettings` has symbols, units and sources of all parameters. Those of 1995, the default, are
-    for open places and wide corridors: their walls push so hard that somebody who walks at 1.3 m/s does not
-    get through a door narrower than 1.1 m. The preset ``indoor`` has softer walls. Nothing is remembered from
-    one decision to the next, and forces know no future: where they cancel, people stop.
+    for open places and wide corridors: at 1.3 m/s a person does not get through a door narrower than 1.1 m.
+    The preset ``indoor`` has softer walls. Forces have no memory and no foresight: where they cancel, people
+    stop.
     """
 
     def __init__(self, settings: SocialForceSettings = SocialForceSettings()) -> None:
@@ -35,7 +35,7 @@ class SocialForce(Policy):
         self.settings = settings
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's velocity."""
+        """Write each person's velocity."""
         agents: Any = tensordict["agents"]
         mask, ids = agents["mask"], ids_of(tensordict)
         identity = randomness.join(tensordict["scene_key"], "social_force", ids)
@@ -65,8 +65,8 @@ class SocialForce(Policy):
     def _radius(self, agents: Any) -> Tensor:
         """Return the radii (B, A) that the others' forces see, metres.
 
-        People who both give way stop some way into each other's potential, which begins at the centre. That
-        of a body that gives no way begins where it would be touched.
+        People who both give way stop some way into each other's potential, which begins at the centre. The
+        potential of a body that gives no way begins at its surface.
         """
         radius = agents["radius"][..., 0]
         gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~usual_body(radius))

@@ -1,19 +1,19 @@
 """Which points of the walls push a person.
 
-The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. On a floor
-plan that is no matter of course: one wall is many cells, a room is one outline, and the nearest point of a
-doorway's outline flips from jamb to jamb. Here every *local minimum* of the distance along the outlines acts:
-a straight wall once, into however many pieces it is cut, a convex corner once, both jambs of a doorway, both
-sides of a corridor, both walls of a room's corner.
+The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. On a
+floor plan one wall is many cells, a room is one outline, and the nearest point of a doorway flips from jamb
+to jamb. Here every *local minimum* of the distance along the outlines acts: a straight wall once, in however
+many pieces, a convex corner once, both jambs of a doorway, both sides of a corridor, both walls of a room's
+corner.
 
-Where an outline bends a little towards the person there are two minima in almost the same place, and one of
-them vanishes as the person walks on, in the corner between them, which is a local *maximum*. So that the
-force neither doubles nor jumps there, the maximum acts, too, with the opposite sign: where it swallows a
-minimum both have the same distance and direction. It counts in full while the nearest points of its two
-segments lie within 60 degrees of each other, as seen by the person, and not at all from 90 degrees on: the
-two walls of a room's corner are two borders.
+Where an outline bends a little towards the person there are two minima in almost the same place. One of them
+vanishes as the person walks on, in the corner between them, a local *maximum*. The maximum acts with the
+opposite sign, so that the force neither doubles nor jumps there: both have the same distance and direction
+when they vanish. It counts in full while the nearest points of its two segments lie within 60 degrees of
+each other, as seen by the person, and not at all from 90 degrees on: the two walls of a room's corner are
+two borders.
 
-Borders do not hide each other, and two obstacles are two however narrow the gap between them.
+Borders do not hide each other, and two obstacles are two for every gap between them.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def closer(offset: Tensor, by: Tensor) -> Tensor:
 
 
 def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
-    """Return what makes people take up their desired velocity (2, N), m/s (eq. 2).
+    """Return the force towards the desired velocity of people (2, N), m/s (eq. 2).
 
     Args:
         velocity: As it is (2, N), m/s.
@@ -46,14 +46,14 @@ def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Ten
 def repulsion(offset: Tensor, step: Tensor, strength: float, sigma: float) -> tuple[Tensor, Tensor]:
     """Return how strongly others repel (K, N), and in which direction (2, K, N) (eqs. 3 and 4).
 
-    Lines of equal potential V0 exp(-b / sigma) around somebody are ellipses with the foci p, where they are,
+    Lines of equal potential V0 exp(-b / sigma) around a person are ellipses with the foci p, where they are,
     and q, where their next step ends. With the distances r and s to p and q, unit vectors m and n away from
-    them, and the ellipse's semi-minor axis b, 2 b = sqrt((r + s)^2 - |pq|^2), one finds
-    b = sqrt(r s) |m + n| / 2: no small difference of large numbers. The gradient of b is
-    (r + s) / (2 sqrt(r s)) long, never below 1, and bisects the angle between m and n.
+    them, and the ellipse's semi-minor axis b, 2 b = sqrt((r + s)^2 - |pq|^2), one finds b = sqrt(r s) |m +
+    n| / 2: no small difference of large numbers. The gradient of b is (r + s) / (2 sqrt(r s)) long, never
+    below 1, and bisects the angle between m and n.
 
-    On the line between the foci, exactly in front of somebody who comes, there is no direction: it is 0
-    there. At the foci the gradient is infinite; distances to them count as `CLOSEST` at least.
+    On the line between the foci, exactly in front of an approaching person, the direction is 0. At the foci
+    the gradient is infinite; distances to them count as `CLOSEST` at least.
 
     Args:
         offset: From each other person to oneself (2, K, N), metres.
@@ -77,7 +77,7 @@ def view_weight(force: Tensor, heading: Tensor, angle: float, out_of_view: float
         force: Directions of the forces (2, K, N).
         heading: Directions in which people want to go (2, N); 0: everything is in view.
         angle: Up to which from the heading something is in view, degrees.
-        out_of_view: Weight of what is not.
+        out_of_view: Weight of people out of sight.
     """
     seen = -dot(force, heading.unsqueeze(1)) >= math.cos(math.radians(angle))
     return out_of_view + (1 - out_of_view) * seen.to(force.dtype)
@@ -89,14 +89,14 @@ def smooth_weight(offset: Tensor, heading: Tensor, behind: float) -> Tensor:
     Args:
         offset: From each other person to oneself (2, K, N).
         heading: Directions in which people want to go (2, N).
-        behind: Weight of somebody straight behind.
+        behind: Weight of a person straight behind.
     """
     cosine = -dot(direction(offset), heading.unsqueeze(1))
     return behind + (1 - behind) * 0.5 * (1 + cosine)
 
 
 def wall_force(offset: Tensor, weight: Tensor, strength: float, reach: float) -> Tensor:
-    """Return the sum of the walls' forces on everybody (2, N) (eq. 5).
+    """Return the sum of the walls' forces on each person (2, N) (eq. 5).
 
     Args:
         offset: From M points of walls to each person (2, M, N), metres.

@@ -1,4 +1,4 @@
-"""What the social force model can be told."""
+"""Settings of the social force model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 
 Anisotropy = Literal["view", "smooth", "none"]
-"""How much less people heed what is behind them; see `SocialForceSettings`."""
+"""How the weight of others depends on their direction; see `SocialForceSettings`."""
 
 NEGLIGIBLE = 0.01
 """Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
@@ -25,9 +25,9 @@ class SocialForceSettings:
 
     Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
     arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
-    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is everybody's ``pref_speed`` here. The
-    ellipse around somebody (eq. 4) lies along the velocity with which they walk, which others can see; in the
-    paper it lies along their desired direction, as long as their speed.
+    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is each person's ``pref_speed`` here. The
+    ellipse around a person (eq. 4) lies along their velocity, which others can see; in the paper it lies
+    along their desired direction, with the length of their speed.
 
     Helbing et al. 2005 is Helbing, Buzna, Johansson and Werner, "Self-organized pedestrian crowd dynamics:
     experiments, simulations, and design solutions", Transportation Science 39, 1-24.
@@ -36,31 +36,28 @@ class SocialForceSettings:
         tau: Relaxation time in which people take up their desired velocity, seconds (tau, eq. 2).
         walls: Whether walls are avoided.
         dt: Seconds between decisions, at most ``tau``; forces are integrated in steps of 0.1 s or less.
-        preset: ``1995`` for the paper's parameters, ``indoor`` for doors. They have the settings of
-            `PRESETS`.
+        preset: ``1995`` for the paper's parameters, ``indoor`` for doors, see `PRESETS`.
         strength: Of the potential around people, m^2/s^2 (V0, eq. 3).
         sigma: Its range, metres (sigma).
-        step_time: The potential's ellipses reach so far ahead of a walking person, seconds of their way
-            (Delta t, eq. 4).
+        step_time: How far the potential's ellipses reach ahead of a walking person, seconds (Delta t, eq.
+            4).
         wall_strength: Of the potential of walls, m^2/s^2 (U0, eq. 5).
         wall_range: Its range, metres (R).
         anisotropy: Weight of others' forces. ``view``: 1 within ``view_angle`` of the desired direction,
-            ``out_of_view`` beyond, where the angle is the one to the direction that the force comes from
-            (eq. 8). ``smooth``: lambda + (1 - lambda) (1 + cos) / 2, where the angle is the one to the other
-            person (Helbing et al. 2005). ``none``: 1. Walls always
-            count in full, as in the paper.
+            ``out_of_view`` beyond, by the direction that the force comes from (eq. 8). ``smooth``: lambda +
+            (1 - lambda) (1 + cos) / 2, by the angle to the other person (Helbing et al. 2005). ``none``: 1.
+            Walls always count in full, as in the paper.
         view_angle: Half of the angle of sight, degrees (phi; the paper gives 2 phi = 200).
-        out_of_view: Weight of what is out of sight (c).
-        behind: Weight of who is straight behind when the weight is ``smooth`` (lambda; 0.75 in Helbing et
+        out_of_view: Weight of people out of sight (c).
+        behind: Weight of a person straight behind when the weight is ``smooth`` (lambda; 0.75 in Helbing et
             al. 2005).
         top_speed_ratio: Top speed, divided by the preferred one (eq. 11).
-        neighbor_dist: Metres between centres from which on others are ignored. Somebody who walks towards
-            one at 1.7 m/s from 5 m away accelerates one by less than 0.001 m/s^2, at 2.2 m/s by 0.04 m/s^2;
-            who is faster than ``neighbor_dist / step_time`` is heeded later than the paper says.
-        max_neighbors: So many nearest others are heeded; None: all within ``neighbor_dist``.
+        neighbor_dist: Metres between centres beyond which others are ignored. From 5 m away a person who
+            approaches at 1.7 m/s accelerates another by less than 0.001 m/s^2, at 2.2 m/s by 0.04 m/s^2.
+            People faster than ``neighbor_dist / step_time`` act later than in the paper.
+        max_neighbors: Nearest others that act; None: all within ``neighbor_dist``.
         fluctuation: Standard deviation of a random acceleration, drawn for every decision, m/s^2. The paper
-            has fluctuations and leaves their size open; without any, people who meet exactly head-on never
-            make way.
+            leaves its size open; without it, people who meet exactly head-on never make way.
     """
 
     tau: float = 0.5
@@ -82,7 +79,7 @@ class SocialForceSettings:
     fluctuation: float = 0.1
 
     def __post_init__(self) -> None:
-        """Take what is not given from the preset, and check the values.
+        """Take missing values from the preset, and check all.
 
         Raises:
             UserError: There is no such preset, or a value is out of its range.
@@ -105,7 +102,7 @@ class SocialForceSettings:
             raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
         if self.dt > self.tau:
             raise UserError(
-                f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: who holds a velocity "
+                f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: a velocity that is held "
                 "for longer than it takes to change it follows no forces"
             )
 
@@ -116,7 +113,7 @@ class SocialForceSettings:
 
     @property
     def wall_reach(self) -> float:
-        """Metres beyond which a wall accelerates nobody by `NEGLIGIBLE`; 1.70 by default."""
+        """Metres beyond which a wall accelerates a person by less than `NEGLIGIBLE`; 1.70 by default."""
         nearest = self.wall_strength / self.wall_range
         return self.wall_range * math.log(max(nearest / NEGLIGIBLE, 1.0))
 
@@ -128,13 +125,13 @@ PRESETS: dict[str, dict[str, Any]] = {
         # and r, a body's radius, as here
         "wall_strength": 5 * 0.1 * math.exp(BODY_RADIUS / 0.1),
         "wall_range": 0.1,
-        # one step of 0.65 m at 1.3 m/s, which is what the paper says Delta t stands for; with its 2 s people
-        # who walk in single file push the one in front aside
+        # one step of 0.65 m at 1.3 m/s, the paper's meaning of Delta t; with its 2 s people in single file
+        # push the one in front aside
         "step_time": 0.5,
     },
 }
 """Settings of the presets.
 
-In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06 with
-``indoor``; who walks at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.
+In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06
+with ``indoor``; a person at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.
 """

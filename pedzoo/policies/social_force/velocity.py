@@ -1,4 +1,4 @@
-"""The social force model for batches of scenes: everybody's new velocity."""
+"""The social force model for batches of scenes: each person's new velocity."""
 
 from __future__ import annotations
 
@@ -42,28 +42,28 @@ def social_force_velocity(
 ) -> Tensor:
     """Return the velocities (B, A, 2) that the forces lead to after ``seconds``, m/s; 0 for absent people.
 
-    Differentiable with respect to positions, velocities and what people like. ``velocity`` is the one walked
-    (eq. 10 keeps another, not cut off at the top speed).
+    Differentiable with respect to positions, velocities, desired velocities and speeds. ``velocity`` is the
+    one walked (eq. 10 keeps another, not cut off at the top speed).
 
     Args:
         position: Positions (B, A, 2), metres.
         velocity: Current velocities (B, A, 2), m/s.
-        desired_velocity: Where people want to go (B, A, 2): only the direction counts; 0: to stand still.
-        pref_speed: How fast they like to walk (B, A), m/s.
-        mask: Who is there (B, A) bool. Everybody there acts on the others and gets a velocity.
+        desired_velocity: Only the direction counts (B, A, 2); 0: to stand still.
+        pref_speed: Preferred speeds (B, A), m/s.
+        mask: Which people are present (B, A) bool: they act on the others and get a velocity.
         settings: The model's parameters.
         seconds: For which the velocities are held.
-        identity: A number of its own for everybody (B, A) long: who is at the same place as somebody else is
-            pushed in a direction drawn by both.
-        walls: Gives the walls' forces (2, N) on people at places (2, N), who are ``rows`` (N,) of all B * A;
-            None: no walls.
+        identity: A number of its own for each person (B, A) long: people at the same place are pushed apart
+            in a direction drawn by both.
+        walls: Gives the walls' forces (2, N) on people at places (2, N), ``rows`` (N,) of all B * A; None:
+            no walls.
         fluctuation: A further acceleration (B, A, 2), m/s^2.
-        radius: Radii of the bodies (B, A), metres. The forces are those between people of `BODY_RADIUS`:
-            what both are wider is taken off their distance. None for people of that radius.
+        radius: Radii of the bodies (B, A), metres, None for `BODY_RADIUS`. Forces are those between people
+            of that radius, at the distance less what both are wider.
     """
     wider = torch.zeros_like(pref_speed) if radius is None else radius - BODY_RADIUS
     rows = None if mask.all() else mask.flatten().nonzero()[:, 0]
-    if rows is not None:  # whatever stands in for absent people
+    if rows is not None:  # placeholders of absent people
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
     others = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
     place, speed = (part.flatten(0, 1).T.contiguous() for part in (position, velocity))
@@ -91,8 +91,8 @@ def social_force_velocity(
     return speed if rows is None else torch.where(mask[..., None], speed, 0)
 
 
-def _of(everybody: Tensor, rows: Tensor | None) -> Tensor:
-    return everybody if rows is None else everybody.index_select(1, rows)
+def _of(values: Tensor, rows: Tensor | None) -> Tensor:
+    return values if rows is None else values.index_select(1, rows)
 
 
 def _people(

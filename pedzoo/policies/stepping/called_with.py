@@ -1,4 +1,4 @@
-"""What a controller is called with: checked, and turned into arrays."""
+"""Arguments of a controller: checked, and turned into arrays."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ class Disc:
     index: int
 
     def __repr__(self) -> str:
-        """Return what messages call it."""
+        """Return its name in messages."""
         return f"{self.of!r}[{self.index}]"
 
 
 def number_of(one: Hashable) -> int:
-    """Return the number that an agent's noise is drawn by, from their id alone, in every process the same.
+    """Return the number by which an agent's noise is drawn, from their id alone, the same in every process.
 
-    An integer is its own number, as people of an environment are numbered. Everything else goes by its
-    ``repr``, so ids whose ``repr`` holds an address get other noise in the next run.
+    An integer is its own number, as people of an environment are numbered. Every other id goes by its
+    ``repr``; ids whose ``repr`` holds an address get other noise in the next run.
     """
     if isinstance(one, numbers.Integral):
         return int(one) % 2**63

@@ -32,7 +32,7 @@ Id = TypeVar("Id", bound=Hashable)
 
 
 class WalkingPolicy(Protocol):
-    """What can be a controller: a `Walker`, or anything from `pedzoo.policies.load.load_policy`."""
+    """Policies of a controller: a `Walker`, or any from `pedzoo.policies.load.load_policy`."""
 
     decision_dt: float
 
@@ -42,19 +42,18 @@ class WalkingPolicy(Protocol):
 
 
 class Controller:
-    """Moves the people of a simulator that is not pedzoo's: call `step` with where all agents are.
+    """Moves the people of another simulator: call `step` with the positions of all agents.
 
     At every call positions are recorded. Every ``policy.decision_dt`` the policy decides, from the same
     scene batch that the environment makes: the last 8 positions 0.4 s apart, the planner's carrot and
     desired velocity, radii and kinds. In between, velocities blend as in the environment: half-way in the
     first 0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people:
-    walls stop no one here, and positions need not be where the velocities lead.
+    walls stop no one here, and positions may differ from where the velocities lead.
 
-    People come and go. A person who is not named in a call is forgotten, and is new afterwards. For new
-    people the policy decides at once, and later together with all others. They begin with a history as if
-    they had walked here straight at their present velocity. Models were trained on people in motion: to
-    them a history on the spot is a person who stands. That present velocity is the one given to `step`,
-    else their preferred speed along the planner's way.
+    People come and go: a person not named in a call is forgotten, and is new afterwards. For new people the
+    policy decides at once, and later together with all others. Their history is a straight walk to here at
+    their present velocity: models would take a history on the spot for a standing person. That velocity is
+    the one given to `step`, else their preferred speed along the planner's path.
 
     A person with the goal None, or within 0.3 m of the goal, stands: the velocity is 0, and the others
     walk around. A goal is reached once. A person stands until `step` gets another goal.
@@ -81,15 +80,15 @@ class Controller:
 
         Args:
             policy: Decides. Controllers on several floor plans may share one.
-            map: The floor plan, its name (``apartment.7``) or its file; None for open space, where ways lead
-                straight to the goal.
-            pref_speed: The speed that people like, m/s: one for all, or by id (1.3 for those who are not
-                in it). It is looked up when a person comes.
+            map: The floor plan, its name (``apartment.7``) or its file; None for open space, where paths are
+                straight.
+            pref_speed: Preferred speed, m/s: one for all, or by id (1.3 for people not in it). It is read
+                when a person comes.
             dt: Seconds between two calls of `step`: exactly, or about, where `step` gets the time.
-            seed: Of the noise: that of the environment's first scene of this seed, where ids are 0, 1, ...
+            seed: Of the noise: that of the environment's first scene of this seed, for ids 0, 1, ...
             deterministic: Without noise.
-            clearance: Metres that ways keep from walls.
-            unknown: What unknown cells of the floor plan count as.
+            clearance: Metres that paths keep from walls.
+            unknown: Meaning of unknown cells of the floor plan.
 
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
@@ -191,7 +190,7 @@ class Controller:
 
         Args:
             agents: All agents.
-            batch: What the policy sees.
+            batch: The policy's input.
             decides: Which agents decide (N,) bool.
             new: Which of them have just come (N,) bool: there is nothing to blend with.
         """
@@ -218,7 +217,7 @@ class Controller:
     def _batch(self, agents: Roster, guidance: Guidance, clock: CallerClock) -> TensorDict:
         """Return the scene batch (1,) of N agents, as the environment would observe it."""
         size = (1, len(agents.row))
-        everybody = torch.ones(size, dtype=torch.bool)
+        all_known = torch.ones(size, dtype=torch.bool)
         velocity = clock.velocity(agents.past)
         # the caller's way with others is not known: they go on as they do
         other = agents.other.unsqueeze(1)
@@ -228,8 +227,8 @@ class Controller:
             map_id=torch.tensor([[self._online_goals.map_id]]),
             pose=identity_pose(1),
             history=clock.history(agents.past).unsqueeze(0),
-            valid=everybody.unsqueeze(-1).expand(*size, OBS_LEN),
-            mask=everybody,
+            valid=all_known.unsqueeze(-1).expand(*size, OBS_LEN),
+            mask=all_known,
             velocity=velocity.unsqueeze(0),
             heading=agents.heading.view(*size, 1),
             pref_speed=agents.pref_speed.view(*size, 1),
@@ -245,5 +244,5 @@ class Controller:
 
 
 def _of(present: Mapping[Any, Any], given: Mapping[Any, Any] | None) -> dict[Any, Any]:
-    """Return what is given for people who are there."""
+    """Return the entries of people who are present."""
     return {one: value for one, value in (given or {}).items() if one in present}

@@ -1,4 +1,4 @@
-"""The agents of a scene that they enter and leave, and what has to be remembered about them."""
+"""The agents of a scene that they enter and leave, and their state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Roster(NamedTuple):
 
     Attributes:
         row: Which row each person's id, and each `Disc` of another agent, has.
-        number: What their noise is drawn by (N,) long, see `number_of`.
+        number: Numbers by which their noise is drawn (N,) long, see `number_of`.
         past: Latest positions (N, L, 2), oldest first; NaN for agents that have just come.
         pref_speed: The speed that they like (N,), m/s.
         radius: Of their bodies (N,), metres.
@@ -93,7 +93,7 @@ class Roster(NamedTuple):
         """Return the roster of exactly the agents of ``present``; newcomers have neither past nor goal.
 
         Args:
-            present: Its keys are the ids of the people who are here, and the `Disc` of others.
+            present: By id: the people, and the `Disc` of other agents.
             pref_speed: The speed that newcomers like, m/s: one for all, or by id (1.3 for the others).
 
         Raises:

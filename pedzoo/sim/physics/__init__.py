@@ -1,1 +1,1 @@
-"""Physics backends: one file each. What they share is in `pedzoo.sim.physics_parts`."""
+"""Physics backends: one file each. Their shared parts are in `pedzoo.sim.physics_parts`."""

@@ -17,13 +17,13 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
 from pedzoo.sim.motion import Contacts, Distances, MotionInput, Owned
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
-from pedzoo.sim.physics_parts.bullet_pictures import from_above, from_robots
-from pedzoo.sim.physics_parts.bullet_robots import find_urdf
-from pedzoo.sim.physics_parts.bullet_scene import BulletScene
-from pedzoo.sim.physics_parts.bullet_scenes import BulletScenes, PlacedScene, as_array, moved, scene_rays
-from pedzoo.sim.physics_parts.bullet_urdf import drive_by_wheels, headings, with_shapes
+from pedzoo.sim.physics_parts.bullet.client import load_pybullet
+from pedzoo.sim.physics_parts.bullet.pictures import from_above, from_robots
+from pedzoo.sim.physics_parts.bullet.robots import find_urdf
+from pedzoo.sim.physics_parts.bullet.scene import BulletScene
+from pedzoo.sim.physics_parts.bullet.scenes import BulletScenes, PlacedScene, as_array, moved, scene_rays
+from pedzoo.sim.physics_parts.bullet.urdf import drive_by_wheels, headings, with_shapes
 from pedzoo.sim.physics_parts.camera import Camera, Lens
-from pedzoo.sim.physics_parts.pybullet_client import load_pybullet
 from pedzoo.sim.state import State
 
 _SLACK = 1e-6

@@ -1,1 +1,1 @@
-"""What physics backends are made of."""
+"""Parts of physics backends."""

@@ -19,7 +19,7 @@ WALL = (112, 114, 122)
 """RGB of walls."""
 
 OUTSIDE = (205, 208, 212)
-"""RGB of what lies beyond the floor plan, and above the horizon."""
+"""RGB of the area beyond the floor plan, and above the horizon."""
 
 _PEOPLE = (
     (214, 39, 40),

@@ -20,7 +20,7 @@ _NO_FRAMES = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32)
 
 
 def advance_compiled(bank: MapBank, state: State, inputs: MotionInput, paths: Tensor | None = None) -> Motion:
-    """Return what `Physics.advance` does; ``paths`` (B, A, S, M, 2) are written if they are given.
+    """`Physics.advance`, compiled; ``paths`` (B, A, S, M, 2) are written if given.
 
     The trace is differentiable with respect to positions, velocities and played paths.
     """
@@ -73,7 +73,7 @@ class _Trace(torch.autograd.Function):
 def contacts_compiled(
     bank: MapBank, path: Tensor, present: Tensor, radius: Tensor, frame: Tensor, place: Tensor
 ) -> Contacts:
-    """Return what `Physics.contacts` does for agents who are present (B, A) bool."""
+    """`Physics.contacts`, compiled, for agents who are present (B, A) bool."""
     scenes, agents, ticks, substeps = path.shape[:4]
     nothing = torch.zeros(scenes, agents, dtype=torch.bool)
     start = path[:, :, 0, 0]
@@ -108,7 +108,7 @@ def _run(
 
 
 def integration(bank: MapBank, walls: tuple[Tensor, Tensor], substeps: int) -> tuple[Any, ...]:
-    """Return what loops need to integrate paths: numbers, the walls as scenes see them, and their tables.
+    """Return arguments of the loops that integrate paths: numbers, the walls in scenes, and their tables.
 
     Args:
         bank: The floor plans.

@@ -53,7 +53,7 @@ def advance(
             blocked_gap[a] = _NO_WALL
             gap[a] = np.nan  # looked up where a wall can matter
             allowed[a] = radius[b, a] - skin
-            # no wall is nearer than this, wherever in its quarter of a cell the agent is
+            # no wall is nearer than this, from any point of this quarter of a cell
             room[a] = _NO_WALL
             if has_walls and moved[b, a]:
                 _, _, index = quarter(here[a, 0], here[a, 1], frame, place)

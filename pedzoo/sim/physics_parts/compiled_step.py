@@ -34,7 +34,7 @@ def step_compiles(state: State, commands: Tensor, rules: Rules) -> bool:
 def step_compiled(
     state: State, commands: Tensor, bank: MapBank, rules: Rules
 ) -> tuple[State, Guidance, Events]:
-    """Return what `pedzoo.sim.kernel.step` does, but for the last bit of roots and angles."""
+    """`pedzoo.sim.kernel.step`, compiled; equal but for the last bit of roots and angles."""
     from pedzoo.sim.physics_parts.compiled_step_loops import move, settle
 
     (scenes, agents), ticks = state.mask.shape, rules.ticks

@@ -1,4 +1,4 @@
-"""The loops of `.compiled_step`: what `kernel.step` does before and after the planner.
+"""The loops of `.compiled_step`: `kernel.step` before and after the planner.
 
 Every operation is that of the kernel, in its order and in single precision.
 """
@@ -61,7 +61,7 @@ def move(
     frames, places, choice, option, least, limit,
     new_past, events, new_clock, new_failed, flags, counts, new_velocity, new_heading,
 ):  # fmt: skip
-    """Write what a decision makes of the scenes, all but what the planner says.
+    """Write the result of a decision for the scenes, without the planner's part.
 
     Args, in this order: commands (B, A, 2) and fields of `State`; numbers of the rules; numbers of
     `pedzoo.sim.physics_parts.compiled_loops.advance`; the walls; the results:
@@ -143,7 +143,7 @@ def settle(
     distance, remaining_path, planned, deadline, pref_speed, clock, failed, mask, events, flags, counts,
     goals, ways, least_seconds, goal_radius, contact_cost, lengths, ends, reached, reached_until,
 ):  # fmt: skip
-    """Write what the planner's ways (B, A) make of a decision.
+    """Write the effect of the planner's paths (B, A) on a decision.
 
     Args, in this order: the planner's ways; fields of the state before, but for clocks and failures; results
     of `move`; numbers; the results: lengths (4, B, A), which are ways, planned ways, deadlines and rewards;

@@ -28,13 +28,13 @@ def draw_top_view(
 
     Args:
         grid: The floor plan, None for open floor.
-        unknown: What its unknown cells count as.
-        pose: How the scene lies on it (4,).
+        unknown: Meaning of its unknown cells.
+        pose: Pose of the scene on it (4,).
         position: Scene positions (A, 2), metres.
         present: Which agents to draw (A,) bool.
         radius: Of bodies (A,), metres.
         size: Width and height in pixels.
-        camera: Its center and width are used; it looks down whatever its ``view``.
+        camera: Its center and width are used; it looks down for every ``view``.
     """
     image = draw_floor(grid, unknown, pose, size, camera)
     to_pixel = camera.to_pixel(size)

@@ -20,7 +20,7 @@ LONGEST = 2
 """People are taken out after so many times as long as they really took."""
 
 CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
-"""What becomes of a recorded person: taken over by the policy, or played back and why."""
+"""Role of a recorded person: taken over by the policy, or played back and why."""
 
 REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "no path to the exit", "later")
 
@@ -93,7 +93,7 @@ def people_of(
     Args:
         recordings: Tracks with a row in every frame of 0.4 s, the first of which is frame 0.
         rows: Row of each recording's floor plan in the planner's bank, -1 for none.
-        planner: Finds the ways; exits become its goals.
+        planner: Finds the paths; exits become its goals.
         share: People who could be taken over later than this share of a recording's time are played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
     """
@@ -136,7 +136,7 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
 
 
 def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:
-    """Return people of whom those of one recording, ``mine`` (P,) bool, have goals where they can."""
+    """Return the people; those of one recording, ``mine`` (P,) bool, have goals where possible."""
     gone = people.until[mine & people.controlled]
     if not len(gone):
         return people

@@ -141,7 +141,7 @@ class Script:
         frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
         history = self.places(person.unsqueeze(2).expand_as(frames), frames)
         seen = (at - self.people.first[person]).clamp_max(OBS_LEN - 1)
-        # people who come in this moment are on their way already
+        # people who enter now are walking already
         came = (seen < 1).unsqueeze(2)
         last = torch.where(came, history[:, :, -1], history[:, :, -2])
         following = torch.where(came, self.places(person, at + 1), history[:, :, -1])

@@ -1,4 +1,4 @@
-"""Slots for people who come and go, and where a recording can be cut."""
+"""Slots for people who come and go, and points where a recording can be cut."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from torch import Tensor
 
 
 def slots(begin: Tensor, end: Tensor) -> Tensor:
-    """Return slots (P,) long for people who are there from ``begin`` to before ``end`` (P,) long.
+    """Return slots (P,) long for people present from ``begin`` to before ``end`` (P,) long.
 
-    As few as possible, none used by two at a time: the next person gets the free slot with the smallest
-    number. People who are never there (``end`` not after ``begin``) get -1.
+    As few as possible: the next person gets the free slot with the smallest number. People who are never
+    present (``end`` not after ``begin``) get -1.
     """
     result = torch.full_like(begin, -1)
     free: list[int] = []

@@ -1,1 +1,1 @@
-"""What scenarios are made of: layouts, lanes, ranges."""
+"""Parts of scenarios: layouts, lanes, ranges."""

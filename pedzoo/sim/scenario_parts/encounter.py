@@ -53,7 +53,7 @@ def whole_cells(length: float) -> float:
 
 @dataclass(frozen=True)
 class EncounterSettings:
-    """What all encounters can be told.
+    """Settings of all encounters.
 
     Attributes:
         people: How many; most encounters take 2 to 50.
@@ -74,17 +74,17 @@ class EncounterSettings:
 
 
 class Encounter(Scenario):
-    """People in lanes who meet; subclasses say which, and on what floor plans.
+    """People in lanes who meet; subclasses say which lanes, and on what floor plans.
 
-    People start as far away as they walk until then, so that the slow and the fast meet. People behind
-    faster ones start no nearer to them than `SPACING`.
+    People start as far from the meeting point as they walk until then, so that slow and fast ones meet.
+    People behind faster ones start at least `SPACING` from them.
 
     Attributes:
         fewest: People, at least.
         most: People, at most.
         variants: Settings of which every scene draws a value.
-        stray: Share of people who go to another goal of their lane than the first.
-        together: People who come side by side walk together: equally fast, and equally late.
+        stray: Share of people with another goal of their lane than the first.
+        together: People side by side walk together: equally fast, and equally late.
     """
 
     fewest: ClassVar[int] = 2
@@ -93,7 +93,7 @@ class Encounter(Scenario):
     together: bool = False
 
     def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:
-        """Check what all encounters have.
+        """Check the settings of all encounters.
 
         Args:
             common: Their settings.

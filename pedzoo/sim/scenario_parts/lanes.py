@@ -12,7 +12,7 @@ from torch import Tensor
 from pedzoo.maps.plain import Point
 
 SPACING = 0.9
-"""Metres between people who come one behind the other."""
+"""Metres between people one behind the other."""
 
 ABREAST = 0.8
 """Metres between lanes."""
@@ -31,17 +31,17 @@ _ASIDE = 0.45
 
 
 class Lane(NamedTuple):
-    """People who come one behind the other.
+    """People one behind the other.
 
     Attributes:
         people: How many.
         heading: Unit vector in which they walk.
         middle: Where they meet others, metres.
-        goals: Where they go from there, metres; all to the first, but for a share of strays.
+        goals: Their goals after that, metres; all take the first, but for a share of strays.
         before: Metres that they all start farther back.
         side: Lanes of one side start aside by the same length.
-        aside: Metres that they start to the left or to the right of the lane at most.
-        delay: Seconds that the first of them comes late at most.
+        aside: Metres that they start to the left or to the right of the lane, at most.
+        delay: Seconds that the first of them comes late, at most.
     """
 
     people: int
@@ -55,7 +55,7 @@ class Lane(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Each person's place in a lane, on each of V variants of a scene, and what the lane says about them.
+    """Each person's place in a lane, on each of V variants of a scene, with the lane's properties.
 
     Attributes:
         row: How many are before them in their lane (V, A) long.
@@ -123,7 +123,7 @@ def abreast(
 
 
 def beside(lanes: Sequence[Lane], width: float) -> float:
-    """Return the room beside lanes in a corridor whose middle the origin is on, metres, without `FREE`."""
+    """Return the room beside lanes in a corridor around the origin, metres, without `FREE`."""
     across = [lane.heading[0] * lane.middle[1] - lane.heading[1] * lane.middle[0] for lane in lanes]
     return width / 2 - FREE - max((abs(value) for value in across), default=0.0)
 

@@ -10,7 +10,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 
 Range = float | tuple[float, float]
-"""A number, or the least and the most of what is drawn evenly: ``door:away=[2.5,4]``."""
+"""A number, or the least and the most of an even draw: ``door:away=[2.5,4]``."""
 
 
 class Drawn:
@@ -28,7 +28,7 @@ class Drawn:
         """Take a setting's value.
 
         Args:
-            scenario: What messages call the scenario.
+            scenario: The scenario's name in messages.
             name: Of the setting.
             given: A number, or the smallest and the largest.
             least: No number may be below it.

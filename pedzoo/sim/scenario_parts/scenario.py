@@ -1,4 +1,4 @@
-"""What every scenario is: floor plans, and where people start, how fast and to which goals."""
+"""The interface of scenarios: floor plans, and people's starts, speeds and goals."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
-        unknown: What unknown cells of the floor plans count as.
+        unknown: Meaning of unknown cells of the floor plans.
     """
 
     unknown: Unknown = "wall"
@@ -147,12 +147,12 @@ class Scenario(ABC):
     def next_goal(
         self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
     ) -> Tensor:
-        """Return the goals (P,) long of people who have just reached one; -1 where there is no more.
+        """Return the next goals (P,) long of people who have just reached one; -1 for none.
 
         Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
 
         Args:
-            prepared: What `prepare` returned.
+            prepared: The result of `prepare`.
             draws: One entry per person: that of their scene.
             agent: Their slots in it (P,) long.
             number: How many goals they have reached (P,) long.
@@ -191,12 +191,12 @@ class Scenario(ABC):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedScenario:
-    """What `Scenario.prepare` returns. Environments of one clearance may share it: fields of ways take time.
+    """The result of `Scenario.prepare`. Environments of one clearance may share it: path fields take time.
 
     Attributes:
         scenario: The settings.
         planner: Ways to goals.
-        tables: What the scenario's own methods look up, such as the planner's numbers of goals.
+        tables: Tables of the scenario's own methods, such as the planner's numbers of goals.
         script: Plays people back and lets them come and go; None where all are there from the beginning.
     """
 

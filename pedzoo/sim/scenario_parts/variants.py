@@ -24,7 +24,7 @@ class Variants:
     """All combinations of some settings' values, in the order of the settings: the last varies fastest.
 
     Attributes:
-        scenario: What messages and floor plans call the scenario.
+        scenario: The scenario's name in messages and floor plans.
         values: The values of every setting.
     """
 

@@ -11,10 +11,9 @@ from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 class BlindCorner(Encounter):
     """A corridor from the left that bends down at the origin; people come from both ends.
 
-    *Blind corner* of Francis et al. 2023 (Fig. 7, Table 3). No person sees those from the other end when the
-    episode begins, and the first ones are at the corner at the same time. The two groups are mirror images
-    of each other in the diagonal where they are of the same size and speed, and ``jitter``, ``aside`` and
-    ``delay`` are 0.
+    *Blind corner* of Francis et al. 2023 (Fig. 7, Table 3). When the episode begins, no person sees those
+    from the other end; the first ones are at the corner at the same time. The two groups mirror each other
+    in the diagonal if size and speed are equal and ``jitter``, ``aside`` and ``delay`` are 0.
     """
 
     most = 20
@@ -42,7 +41,7 @@ class BlindCorner(Encounter):
         for side, people in enumerate((self.people - self.people // 2, self.people // 2)):
             straight = abreast(people, (1.0, 0.0), fit)
             mine = self.varied(side, straight, beside(straight, width))
-            # two who are so far from the corner have the inner corner between them
+            # two people this far from the corner do not see each other
             unseen = width + max(lane.middle[1] + lane.aside for lane in mine) + self.jitter + 0.1
             before = max(0.0, unseen - self.meet * self.slowest)
             for lane in mine:

@@ -20,9 +20,9 @@ USUAL_RADII, LEAST_RADIUS = (3.0, 4.0, 5.0), 2.0
 class Circle(Encounter):
     """People evenly around a circle without walls, who all want to go through its middle.
 
-    *Circular crossing* of Francis et al. 2023 (Fig. 7), the antipodal swap by which collision avoidance is
-    tested since van den Berg et al., "Reciprocal n-body collision avoidance" (2011). People come from outside
-    and are about on the circle when the episode begins.
+    *Circular crossing* of Francis et al. 2023 (Fig. 7): the antipodal swap of van den Berg et al.,
+    "Reciprocal n-body collision avoidance" (2011). People come from outside and are about on the circle when
+    the episode begins.
     """
 
     def __init__(

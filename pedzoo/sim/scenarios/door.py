@@ -37,10 +37,10 @@ PUSH = 0.05
 """Metres that those behind may drive the first ones on before the episode begins."""
 
 SPACING = 0.9
-"""Metres between people who come one behind the other."""
+"""Metres between people one behind the other."""
 
 ABREAST = 0.75
-"""Metres between people who walk side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
+"""Metres between people side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
 
 MOST_ABREAST = 3
 """People who walk together."""
@@ -57,7 +57,7 @@ class Door(Scenario):
     from the left, the first from the right, the second from the left, ...
 
     Attributes:
-        name: What messages and floor plans call the scenario.
+        name: The scenario's name in messages and floor plans.
     """
 
     name: ClassVar[str] = "door"
@@ -91,14 +91,14 @@ class Door(Scenario):
             speed_std: Its standard deviation.
             speed_ratio: Speed of those from the right, divided by that of those from the left.
             resolution: Of the floor plan, metres per cell.
-            away: Metres from the middle of the wall at which the first of a side are when the warm start ends
-                if nothing holds them up; ``[least,most]``: each side draws one.
-            sync: Seconds by which the first of the two sides would be at the door one after the other if each
-                walked alone, at most, evenly distributed; people who would be there too early start farther
-                away than ``away``. None: as ``away`` and their speeds have it.
+            away: Metres from the middle of the wall of the first person of a side when the warm start ends,
+                if not held up; ``[least,most]``: each side draws one.
+            sync: Most seconds between the first persons of the two sides at the door if each walked alone,
+                evenly distributed. People who would be there too early start farther away than ``away``.
+                None: ``away`` and their speeds decide.
             from_right: How many of the people come from the right; None: every other one.
-            abreast: How many of a side walk together, side by side and equally fast, 1 to 3; those of a row
-                that is not full are in its middle.
+            abreast: How many of a side walk together, side by side and equally fast, 1 to 3; an incomplete
+                row is centred.
 
         Raises:
             UserError: A setting that gives no scene.

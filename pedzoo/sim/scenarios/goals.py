@@ -79,7 +79,7 @@ class Goals(Scenario):
         return [load_plan(name) for name in self.files]
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
-        """Return places and ways of the same floor plans, whatever the numbers of people and of their goals.
+        """Return places and paths of the same floor plans, for any number of people and of goals.
 
         Raises:
             UserError: So many people do not fit.
@@ -117,7 +117,7 @@ class Goals(Scenario):
         return replace(prepared, tables=tables)
 
     def _check_room(self, bank: MapBank, counts: Tensor) -> None:
-        """Raise the error of people who do not fit."""
+        """Raise the error for too many people."""
         for grid, room in zip(bank.grids, counts.tolist(), strict=True):
             if room < self.people:
                 raise UserError(
@@ -167,7 +167,7 @@ class _Choice:
     """Draws among the admissible columns of a table of rows."""
 
     def __init__(self, allowed: list[Tensor]) -> None:
-        """Take what is allowed (S, G) bool, for each floor plan."""
+        """Take the allowed goals (S, G) bool, for each floor plan."""
         columns = [table.int().argsort(dim=1, descending=True, stable=True) for table in allowed]
         self._columns = _padded(columns, 0)
         self._counts = _padded([table.sum(1) for table in allowed], 1)
@@ -180,7 +180,7 @@ class _Choice:
 
 
 class _Tables(NamedTuple):
-    """What is drawn from, for M floor plans with at most S places and G goals.
+    """Candidates of the draws, for M floor plans with at most S places and G goals.
 
     Attributes:
         map_id: The floor plans (M,) long.

@@ -30,11 +30,11 @@ class Hallway(Encounter):
 
         Args:
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
-            offset: Metres that people keep to the right of the corridor's middle on their whole way; 0 is
-                head-on; a list: one per scene.
+            offset: Metres that people keep to the right of the corridor's middle; 0 is head-on; a list: one
+                per scene.
             against: How many of the people come from the right; None: half of them.
             common: People are side by side where the corridor has room, and one behind the other.
-            together: Those who come side by side walk together: equally fast, and equally late.
+            together: People side by side walk together: equally fast, and equally late.
 
         Raises:
             UserError: A setting that gives no scene.

@@ -30,7 +30,7 @@ class Parallel(Encounter):
         Args:
             opposite: The second stream walks the other way.
             gap: Metres between the nearest lanes of the two streams; a list: one per scene.
-            change: Share of people whose goal is in a lane of the other stream's, in their own direction.
+            change: Share of people with a goal in a lane of the other stream, in their own direction.
             common: Half of the people are in each stream, five abreast at most.
 
         Raises:
@@ -56,6 +56,6 @@ class Parallel(Encounter):
 
 
 def _changing(lane: Lane, others: list[Lane]) -> Lane:
-    """Return a lane whose people may also go to where the other stream walks."""
+    """Return a lane whose people may also have goals in the other stream."""
     x = lane.goals[0][0]
     return lane._replace(goals=(*lane.goals, *((x, other.middle[1]) for other in others)))

@@ -1,4 +1,4 @@
-"""Recorded people, simulated from their real entry to their real exit among those who are played back."""
+"""Recorded people, simulated from their real entry to their real exit among played-back people."""
 
 from __future__ import annotations
 
@@ -34,17 +34,16 @@ CELL, SHARE = 0.1, 0.2
 class Replay(Scenario):
     """All people of a recording, on the true clock: played back for 8 steps, then moved by the policy.
 
-    People leave within 0.3 m of where they really left the scene. They are taken out after twice the time
-    that they really took. They are never put back to where they really were in between. Tracks of at most 8
-    steps, and people who are at their exit already, are only played back: they are met, but do not react.
-    Exits that are too near to walls are moved to the nearest place where one can walk, by 0.5 m at
-    most. Unknown cells are free, and preferred speeds are those observed in the first 8 steps.
-    That and the exit are all that a policy knows of the recording ahead, and the velocity with which others
-    come in, which is that of their first step.
+    People leave within 0.3 m of where they really left the scene, and are taken out after twice the time
+    that they really took. They are never put back on their track in between. Tracks of at most 8 steps, and
+    people at their exit already, are only played back and do not react. Exits too near to walls move to the
+    nearest walkable place, by 0.5 m at most. Unknown cells are free, and preferred speeds are those observed
+    in the first 8 steps. Of the recording ahead a policy knows these, the exit, and the velocity of others'
+    first step.
 
     A recording is cut where no person is left (in a recording of sparse crowds), so that its parts run side
-    by side: part i of R is scene i, i + R, ... of every seed; what differs is the policy's noise. With
-    ``simulated=one`` every person has a scene of their own in which all others are played back.
+    by side: part i of R is scene i, i + R, ... of every seed; only the policy's noise differs. With
+    ``simulated=one`` each person has a scene of their own in which all others are played back.
     """
 
     unknown: Unknown = "free"
@@ -61,19 +60,18 @@ class Replay(Scenario):
         share: float = 1.0,
         speed: SpeedOf = "observed",
     ) -> None:
-        """Set what `prepare` will read.
+        """Set the recordings that `prepare` will read.
 
         Args:
-            fold: Whose test recordings: eth, hotel, univ, zara1, zara2, ``embedded``, or
-                ``file.py:Class:fold``.
-            root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
+            fold: Test recordings of eth, hotel, univ, zara1, zara2, ``embedded``, or ``file.py:Class:fold``.
+            root: Folder of the recordings; by default PEDZOO_DATA, or that of `pedzoo download`.
             files: Your own recordings (text or CSV) instead of a fold.
             dt: Seconds between consecutive frame numbers of ``files``.
             map: The floor plan of ``files``; without one there are no walls.
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
             simulated: ``all``, or one person per scene among all others as they were recorded.
-            share: Only people who come in this first share of the time are simulated, others are played back:
-                a tenth gives a quick look.
+            share: Only people who come in this first share of the time are simulated, others are played
+                back: a tenth gives a quick look.
             speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole
                 ``track``, which uses the future; at least 0.3 m/s.
 
@@ -201,7 +199,7 @@ def _plans_of(recordings: Sequence[Recording]) -> list[OccupancyGrid | None]:
 
 
 def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scenes]:
-    """Return who is in which slot, and the scenes, where all people are simulated that can be."""
+    """Return which person is in which slot, and the scenes, with all people simulated that can be."""
     frames = int(people.until.max()) + 1
     slot, scene_rows = torch.full_like(people.first, -1), []
     for recording in range(recordings):

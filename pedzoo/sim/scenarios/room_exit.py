@@ -30,9 +30,9 @@ BESIDE_RAYS = 0.3
 class RoomExit(Encounter):
     """A room left of x = 0, a corridor along y right of it, and a door between them at the origin.
 
-    *Exiting room* and *entering room* of Francis et al. 2023 (Fig. 7, Table 3); with many people it is the
+    *Exiting room* and *entering room* of Francis et al. 2023 (Fig. 7, Table 3); with many people, the
     bottleneck of evacuation studies. People who leave turn left or right behind the door. People who enter
-    come along the corridor, from above and from below in turn. Agents are numbered by how far they are from
+    come along the corridor, from above and from below in turn. Agents are numbered by their distance from
     the door.
     """
 

@@ -19,11 +19,11 @@ ROOM = 0.2
 
 
 class Standing(Door):
-    """The rooms of `Door`; the last agent stands in its way, others come to it as they do there.
+    """The rooms of `Door`; the last agent stands in its way, others come to it as in `Door`.
 
-    The standing person is met, but neither moved by the policy nor scored before they set out for a goal of
-    their own, behind the wall or before it. Their history says that they stand. Where the door is too narrow
-    to get past them, others have to wait.
+    The standing person is neither moved by the policy nor scored before they set out for a goal of their
+    own, behind the wall or before it. Their history shows that they stand. If the door is too narrow to pass
+    them, others have to wait.
     """
 
     name: ClassVar[str] = "standing"
@@ -54,7 +54,7 @@ class Standing(Door):
             offset: Lateral distance of others' starts and of goals from the door's axis, metres; a list: one
                 per scene.
             jitter: Standard deviation of the starts about it, metres.
-            people: The one who stands, and at least one who comes.
+            people: The standing person, and at least one who comes.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
             speed_ratio: Speed of those from the right, divided by that of those from the left.
@@ -62,11 +62,11 @@ class Standing(Door):
             away: Metres from the middle of the wall at which the first of a side are when the warm start
                 ends; ``[least,most]``: each side draws one.
             sync: As of `Door`: by how much the two sides come to the door one after the other, seconds.
-            from_right: How many of those who come do so from the right; None: every other one.
+            from_right: How many of the others come from the right; None: every other one.
             abreast: How many of a side walk together, 1 to 3.
             at: Metres to the right of the middle of the wall where the person stands, 0 in the door and
-                negative on the left; ``[least,most]``: drawn. How far beside the door's axis is drawn, too,
-                no nearer to its sides than 0.2 m.
+                negative on the left; ``[least,most]``: drawn. The distance from the door's axis is drawn,
+                too, no nearer to its sides than 0.2 m.
             seconds: How long they stand after the warm start; ``[least,most]``: drawn. They set out with the
                 next decision.
 
@@ -89,7 +89,7 @@ class Standing(Door):
             )
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
-        """Return those who come and, as the last, the one who stands."""
+        """Return the people who come and, as the last, the standing one."""
         coming = super().layout(prepared, draws)
         width = self.variants.of("width", draws)
         beside = (width / 2 - ROOM).clamp_min(0.0) * (2 * draws.uniform("beside") - 1)

@@ -56,7 +56,7 @@ class ActiveCourse:
     age: Tensor = field(default_factory=lambda: torch.zeros(0))
 
     def begin(self, max_segments: int) -> TensorDict:
-        """Return what agents observe where the next segment begins.
+        """Return the observation at the beginning of the next segment.
 
         Scenes that are over, or have gone on for ``max_segments`` segments, are replaced by new ones. Others
         go on where they are: agents that are stuck have to find the way out.

@@ -21,11 +21,11 @@ from pedzoo.train.loop.unroll import Unrolled, recorded, unroll
 
 
 class Imitation(nn.Module):
-    """What it costs to walk unlike recorded people, each term in a unit of its own.
+    """Loss for walking unlike recorded people, each term in a unit of its own.
 
-    People of recorded windows walk all together (see `pedzoo.train.loop.unroll.unroll`), and are compared
-    with what they really did: one by one, where each is at what time; and as a crowd, how fast everybody
-    walks, accelerates, turns and how near people come to each other.
+    All people of recorded windows walk together (see `pedzoo.train.loop.unroll.unroll`), and are compared
+    with their recorded tracks. Each person is compared by positions at equal times, the crowd by speeds,
+    accelerations, turns and distances between people.
     """
 
     def __init__(
@@ -43,22 +43,22 @@ class Imitation(nn.Module):
         """Weigh the terms.
 
         Args:
-            displacement: Weight of the mean distance to where people really were, metres.
-            distribution: Weight of the distances of distributions, in standard deviations of recorded people:
-                the mean over features, which is how the suite ``replay`` makes ``realism``.
-            features: Weight of each feature within it, 1 for those that are not named;
-                see `pedzoo.train.loop.likeness.SPREADS`.
+            displacement: Weight of the mean distance to the recorded positions, metres.
+            distribution: Weight of the distances of distributions, in standard deviations of recorded
+                people: the mean over features, like ``realism`` of the suite ``replay``.
+            features: Weight of each feature within it, 1 if not named; see
+                `pedzoo.train.loop.likeness.SPREADS`.
             tail: Weight of the difference of the upper tails of acceleration, a share (see
-                `pedzoo.train.loop.likeness.tail`): few but large ones, to which a mean distance is nearly
-                blind.
+                `pedzoo.train.loop.likeness.tail`); a mean distance hardly sees few large values.
             samples: K walks of every window with noise of their own, at K times the cost.
-            spread: How much of the distance between two walks of a person is taken off the displacement, with
-                2 or more samples: at 0.5 it is the energy score, which is least for the true distribution
-                (Gneiting and Raftery, JASA 2007, eq. 21); without it noise that changes anything costs.
-            adversarial: Weight of what a discriminator says; 0 leaves it out. The discriminator learns from
-                the same ``loss``: its parameters, all that this module has, belong into an optimizer, too.
+            spread: Share of the distance between two walks of a person that is taken off the displacement,
+                with 2 or more samples. At 0.5 it is the energy score, least for the true distribution
+                (Gneiting and Raftery, JASA 2007, eq. 21); without it the loss punishes all noise.
+            adversarial: Weight of a discriminator's loss; 0 leaves it out. The discriminator learns from the
+                same ``loss``: an optimizer must get its parameters, all that this module has, too.
             discriminator: Judges walks, ``signed``; a `Discriminator` of its own defaults if not given.
-            judged_steps: Steps that it sees after the observed ones, at most. It judges whoever walks in all.
+            judged_steps: Most steps that it judges after the observed ones, of people who walk in all of
+                them.
 
         Raises:
             UserError: There is no such feature, or a setting is out of range.
@@ -81,7 +81,7 @@ class Imitation(nn.Module):
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
 
         Args:
-            policy: Walks, with a safety layer if it has one: what it changes is a part of the walk.
+            policy: Walks, with a safety layer if it has one: its changes are a part of the walk.
             batch: Recorded windows with N future steps and the goal protocol ``destination``.
             random: Draws the scenes' keys.
         """
@@ -99,13 +99,13 @@ class Imitation(nn.Module):
         return self.terms(self.walk(policy, batch, random), batch)
 
     def terms(self, walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
-        """Return ``loss`` and its terms before their weights, scalars; what has weight 0 may be left out.
+        """Return ``loss`` and its terms before their weights, scalars; terms of weight 0 may be missing.
 
         ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
         ``adversarial`` and ``discriminator`` (nats).
 
         Args:
-            walk: What `walk` returned.
+            walk: The result of `walk`.
             batch: For these windows.
         """
         real = recorded(batch, walk.xy.shape[2])
@@ -132,7 +132,7 @@ class Imitation(nn.Module):
     def _adversarial(
         self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
     ) -> tuple[Tensor, Tensor]:
-        """Return the cross entropies of whoever walked, to pass as real, and of the discriminator.
+        """Return the cross entropies of walking people, to pass as real, and of the discriminator.
 
         Each has gradients for its own side alone, so one step of one optimizer trains both.
         """

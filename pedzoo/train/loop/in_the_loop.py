@@ -1,4 +1,4 @@
-"""Training in the loop: the network walks through scenes, and what comes of it is differentiated.
+"""Training in the loop: the network walks through scenes, and the walk is differentiated.
 
 Full backpropagation through time over the environment, observations included, beside the forecasting loss on
 recordings and their imitation step by step.
@@ -29,7 +29,7 @@ from pedzoo.train.modules.module import ForecastModule, copied_keys
 class LoopModule(ForecastModule):
     """A segment of an environment and a batch of recordings in every update.
 
-    An update whose gradient is not finite is left out, and counted as ``train/skipped``.
+    An update whose gradient is not finite is skipped, and counted as ``train/skipped``.
     """
 
     skipped: Tensor
@@ -52,8 +52,8 @@ class LoopModule(ForecastModule):
         Args:
             generator: The model.
             courses: Scenarios to train in.
-            walking: What walking costs.
-            imitation: What it costs to walk differently from recorded people.
+            walking: Loss of walking.
+            imitation: Loss of walking differently from recorded people.
             steps: Of 0.4 s in a segment.
             max_segments: Segments after which an episode is given up.
             forecast_weight: Weight of the generator's own loss on recordings, per person.
@@ -150,7 +150,7 @@ class LoopModule(ForecastModule):
         return terms
 
     def firmness(self) -> float:
-        """Return what people and walls count now, as a share of what they will: see ``collision_ramp``."""
+        """Return the present share of the weights of people and walls: see ``collision_ramp``."""
         done = int(self.iteration) / self.iterations()
         return 1.0 if done >= self.collision_ramp else 0.25 + 0.75 * done / self.collision_ramp
 
@@ -159,7 +159,7 @@ class LoopModule(ForecastModule):
             self.log(f"train/{name}", value.detach(), on_step=False, on_epoch=True, batch_size=1)
 
     def on_after_backward(self) -> None:
-        """Count the iteration, and leave out what is not finite."""
+        """Count the iteration, and skip gradients that are not finite."""
         self.iteration += 1
         trained = [
             p for p in (*self.generator.parameters(), *self.imitation.parameters()) if p.grad is not None

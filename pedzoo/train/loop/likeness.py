@@ -35,13 +35,13 @@ _GRAZING = 1e-3
 
 
 class _Others(NamedTuple):
-    """Whom the M people of scored steps have to do with.
+    """The others that matter to the M people of scored steps.
 
     Attributes:
         nearest: The nearest other, number of the place (M,) long.
-        first: Whom they touch first if all keep their velocities (M,) long.
+        first: The other that they touch first if all keep their velocities (M,) long.
         seconds: When that is (M,), at most 10 s.
-        company: Who is not alone (M,) bool.
+        company: Which people are not alone (M,) bool.
     """
 
     nearest: Tensor
@@ -51,14 +51,14 @@ class _Others(NamedTuple):
 
 
 def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
-    """Return the values (M,) of every feature, of all steps in which somebody ``walked`` and has it.
+    """Return the values (M,) of every feature, of all steps in which a person ``walked`` and has it.
 
     Defined as in `pedzoo.metrics.realism.features.features`; lines begin where the windows' observed part
     ends. A time to a collision has a gradient where it is above 0 and below 10 s.
 
     Args:
-        walk: What people do.
-        batch: The windows from which on they do it, with goals.
+        walk: The people's steps.
+        batch: The windows that the walk continues, with goals.
     """
     agents = agents_of(batch)
     steps, people = walk.walked.shape[2], walk.walked.shape[1]
@@ -79,14 +79,14 @@ def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
     bodies = radius.flatten()
     meeting = xy[them] - xy[me], velocity[them] - velocity[me], bodies[them] + bodies[me]
     soon = others.seconds.index_put((meets,), _touch(*meeting))
-    who = own // (steps * people) * people + own % people
+    person = own // (steps * people) * people + own % people
     return {
         "speed": _length(now),
         "acceleration": _length(now - before) / STEP_SECONDS,
         "heading_rate": _turn(before, now) / STEP_SECONDS,
         "nearest_distance": _length(near),
         "time_to_collision": soon[some],
-        "lateral_deviation": _aside(xy[own], *(of.reshape(-1, 2)[who] for of in (begin, end))),
+        "lateral_deviation": _aside(xy[own], *(of.reshape(-1, 2)[person] for of in (begin, end))),
     }
 
 
@@ -130,14 +130,14 @@ def _quantiles(values: Tensor, ranks: Tensor) -> Tensor:
 
 
 def _others(xy: Tensor, velocity: Tensor, present: Tensor, radius: Tensor, own: Tensor) -> _Others:
-    """Return whom people have to do with; no gradient is needed to know who that is.
+    """Return the others that matter to people; no gradient flows through this choice.
 
     Args:
         xy: Positions (B, N, A, 2), metres.
         velocity: (B, N, A, 2), m/s.
-        present: Who is there (B, N, A) bool.
+        present: Which people are present (B, N, A) bool.
         radius: Radii of the bodies (B, N, A), metres.
-        own: Whose others are wanted (M,) long, numbers of (B, N, A).
+        own: Numbers in (B, N, A) of the people asked about (M,) long.
     """
     people = present.shape[2]
     moment, slot = own // people, own % people
@@ -176,7 +176,7 @@ def _turn(before: Tensor, now: Tensor) -> Tensor:
 
 
 def _aside(xy: Tensor, begin: Tensor, end: Tensor) -> Tensor:
-    """Return how far to the left of their lines people (M, 2) are who have one, metres."""
+    """Return how far to the left of their lines people (M, 2) with a line are, metres."""
     line = end - begin
     length = line.norm(dim=1)
     has = length >= LINE

@@ -1,7 +1,7 @@
-"""What walking costs: losses on a segment of an episode, differentiable all the way to the network.
+"""Losses on a segment of an episode, differentiable all the way to the network.
 
-Each term is a mean over the people whom the policy moves, so that it means the same in every scenario; a
-hinge x counts x + x^2, so that neither a graze nor a crash has a small gradient.
+Each term is a mean over the people that the policy moves: it means the same in every scenario. A hinge x
+counts x + x^2, so that neither small nor large contacts have a small gradient.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _FAR = 1e3
 """Metres to the nearest other where there is no other agent."""
 
 _MEETING = 2.0
-"""m/s relative to each other: two who come from the front at an easy pace."""
+"""m/s relative to each other: two people who come from the front at an easy pace."""
 
 _MEET, _BESIDE, _APART = 4.0, 1.2, 0.5
 """Metres ahead and beside within which people meet others from the front, and to the side that is enough."""
@@ -54,20 +54,20 @@ class LoopLosses:
         A metre too near must cost more than some seconds of waiting, or agents squeeze past each other.
 
         Args:
-            progress: Time that people lose on the way to their goals, mean over the segment, in units of 6 s.
-            person_distance: Distance to others, metres short of ``2 * body_radius + people_margin``, least of
-                a step.
+            progress: Time that people lose on their paths to goals, mean over the segment, in units of 6 s.
+            person_distance: Distance to others, metres short of ``2 * body_radius + people_margin``, least
+                of a step.
             people_margin: Metres.
             meeting_margin: Metres more between two who pass each other at 2 m/s or faster, and in proportion
-                less where they are slower: those who walk together come closer than those who meet.
+                less at lower speeds: people who walk together come closer than people who meet.
             walls: Distance to walls, metres short of ``body_radius + wall_margin``, at four places of a step.
             wall_margin: Metres.
             overspeed: m/s above ``overspeed_from`` times the preferred speed.
             overspeed_from: Share of the preferred speed.
             effort: Squared change of velocity from step to step, (m/s)^2.
-            safety_correction: What a safety layer changed, m/s.
+            safety_correction: Change by a safety layer, m/s.
             assertiveness: An agent's lost time counts ``exp(assertiveness * z)`` times as much, where z is
-                the first number of its noise. 0: the noise does not matter for it.
+                the first number of its noise. 0: no effect of the noise.
             passing_side: Metres that agents from the front are off the side that the second number z of an
                 agent's noise prefers, times abs(tanh(z)), see `wrong_side`.
 
@@ -91,10 +91,10 @@ class LoopLosses:
         """Return the weighted terms, scalars.
 
         Args:
-            segment: What was walked.
+            segment: The walk.
             bank: The floor plans.
-            noise: Of everybody when the segment begins (B, A, Z), of which the first number is how assertive
-                they are, and the second on which side they like to pass; None where there is none.
+            noise: Of each person when the segment begins (B, A, Z), or None. The first number is how
+                assertive they are, the second on which side they like to pass.
             firmness: Share of their weights that people and walls have.
         """
         mean = partial(mean_cost, moved=segment.moved)
@@ -120,13 +120,13 @@ class LoopLosses:
 
 
 def mean_cost(cost: Tensor, moved: Tensor) -> Tensor:
-    """Return the mean of what decisions cost (T, B, A), a scalar: over the segment and the people.
+    """Return the mean cost of decisions (T, B, A), a scalar: over the segment and the people.
 
     Args:
         cost: Of each decision.
         moved: Which people the policy moves (T, B, A) bool.
     """
-    # by people and not by their steps: people who dawdle must not thin out what went wrong
+    # by people and not by their steps: people who dawdle must not dilute contacts
     count = (moved.any(0).sum() * len(moved)).clamp_min(1)
     return torch.where(moved, cost, 0.0).sum() / count
 
@@ -137,14 +137,14 @@ def _hinge(short: Tensor) -> Tensor:
 
 
 def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
-    """Return how late people are on their ways, seconds, a scalar: mean over the segment and the people.
+    """Return how late people are, seconds, a scalar: mean over the segment and the people.
 
-    The way that they made, at their preferred speed, is taken off the time. Agents that arrive early have the
-    rest of the segment to their credit.
+    The time for the path that they made, at their preferred speed, is taken off. Agents that arrive early
+    get credit for the rest of the segment.
 
     Args:
-        segment: What was walked.
-        weight: Of everybody (B, A); None for 1.
+        segment: The walk.
+        weight: Of each person (B, A); None for 1.
     """
     took_part = segment.moved.any(0)
     gained = (segment.progress / segment.pref_speed.clamp_min(0.1)).where(segment.moved, 0.0).cumsum(0)
@@ -156,14 +156,14 @@ def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
 
 
 def wrong_side(segment: Segment, side: Tensor) -> Tensor:
-    """Return what it costs to have those who come from the front on the side one does not like (T, B, A).
+    """Return the cost of people from the front on the side that a person does not prefer (T, B, A).
 
-    People with a positive number like to pass others on the left, so that these are on their right. Without
-    such likes everybody would learn to pass on the same side, or on that which the start suggests.
+    People with a positive number prefer to pass others on the left: these are on their right. Without such
+    preferences all people would learn to pass on the same side, or on that of the start.
 
     Args:
-        segment: What was walked.
-        side: What people like (B, A).
+        segment: The walk.
+        side: Preferred sides (B, A).
     """
     here, present = segment.trace[..., 0, :], segment.present
     ahead = functional.normalize(segment.goal - here, dim=-1)
@@ -181,12 +181,12 @@ def wrong_side(segment: Segment, side: Tensor) -> Tensor:
 def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
-    Along the straight ways that people ask for, exact between begin and end, and not where a safety layer
-    leads them: with it agents never come near each other, and the network would not learn to give way.
+    Along the straight steps that the policy asks for, exact between begin and end, without the safety layer:
+    with it agents never come near each other, and the network would not learn to give way.
 
     Args:
-        segment: What was walked.
-        meeting_margin: What two who pass each other at 2 m/s or faster lack more, metres.
+        segment: The walk.
+        meeting_margin: Metres that are added for two who pass each other at 2 m/s or faster.
     """
     here, present = segment.trace[..., 0, :], segment.present
     people = here.shape[2]

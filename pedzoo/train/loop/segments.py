@@ -1,4 +1,4 @@
-"""A piece of an episode through which gradients flow: what a policy did in some environment, step by step."""
+"""A differentiable piece of an episode: a policy's decisions in some environment, step by step."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.motion import CONTACT_COST
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
-"""Writes everybody's ``action`` (B, A, 2), m/s, into what they see."""
+"""Writes each person's ``action`` (B, A, 2), m/s, into the observation."""
 
 
 class Segment(NamedTuple):
@@ -28,8 +28,8 @@ class Segment(NamedTuple):
         pref_speed: The speed that people like (T, B, A), m/s.
         radius: Radii of their bodies (T, B, A), metres.
         goal: Their short-term goals (T, B, A, 2), metres.
-        present: Who is there when a decision is made (T, B, A) bool.
-        moved: Whom the policy moves then (T, B, A) bool.
+        present: Which people are present when a decision is made (T, B, A) bool.
+        moved: Which people the policy moves then (T, B, A) bool.
         agent_contact: Which agents touch another in the step (T, B, A) bool.
         wall_contact: Which agents touch a wall in it (T, B, A) bool.
         done: Scenes that are over at the end (B,) bool.
@@ -55,14 +55,14 @@ class Segment(NamedTuple):
 
 
 def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: int) -> Segment:
-    """Return what comes of a policy in an environment, observations and all, for backpropagation in time.
+    """Return the segment of a policy in an environment, with its observations, for backpropagation in time.
 
-    Scenes that are over, or were before, stay as they are; nobody moves in them.
+    Scenes that are over, or were before, stay as they are; no agent moves in them.
 
     Args:
         env: The environment.
         policy: Decides; gradients flow to its parameters.
-        seen: What everybody sees now, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it.
+        seen: The current observation, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it.
         steps: T.
     """
     result: list[tuple[Tensor, ...]] = []

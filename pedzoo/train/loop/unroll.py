@@ -25,19 +25,20 @@ from pedzoo.sim.scenario_parts.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 Walk = Callable[[TensorDict], Tensor]
-"""Returns everybody's next displacement (B, A, 2), metres, for what they see."""
+"""Returns each person's next displacement (B, A, 2), metres, for an observation."""
 
 _NEAR = 1e-6
 """Metres within which a person is at a place."""
 
 
 class Unrolled(NamedTuple):
-    """How the people of recorded windows go on.
+    """How the people of recorded windows walk on.
 
     Attributes:
         xy: Positions at the end of each step (B, A, N, 2), metres; the last one where they have left.
-        walked: Whom a policy has in the step (B, A, N) bool; the step in which they arrive is the last.
-        present: Who is there meanwhile (B, A, N) bool: these, and who is played back.
+        walked: Which people a policy moves in the step (B, A, N) bool; the step in which they arrive is the
+        last.
+        present: Which people are present meanwhile (B, A, N) bool: these, and played-back people.
     """
 
     xy: Tensor
@@ -46,15 +47,15 @@ class Unrolled(NamedTuple):
 
 
 def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None) -> Unrolled:
-    """Return what comes of ``walk`` when all people of recorded windows walk together.
+    """Return the result of ``walk`` when all people of recorded windows walk together.
 
-    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from where a person
-    is to their destination, and beyond it. ``pref_speed`` is what was observed, at least 0.3 m/s. The top
-    speed is 1.3 times that. People leave within 0.3 m of their destination, at the latest in the moment in
-    which they really left. People who are at their destination from the beginning are played back, not
-    controlled. No one is set back to where they really were. There are no walls.
+    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from a person to
+    their destination, and beyond it. ``pref_speed`` is that observed, at least 0.3 m/s. The top speed is 1.3
+    times that. People leave within 0.3 m of their destination, at the latest when they really left. People
+    at their destination from the beginning are played back, not controlled. No one is set back to their
+    track. There are no walls.
 
-    Gradients flow through all that people see, others included; times of leaving have none.
+    Gradients flow through all that people see, others included, but not through times of leaving.
 
     Args:
         walk: The policy.
@@ -120,7 +121,7 @@ class _Windows(NamedTuple):
         return path.unflatten(2, (points, substeps))
 
     def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
-        """Take away people who are not seen in the next step."""
+        """Remove people who are not seen in the next step."""
         steps = self.there.shape[2:]
         still = self.there.gather(2, self._step(after.clock, steps))[..., 0]
         mask = after.mask & still
@@ -159,18 +160,18 @@ def recorded(batch: TensorDict, steps: int) -> Unrolled:
 
 
 def known_to_be_there(batch: TensorDict) -> Tensor:
-    """Return who is there from begin to end of each future step (B, A, T) bool: until they are not seen."""
+    """Return which people are present from begin to end of each future step (B, A, T) bool."""
     agents = agents_of(batch)
     known: Tensor = agents["future_valid"] & agents["mask"].unsqueeze(2)
     return torch.cummin(known, 2).values
 
 
 def _controlled(position: Tensor, destination: Tensor) -> Tensor:
-    """Return who is not at their destination already (B, A) bool."""
+    """Return which people are not at their destination already (B, A) bool."""
     return (destination - position).norm(dim=-1) > GOAL_RADIUS
 
 
 def _towards(position: Tensor, destination: Tensor) -> Tensor:
-    """Return unit vectors (B, A, 2), zero where somebody is there."""
+    """Return unit vectors (B, A, 2), zero where a person is."""
     way = destination - position
     return way / way.square().sum(-1, keepdim=True).clamp_min(_NEAR**2).sqrt()

@@ -102,7 +102,7 @@ class GANModule(ForecastModule):
         Args:
             batch: Recorded scenes.
             random: Draws the noise and the label.
-            encoded: What the generator's ``encode`` gives for this batch, where that is known already.
+            encoded: The result of the generator's ``encode`` for this batch, if computed already.
         """
         agents, generator = agents_of(batch), cast("SGAN", self.generator)
         steps = agents["future"].shape[2]
@@ -127,7 +127,7 @@ def _observed(batch: TensorDict, crowd: Crowd) -> tuple[Tensor, Tensor]:
 
 
 def _known(batch: TensorDict, crowd: Crowd) -> Tensor:
-    """Return who was seen in the whole window (P,): filled-in positions are nobody's walk."""
+    """Return which people were seen in the whole window (P,): filled-in positions are no person's walk."""
     agents = agents_of(batch)
     return crowd.pack(torch.cat((agents["valid"], agents["future_valid"]), -1).all(-1))
 

@@ -1,4 +1,4 @@
-"""What all trainings share: schedule, seeds, validation, and what a checkpoint says about itself."""
+"""Parts of all trainings: schedule, seeds, validation, and a checkpoint's description."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from pedzoo.models.zoo.loading import architecture_in, config_of
 class ForecastModule(L.LightningModule):
     """Trains a forecaster; subclasses say with which losses.
 
-    Everything random in a step is drawn from a generator seeded by the run's seed and the step's number,
-    and the learning rate is a function of that number: a resumed run ends where an uninterrupted one
-    does, and the command line's learning rate wins over a checkpoint's.
+    All random numbers of a step are drawn from a generator seeded by the run's seed and the step's number,
+    and the learning rate is a function of that number. So a resumed run ends where an uninterrupted one
+    does. The command line's learning rate wins over a checkpoint's.
     """
 
     iteration: Tensor
@@ -170,7 +170,7 @@ def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
 
 
 def differences(theirs: dict[str, Any], ours: dict[str, Any], free: Set[str] = frozenset()) -> list[str]:
-    """Return what tells the architectures of two models apart, as readable texts.
+    """Return the differences between the architectures of two models, as readable texts.
 
     Args:
         theirs: A config of `pedzoo.models.zoo.loading.config_of`.

@@ -16,7 +16,7 @@ from pedzoo.policies.learned.walker import Walker
 
 
 class Spread(nn.Module):
-    """The standard deviation of everybody's velocity about the mean, one learned number, m/s.
+    """The standard deviation of each person's velocity about the mean, one learned number, m/s.
 
     The same in all directions, so that turning the scene turns the distribution.
     """
@@ -32,11 +32,11 @@ class Spread(nn.Module):
 
 
 class Mean(TensorDictModuleBase):
-    """Writes mean and standard deviation (B, A, 2), m/s, of everybody's velocity.
+    """Writes mean and standard deviation (B, A, 2), m/s, of each person's velocity.
 
-    The noise of the generator is no part of the density: it is drawn by the scene's key, hence as much given
-    as all else that is seen, and equal in collecting and in updates. People whom the policy does not move
-    have a fixed distribution, and so a likelihood that never changes.
+    The generator's noise is no part of the density: it is drawn by the scene's key, like an observation, and
+    equal in collecting and in updates. People that the policy does not move have a fixed distribution, and
+    so a constant likelihood.
     """
 
     in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]

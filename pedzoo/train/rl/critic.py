@@ -1,4 +1,4 @@
-"""The critic of reinforcement learning: how much reward everybody can still expect."""
+"""The critic of reinforcement learning: the reward that each person can still expect."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _FAR = 1.0
 
 
 class Critic(TensorDictModuleBase):
-    """One network for everybody, decentralised: each person's value from what is around that person.
+    """One decentralised network for all people: each person's value from their surroundings.
 
-    In everybody's own frame it sees their velocity, goal and desired velocity, others relative to them
-    (`RelativePooling`), the distance to walls here and on a ring, and, as a critic may, what the policy is
-    not told: the length of the way that is left. Untrained it says what somebody alone in the world would
-    earn by walking that way at the speed they like, so that the first updates already know who was held up.
+    In each person's own frame it sees their velocity, goal and desired velocity, others relative to them
+    (`RelativePooling`), the distance to walls here and on a ring, and the length of the remaining path,
+    which the policy does not see. Untrained it gives the reward of a person alone who walks that path at the
+    preferred speed: the first updates already show which people were held up.
     """
 
     in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose"]
@@ -66,7 +66,7 @@ class Critic(TensorDictModuleBase):
         self.register_buffer("ring", ring, persistent=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's value (N, A, 1), metres of progress; 0 where nobody is."""
+        """Write each person's value (N, A, 1), metres of progress; 0 where no person is."""
         batch = cast("TensorDict", tensordict)
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
@@ -92,7 +92,7 @@ class Critic(TensorDictModuleBase):
         return tensordict
 
     def alone(self, way: Tensor, speed: Tensor) -> Tensor:
-        """Return what walking ``way`` (P, 1), metres, at ``speed`` (P, 1), m/s, earns, discounted, metres."""
+        """Return the discounted reward, metres, of walking ``way`` (P, 1), metres, at ``speed`` (P, 1)."""
         step = STEP_SECONDS * speed.clamp_min(0.1)
         if self.gamma == 1:
             return way

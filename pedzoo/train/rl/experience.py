@@ -1,4 +1,4 @@
-"""What a policy lived through: decisions in an environment, gathered by TorchRL, and how good they were."""
+"""A policy's experience: decisions in an environment, gathered by TorchRL, and their advantages."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ with warnings.catch_warnings():
     from torchrl.collectors import Collector
 
 _SEEDS = 2**52
-"""Seeds of scenes in training begin here: nobody evaluates on these."""
+"""First seed of scenes in training: evaluations use smaller ones."""
 
 
 class Gatherer:
     """A scenario, B scenes at once, in which a policy gathers experience.
 
-    Every gathering begins with episodes of its own, named by its seed, and whoever ends in it is followed by
-    the next episode. So what is gathered depends on policy and seed alone, and a resumed training meets the
-    scenes that an uninterrupted one meets. The price: an episode longer than ``steps`` is not seen to its
-    end; its value is estimated.
+    Every gathering begins with new episodes, named by its seed; a scene that ends is followed by the next
+    episode. So experience depends on policy and seed alone, and a resumed training meets the scenes of an
+    uninterrupted one. The price: an episode longer than ``steps`` is not seen to its end; its value is
+    estimated.
 
     Attributes:
         env: The environment.
@@ -51,12 +51,12 @@ class Gatherer:
         """Make the environment and TorchRL's collector.
 
         Args:
-            scenario: Who meets whom, and where.
+            scenario: The people's starts and goals, and the floor plan.
             policy: Writes ``action`` and ``log_prob``; its weights may change in between.
             scenes: B.
             steps: T, decisions of every scene in one gathering.
             physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
-            device: Where the policy is; scenes and what is gathered are on the CPU.
+            device: Where the policy is; scenes and experience are on the CPU.
             rank: Number of this process.
             processes: That share the scenes of a seed.
         """
@@ -77,7 +77,7 @@ class Gatherer:
         self._gathered = iter(self._collector)
 
     def gather(self, seed: int) -> TensorDict:
-        """Return T decisions in B scenes (B, T, ...), what followed each of them under ``next``."""
+        """Return T decisions in B scenes (B, T, ...), with the result of each under ``next``."""
         self.env.set_seed(_SEEDS + seed, static_seed=True)
         return cast("TensorDict", next(self._gathered))
 
@@ -93,11 +93,11 @@ def rated(
     critic: Callable[[TensorDictBase], TensorDictBase],
     estimate: GAE,
 ) -> TensorDict:
-    """Return decisions (N,) as a loss wants them: rewarded, and compared with what was expected.
+    """Return decisions (N,) as a loss wants them, with rewards and advantages.
 
-    Whoever leaves has come to an end of their own, and so has a slot that another person takes over: rewards
-    of others are not theirs. Where the time is up for a whole scene the rest is estimated instead. Advantages
-    of the decisions that count have mean 0 and standard deviation 1; all others are 0 in every respect.
+    An episode ends for a person who leaves, and for a slot that another person takes over: rewards of others
+    are not theirs. Where the time is up for a whole scene the rest is estimated instead. Advantages of the
+    decisions that count have mean 0 and standard deviation 1; all others are 0.
 
     Args:
         seen: As of `Gatherer.gather`, (B, T).

@@ -1,4 +1,4 @@
-"""TorchRL's loss and advantages for agents of one policy: which keys, and who counts."""
+"""TorchRL's loss and advantages for agents of one policy: the keys, and which decisions count."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 _KEYS = "reward", "done", "terminated", "value", "value_target", "advantage"
-"""What TorchRL's estimator and losses find in a group: an episode ends for each agent apart."""
+"""Names of values of a group for TorchRL's estimator and losses: an episode ends for each agent apart."""
 
 
 def clipped(

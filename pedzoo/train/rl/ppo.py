@@ -30,11 +30,11 @@ _LOGGED: dict[Any, str] = {
     **{"loss_objective": "objective", "loss_critic": "critic", "loss_recorded": "recorded"},
     **{"kl_approx": "kl", "clip_fraction": "clipped"},
 }
-"""What is logged of TorchRL's loss, and as what: people who do not count are 0 in the last two."""
+"""Logged values of TorchRL's loss and their names: people who do not count are 0 in the last two."""
 
 
 class _Parts(NamedTuple):
-    """What a fit makes anew: nothing of it belongs into a checkpoint."""
+    """Objects that a fit makes anew: no part of a checkpoint."""
 
     loss: ClipPPOLoss
     estimate: GAE
@@ -119,15 +119,15 @@ class Optimisation:
 class PPOModule(ForecastModule):
     """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by TorchRL's loss and collector.
 
-    Everybody walks by the same generator and is one sample of the batch: decentralised actor and critic with
-    shared parameters (independent PPO). The generator gives the mean of the velocity, a learned number the
-    standard deviation; only the mean walks when training is over. Advantages are generalised (Schulman et
-    al. 2016, arXiv:1506.02438). Losses, entropy, advantages and their normalisation are those of people
-    whom the policy moves: padding, people who have left and people played back count nowhere.
+    All people walk by the same generator, and each is one sample of the batch: decentralised actor and
+    critic with shared parameters (independent PPO). The generator gives the mean of the velocity, a learned
+    number the standard deviation; only the mean walks after training. Advantages are generalised (Schulman
+    et al. 2016, arXiv:1506.02438). Losses, entropy, advantages and their normalisation are those of people
+    that the policy moves, without padding, people who have left and played-back people.
 
-    An iteration gathers decisions in one of the scenarios, in turn, and learns from them as `Optimisation`
-    says. The batch of recorded scenes that an iteration is given by the data can keep the forecasts:
-    ``recorded`` weighs the generator's own loss on it in every update.
+    An iteration gathers decisions in one of the scenarios, in turn, and learns from them as set in
+    `Optimisation`. Recorded scenes of the data can keep the forecasts: ``recorded`` weighs the generator's
+    own loss on their batch in every update.
     """
 
     skipped: Tensor
@@ -146,9 +146,9 @@ class PPOModule(ForecastModule):
         Args:
             generator: The model, best with weights (``pedzoo fit --weights NAME``).
             scenarios: With settings, as ``door:people=4``.
-            reward: What a decision is worth.
+            reward: Reward of a decision.
             collection: How decisions are gathered there.
-            optimisation: What is learnt from them.
+            optimisation: Settings of the updates.
             options: Of the generator's optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -213,7 +213,7 @@ class PPOModule(ForecastModule):
         self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
 
     def _learn(self, batch: TensorDict) -> dict[str, Tensor]:
-        """Make an iteration beside a batch of recorded scenes, and return what is logged of it."""
+        """Make an iteration beside a batch of recorded scenes, and return its logged values."""
         assert self._parts is not None
         loss, estimate, gatherers = self._parts
         optimizer, random = cast("Any", self.optimizers()), self.random()
@@ -255,7 +255,7 @@ class PPOModule(ForecastModule):
             self.skipped += 1
 
     def teardown(self, stage: str) -> None:
-        """Close the environments; after an error, those of pybullet close when nobody has them any more."""
+        """Close the environments; after an error, garbage collection closes those of pybullet."""
         for gatherer in self._parts.gatherers if self._parts else ():
             gatherer.close()
         self._parts = None

@@ -1,4 +1,4 @@
-"""What a decision was worth, told from what was seen before and after it: it needs no gradient."""
+"""Rewards of decisions, from the observations before and after: they need no gradient."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Reward:
         arrival: float = 0.0,
         terms: dict[str, float] | None = None,
     ) -> None:
-        """Weigh what the environment does not.
+        """Weigh the further rewards, beside the environment's.
 
         Args:
             person_cost: Cost of a decision in which another person is touched, beyond the environment's.
@@ -46,7 +46,7 @@ class Reward:
             overspeed: Cost of walking 1 m/s faster than one likes, growing linearly.
             arrival: Gain of having reached all goals.
             terms: Terms of one's own and their weights, as ``{"path/to/file.py:slow": 2.0}``: functions of
-                ``before`` and ``after``, as `__call__` takes them, that return everybody's reward (N, A).
+                ``before`` and ``after``, as `__call__` takes them, that return each person's reward (N, A).
 
         Raises:
             UserError: A negative number, or no such function.
@@ -61,7 +61,7 @@ class Reward:
         self.terms = [(name, function_in_file(name), weight) for name, weight in (terms or {}).items()]
 
     def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
-        """Return everybody's reward (N, A); whatever it says of people who are not controlled is ignored.
+        """Return each person's reward (N, A); that of people who are not controlled is ignored.
 
         Args:
             before: N observations of an environment, with the actions that were taken.

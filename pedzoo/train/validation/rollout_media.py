@@ -29,7 +29,7 @@ def log_rollout_media(
     Args:
         trainer: Has the loggers; without such a one nothing is drawn.
         scenario: Its name.
-        walked: What the model did.
+        walked: The model's walks.
         picture: Send the ways of all episodes, those of the first one at some moments.
         video: Send a video of the first one.
     """

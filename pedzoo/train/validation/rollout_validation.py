@@ -28,7 +28,7 @@ METRICS = (
     *("agent_contacts_per_min", "wall_contacts_per_min", "least_distance_m"),
     *("time_ratio", "path_ratio", "stl"),
 )
-"""What is logged of every scenario; ``pedzoo rollout`` prints the rest."""
+"""Logged metrics of every scenario; ``pedzoo rollout`` prints the rest."""
 
 BEST: dict[str, str] = {
     **dict.fromkeys(("success", "episode_success", "clean", "stl"), "max"),
@@ -41,20 +41,19 @@ MEANS = ("success", "clean", "stl")
 
 
 class ClosedLoopValidation(Callback):
-    """Lets the current weights walk after every n-th validation and logs ``rollout/SCENARIO/METRIC``.
+    """Runs rollouts of the current weights after every n-th validation, logs ``rollout/SCENARIO/METRIC``.
 
-    The values belong to the validation that ``val/ade`` is of, and stand in the same row of every logger.
-    Episodes are the same every time: the first ones of ``seed``, as ``pedzoo rollout`` has them. Several
-    processes share them and add up their sums. A value about which no episode says anything, such as the
-    time of people none of whom arrived, is NaN.
+    The values stand in the same row of every logger as ``val/ade``. Episodes are always the first ones of
+    ``seed``, as in ``pedzoo rollout``. Several processes share them and add up their sums. A value without
+    data, such as the time of people none of whom arrived, is NaN.
 
-    In validations without a rollout nothing is logged, and other callbacks are shown the last values, as is
-    Lightning's way: the checkpoint of the best value does not take the same for better. The first validation
-    of a process always has a rollout, also that of a resumed run, so that there is a last value.
+    In validations without a rollout nothing is logged, and other callbacks see the last values, as Lightning
+    does it: the checkpoint of the best value does not take the same for better. The first validation of a
+    process always has a rollout, also in a resumed run, so that there is a last value.
 
-    Training does not notice: a copy of the model walks, on the CPU and with floor plans of its own, and the
-    state of torch's generator is put back. The sanity check walks nowhere, ``fast_dev_run`` one episode per
-    process. ``pedzoo validate`` always walks, ``pedzoo test`` never: its recordings have no say in it.
+    Training is not affected: a copy of the model walks, on the CPU and with its own floor plans, and the
+    state of torch's generator is restored. The sanity check runs no episode, ``fast_dev_run`` one per
+    process, ``pedzoo validate`` all. ``pedzoo test`` runs none: recordings alone are tested there.
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class ClosedLoopValidation(Callback):
         video: bool = False,
         world: str | None = None,
     ) -> None:
-        """Say who walks where, and how often.
+        """Set the scenarios, and how often they run.
 
         Args:
             scenarios: With settings, as ``door,goals:people=4,goals=2``; null for none.
@@ -78,9 +77,9 @@ class ClosedLoopValidation(Callback):
             physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
             seed: Of the scenes.
             deterministic: Without noise.
-            picture: Send a picture of the ways to Weights & Biases where that is a logger.
+            picture: Send a picture of the paths to Weights & Biases if that is a logger.
             video: Likewise a video of the first episode.
-            world: What ``physics`` was called before.
+            world: The old name of ``physics``.
 
         Raises:
             UserError: An unknown name or setting, or a number out of range.
@@ -117,7 +116,7 @@ class ClosedLoopValidation(Callback):
         return {"case": case, "n": self.episodes}
 
     def check_monitor(self, monitor: str | None, mode: str) -> None:
-        """Check that a metric whose name says so is logged here, and that its best value is the better one.
+        """Check that a monitored rollout metric is logged here, and that ``mode`` fits it.
 
         Args:
             monitor: The metric by which checkpoints are chosen, if any.
@@ -137,14 +136,14 @@ class ClosedLoopValidation(Callback):
             raise UserError(f"--monitor {monitor}: its best value is the {best}: add --monitor_mode {best}")
 
     def check(self, model: Forecaster, data: Any = None) -> None:
-        """Let an untrained copy decide once, so that what cannot walk is told before the training.
+        """Let an untrained copy decide once, so that models that cannot walk fail before the training.
 
         Args:
-            model: What is about to be trained.
+            model: The model to be trained.
             data: The datamodule, where there is one.
 
         Raises:
-            UserError: The model does not see what an environment shows, or does not answer in numbers.
+            UserError: The model needs other inputs than an environment has, or does not answer in numbers.
         """
         observed = data.obs_len if data is not None else OBS_LEN
         if self.scenarios and observed != OBS_LEN:
@@ -159,8 +158,8 @@ class ClosedLoopValidation(Callback):
             with isolated(self.seed), closing(env.physics):
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
-                    who = type(model).__name__
-                    raise UserError(f"{who} gives no numbers in {name}: train with --rollout.scenarios null")
+                    kind = type(model).__name__
+                    raise UserError(f"{kind} gives no numbers in {name}: train with --rollout.scenarios null")
                 env.step(decided)
         self._checked = model
 
@@ -245,7 +244,7 @@ class ClosedLoopValidation(Callback):
         self._validations = state_dict["validations"]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copy and pickle without what belongs to a run."""
+        """Copy and pickle without the state of a run."""
         return self.__dict__ | {
             "_walker": None,
             "_validation_scenarios": [],

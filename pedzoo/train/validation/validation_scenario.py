@@ -36,7 +36,7 @@ class ValidationScenario:
         """Make the environment.
 
         Args:
-            name: What the scenario is called.
+            name: The scenario's name.
             scenario: Its scenes; scenarios may share it.
             physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
             seed: Of the scenes.
@@ -51,7 +51,7 @@ class ValidationScenario:
             self._env.policy_name = "the model in training"
 
     def walk(self, walker: Walker, deterministic: bool) -> PolicyRollout | None:
-        """Return what ``walker`` does in the episodes; None where there are none."""
+        """Return the rollout of ``walker`` in the episodes; None where there are none."""
         if self._env is None:
             return None
         self._env.set_seed(self._seed)

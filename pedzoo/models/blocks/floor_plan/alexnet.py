@@ -42,14 +42,14 @@ CHANNELS, STRIDE, FIRST = 256, 16, 15
 """Feature cell i of `features` is centred on input pixel 16 i + 15.
 
 An output i of a layer with kernel k, stride s and padding p is centred on its input's s i + (k - 1) / 2 - p.
-The first convolution (11, 4, 2) gives 4 i + 3; a pooling (3, 2, 0) puts 2 i + 1 in place of i, so 8 i + 7 and
-16 i + 15 after two of them; the other convolutions are centred on their own place.
+The first convolution (11, 4, 2) gives 4 i + 3. A pooling (3, 2, 0) puts 2 i + 1 in place of i: 8 i + 7, and
+16 i + 15 after two of them. The other convolutions are centred on their own place.
 """
 
 _OR_GIVE = "or give a .safetensors or .pth file as weights=... or in the environment variable PEDZOO_ALEXNET"
 
 _NO_PICKLE = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
-"""What reading a damaged file as a pickle can end in."""
+"""Errors of reading a damaged file as a pickle."""
 
 
 def input_length(cells: int) -> int:

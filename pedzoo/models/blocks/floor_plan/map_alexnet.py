@@ -24,11 +24,10 @@ _MARGIN = alexnet.STRIDE
 class AlexNetEncoder(MapEncoder):
     """Frozen AlexNet convolutions over every floor plan, then a trained linear layer per person.
 
-    The plan is seen as a picture from above: free is white, walls are black, and unknown cells are whichever
-    of them the bank takes them for. Features are computed in the map's own frame when a bank is bound, so
-    they are not turned to a person's heading (nor to a scene's rotation or mirroring: only the place is
-    moved). The convolutions and the features are no parameters or buffers: checkpoints hold the linear layer
-    only.
+    The plan is a picture from above: free is white, walls are black, and unknown cells are either, as the
+    bank counts them. Features are computed in the map's own frame when a bank is bound. They are not turned
+    to a person's heading (nor to a scene's rotation or mirroring: only the place is moved). The convolutions
+    and the features are no parameters or buffers: checkpoints hold the linear layer only.
 
     Attributes:
         weights: File with AlexNet's weights, None for the usual place.

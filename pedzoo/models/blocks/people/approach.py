@@ -1,4 +1,4 @@
-"""Whom a person will come close to, how close and how soon: what avoiding people rests on."""
+"""How close and how soon a person comes to each other: features for avoidance."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _FEATURES = 8
 
 
 class ApproachPooling(nn.Module):
-    """Max-pools an embedding of everybody else: where they are, how they move, how close they come.
+    """Max-pools an embedding of all others: where they are, how they move, how close they come.
 
-    Everything is in the frame of the person who looks, so neither turning the scene nor the order of people
-    changes anything. Closest approach is that of two people who both keep their velocities, as in
-    Olivier et al., "Minimal predicted distance", Gait & Posture 2012. Whoever is alone has features of zero.
+    All features are in the frame of the observing person: neither turning the scene nor the order of people
+    changes them. Closest approach is that of two people who both keep their velocities, as in Olivier et
+    al., "Minimal predicted distance", Gait & Posture 2012. A person alone has features of zero.
     """
 
     def __init__(self, state_dim: int, dim: int, hidden_dim: int = 64) -> None:
         """Create the parameters.
 
         Args:
-            state_dim: Width of what is known about each person, such as an encoder's state.
+            state_dim: Width of each person's features, such as an encoder's state.
             dim: Features per person.
             hidden_dim: Width inside.
         """
@@ -50,8 +50,8 @@ class ApproachPooling(nn.Module):
             position: Where people are (P, 2), metres.
             moved: Their last displacements (P, 2), metres.
             heading: Directions of their frames (P, 2), unit vectors.
-            state: What is known about them (P, state_dim).
-            crowd: Who is in one scene.
+            state: Known features of them (P, state_dim).
+            crowd: Which people share a scene.
         """
         other = self.other(state)
 
@@ -64,12 +64,12 @@ class ApproachPooling(nn.Module):
 
 
 def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
-    """Return what is told of pairs (..., 8) from positions and displacements of others relative to oneself.
+    """Return features of pairs (..., 8) from positions and displacements of others relative to oneself.
 
     Args:
         away: Relative positions (..., 2), metres.
         moved: Relative displacements in a step (..., 2), metres.
-        heading: Direction of whoever looks (..., 2).
+        heading: Direction of the observing person (..., 2).
     """
     velocity = moved / STEP_SECONDS
     distance = (away.square().sum(-1, keepdim=True) + 1e-6).sqrt()

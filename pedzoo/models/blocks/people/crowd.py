@@ -1,7 +1,7 @@
 """The border between padded scene batches and packed people.
 
-Outside a model a batch is padded, (B, A, ...); inside, all people that are really there stand in one
-row, (P, ...), and pooling runs over groups of scenes of equal size, so nothing is computed for padding.
+Outside a model a batch is padded, (B, A, ...). Inside, all present people stand in one row, (P, ...), and
+pooling runs over groups of scenes of equal size: nothing is computed for padding.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from torch import Tensor
 
 
 class Crowd:
-    """Who is where: the packed order of a batch's people, of which only what is asked for is computed.
+    """The packed order of a batch's people; its parts are computed when first asked for.
 
-    In a graph for other programs (`torch.export`) padding stays: how many people are really there is
-    known only when it runs. Every slot then counts as a person, and pooling leaves those out who are not.
+    In a graph for other programs (`torch.export`) padding stays, as the number of people is known only when
+    it runs. Every slot then counts as a person, and pooling leaves absent people out.
 
     Attributes:
         shape: The padded (B, A).
-        full: Nothing is taken out, as in most simulations: packing is a matter of shape.
-        absent: Who is to be left out of pooling (B, A) bool; None where padding was taken out.
+        full: Nothing is taken out, as in most simulations: packing is a reshape.
+        absent: Slots to leave out of pooling (B, A) bool; None where padding was taken out.
     """
 
     def __init__(self, mask: Tensor, full: bool, absent: Tensor | None = None) -> None:
@@ -76,26 +76,26 @@ class Crowd:
         return padded.flatten(0, 1) if self.full else padded[self._there]
 
     def unpack(self, packed: Tensor) -> Tensor:
-        """Return the padded tensor (B, A, ...) of packed people (P, ...), zero where nobody is."""
+        """Return the padded tensor (B, A, ...) of packed people (P, ...), zero where no person is."""
         if self.full:
             return packed.view(*self.shape, *packed.shape[1:])
         padded = packed.new_zeros(*self.shape, *packed.shape[1:])
         return padded.index_put(self._there, packed)
 
     def most_of_others(self, seen: Callable[[Tensor, Tensor], Tensor], pooled: Tensor) -> Tensor:
-        """Return the maxima (P, D), over everybody else in the scene, of what each person sees of another.
+        """Return the maxima (P, D), over all others in the scene, of a person's features of another.
 
         Args:
-            seen: Takes who looks (G, n, 1) and who is looked at (G, 1, n), long, of the G scenes of each
-                size n, and returns what is seen (G, n, n, D), never negative.
-            pooled: Zeros (P, D): what those have who are alone.
+            seen: Takes observers (G, n, 1) and observed people (G, 1, n), long, of the G scenes of each size
+                n, and returns features (G, n, n, D), never negative.
+            pooled: Zeros (P, D): the result for people alone.
         """
         for group in self.groups:
             me, them = group.unsqueeze(2), group.unsqueeze(1)
-            nobody = me == them
+            excluded = me == them
             if self.absent is not None:
-                nobody = nobody | self.absent.unsqueeze(1)
-            most = seen(me, them).masked_fill(nobody.unsqueeze(-1), 0).amax(2)
+                excluded = excluded | self.absent.unsqueeze(1)
+            most = seen(me, them).masked_fill(excluded.unsqueeze(-1), 0).amax(2)
             pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
         return pooled
 

@@ -1,4 +1,4 @@
-"""Everybody's own frame: directions relative to where a person is walking."""
+"""Each person's own frame: directions relative to where a person is walking."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pedzoo.core import geometry
 
 
 def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
-    """Return everybody's direction (P, 2), a unit vector that changes smoothly with its arguments.
+    """Return each person's direction (P, 2), a unit vector that changes smoothly with its arguments.
 
-    The last displacement decides where there is one. For people who hardly move, all of the observed way
-    does, and for people who stand, the goal; without one it is the world's x.
+    The last displacement decides if there is one. For people who hardly move, all of the observed path
+    decides; for standing people the goal, and without one the world's x.
 
     Args:
         moved: Observed displacements (P, T, 2), metres.
@@ -27,10 +27,10 @@ def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
 
 
 def way(moved: Tensor, goal: Tensor) -> Tensor:
-    """Return everybody's direction (P, 2) as a unit vector that turns slowly, also of people who stop.
+    """Return each person's direction (P, 2) as a unit vector that turns slowly, also of people who stop.
 
-    That of the goal, and a little of the last displacement. In `heading` the displacement decides, and that
-    of people who hardly move may turn by any angle in a step: what follows in a simulation is chaos.
+    It is that of the goal, and a little of the last displacement. In `heading` the displacement decides:
+    people who hardly move may turn by any angle in a step, which makes simulations chaotic.
 
     Args:
         moved: Observed displacements (P, T, 2), metres.
@@ -48,5 +48,5 @@ def into(frame: Tensor | None, vectors: Tensor) -> Tensor:
 
 
 def out_of(frame: Tensor | None, vectors: Tensor) -> Tensor:
-    """Turn vectors (K, P, T, 2) in everybody's ``frame`` (P, 2) back into the world."""
+    """Turn vectors (K, P, T, 2) in each person's ``frame`` (P, 2) back into the world."""
     return vectors if frame is None else geometry.rotate(vectors, frame.unsqueeze(1))

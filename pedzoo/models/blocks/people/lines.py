@@ -1,4 +1,4 @@
-"""The trivial continuations: what a forecaster must beat, and what a residual model starts from.
+"""The trivial continuations: baselines of forecasters, and the start of residual models.
 
 Notation: p8 last observed position, v last displacement, g goal, k = 1..T.
 """

@@ -1,4 +1,4 @@
-"""What the others around a person do, pooled: their states relative to that person, in their frame."""
+"""Pooled states of the others around a person, relative to that person and in their frame."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ REACH = 4.0
 
 
 class RelativePooling(nn.Module):
-    """Max-pools an embedding of everybody else's relative position and velocity.
+    """Max-pools an embedding of all others' relative position and velocity.
 
-    Neither the order of people nor where the scene is or how it is turned changes anything. Whoever is
-    alone has features of zero.
+    The order of people and the pose of the scene do not matter. A person alone has features of zero.
     """
 
     def __init__(self, hidden_dim: int, dim: int) -> None:
@@ -32,7 +31,7 @@ class RelativePooling(nn.Module):
             position: Where people are (P, 2), metres.
             moved: Their last displacements (P, 2), metres.
             heading: Directions of their frames (P, 2), unit vectors.
-            crowd: Who is in one scene.
+            crowd: Which people share a scene.
         """
 
         def seen(me: Tensor, them: Tensor) -> Tensor:

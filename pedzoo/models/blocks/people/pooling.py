@@ -52,7 +52,7 @@ class PoolingWeights(NamedTuple):
 
 
 class SocialPooling(nn.Module):
-    """Max-pools what everybody in the scene is to each person."""
+    """Max-pools features of all people in the scene for each person."""
 
     def __init__(
         self, hidden_dim: int, embedding_dim: int = 16, mlp_dim: int = 512, bottleneck_dim: int = 8
@@ -77,7 +77,7 @@ class SocialPooling(nn.Module):
         Args:
             hidden: Hidden states (P, hidden_dim).
             position: World positions (P, 2), metres.
-            crowd: Who shares a scene with whom.
+            crowd: Which people share a scene.
             fused: What `fuse` returned for the same parameters.
         """
         fused = fused or self.fuse()
@@ -98,7 +98,7 @@ class SocialPooling(nn.Module):
         return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
 
     def fuse(self) -> PoolingWeights:
-        """Return what follows from the parameters alone."""
+        """Return products of the parameters alone."""
         inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
         w_e, b_e, w_1 = self.embedding.weight, self.embedding.bias, inner.weight
         w_1e, w_1h = w_1[:, : len(w_e)], w_1[:, len(w_e) :]
@@ -131,16 +131,16 @@ class _MaxOverPairs(torch.autograd.Function):
         buffer = u.new_empty(2, min(rows, len(u)), channels, width)
         for start in range(0, len(u), rows):
             part = slice(start, start + rows)
-            who, g = winner[part].flatten(), grads[0][part]
+            winners, g = winner[part].flatten(), grads[0][part]
             inner, back = buffer[:, : len(g)]
-            torch.index_select(u, 0, who, out=inner.view(-1, width))
+            torch.index_select(u, 0, winners, out=inner.view(-1, width))
             inner.sub_(v[part].unsqueeze(1)).clamp_(min=0)
             if ctx.needs_input_grad[2]:
                 grad_w += torch.bmm(g.t().unsqueeze(1), inner.transpose(0, 1)).squeeze(1)
             if to_people:
                 torch.mul(g.unsqueeze(2), weight, out=back)
                 torch.ops.aten.threshold_backward.grad_input(back, inner, 0, grad_input=back)
-                grad_u.index_add_(0, who, back.view(-1, width))
+                grad_u.index_add_(0, winners, back.view(-1, width))
                 torch.sum(back, 1, out=grad_v[part])
         return grad_u, grad_v.neg_(), grad_w, None, None
 
@@ -151,8 +151,8 @@ def _max_over_pairs(
     """Return max_j W max(u_j, v_i) over the scene of i (P, C), and which of its people won (P, C) long.
 
     Args:
-        u: What each person is to others (P, D).
-        v: What will be subtracted from it for each person who looks (P, D).
+        u: Features of each person for others (P, D).
+        v: Features of each observing person, to be subtracted later (P, D).
         weight: The last layer's W (C, D).
         groups: The people (G, n) of the scenes of each size n.
     """
@@ -163,7 +163,7 @@ def _max_over_pairs(
     buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
     result = []
     for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
-        # A single group is everybody, in order.
+        # A single group is all people, in order.
         seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
         for i in range(0, len(group), scenes):
             for k in range(0, n, rows):

@@ -36,7 +36,7 @@ def load_pybullet() -> Any:
 
 
 def connect(owner: object) -> tuple[Any, int, Callable[[], object]]:
-    """Return the module, a new client that computes in this process, and what disconnects it.
+    """Return the module, a new client that computes in this process, and the function that disconnects it.
 
     It is disconnected when ``owner`` is gone at the latest; doing it again does nothing.
     """

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.sim.physics_parts.bullet_looks import half_extents, middles
+from pedzoo.sim.physics_parts.bullet.looks import half_extents, middles
 
 WALL_HEIGHT = 2.5
 """Metres."""

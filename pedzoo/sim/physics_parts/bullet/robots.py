@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.physics_parts.bullet_looks import AWAY, UPRIGHT
-from pedzoo.sim.physics_parts.pybullet_client import load_pybullet, quiet
+from pedzoo.sim.physics_parts.bullet.client import load_pybullet, quiet
+from pedzoo.sim.physics_parts.bullet.looks import AWAY, UPRIGHT
 
 _BOUNDS = 0.0025
 """Metres by which the bounds that pybullet tells of a wheel are wider than the wheel, about."""

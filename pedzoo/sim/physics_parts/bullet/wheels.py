@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.physics_parts.bullet_looks import SHAPES
-from pedzoo.sim.physics_parts.bullet_robots import BulletRobots
-from pedzoo.sim.physics_parts.bullet_walls import build_walls
-from pedzoo.sim.physics_parts.pybullet_client import connect
+from pedzoo.sim.physics_parts.bullet.client import connect
+from pedzoo.sim.physics_parts.bullet.looks import SHAPES
+from pedzoo.sim.physics_parts.bullet.robots import BulletRobots
+from pedzoo.sim.physics_parts.bullet.walls import build_walls
 
 STEPS = 24
 """Steps of every 0.1 s."""

@@ -16,8 +16,8 @@ from pedzoo.core.geometry import TURNS_FROM, heading_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.motion import Contacts, MotionInput, Owned
-from pedzoo.sim.physics_parts.bullet_scenes import PlacedScene, as_array, moved
-from pedzoo.sim.physics_parts.bullet_wheels import STEPS, Drive
+from pedzoo.sim.physics_parts.bullet.scenes import PlacedScene, as_array, moved
+from pedzoo.sim.physics_parts.bullet.wheels import STEPS, Drive
 from pedzoo.sim.state import State
 
 

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.walls.boxes import boxes
-from pedzoo.sim.physics_parts.bullet_looks import (
+from pedzoo.sim.physics_parts.bullet.client import check_connected, connect
+from pedzoo.sim.physics_parts.bullet.looks import (
     AWAY,
     BODY_HEIGHT,
     SHAPES,
     UPRIGHT,
     BulletLooks,
 )
-from pedzoo.sim.physics_parts.bullet_robots import BulletRobots
-from pedzoo.sim.physics_parts.bullet_walls import build_walls
-from pedzoo.sim.physics_parts.bullet_wheels import DrivenRobots
-from pedzoo.sim.physics_parts.pybullet_client import check_connected, connect
+from pedzoo.sim.physics_parts.bullet.robots import BulletRobots
+from pedzoo.sim.physics_parts.bullet.walls import build_walls
+from pedzoo.sim.physics_parts.bullet.wheels import DrivenRobots
 
 RAY_HEIGHT = 1.0
 """Metres above the floor at which rays run: where a capsule is a cylinder."""

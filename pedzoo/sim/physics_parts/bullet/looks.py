@@ -1,4 +1,4 @@
-"""What cameras see of a floor plan in pybullet, apart from the bodies that questions are about."""
+"""Looks of a floor plan for pybullet's cameras, apart from the bodies of physics."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pedzoo.sim.physics_parts.bullet.client import connect, egl_plugin, load_egl
 from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Lens, person_color
-from pedzoo.sim.physics_parts.pybullet_client import connect, egl_plugin, load_egl
 
 CUT_HEIGHT = 1.0
 """Metres at which walls are cut off in pictures from above, so that people behind them are seen."""

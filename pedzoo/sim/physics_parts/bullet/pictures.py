@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.sim.physics_parts.bullet_looks import CUT_HEIGHT
-from pedzoo.sim.physics_parts.bullet_scenes import PlacedScene, as_array
-from pedzoo.sim.physics_parts.bullet_walls import WALL_HEIGHT
+from pedzoo.sim.physics_parts.bullet.looks import CUT_HEIGHT
+from pedzoo.sim.physics_parts.bullet.scenes import PlacedScene, as_array
+from pedzoo.sim.physics_parts.bullet.walls import WALL_HEIGHT
 from pedzoo.sim.physics_parts.camera import Camera, Lens
 
 _VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}

@@ -1,0 +1,1 @@
+"""Parts of the pybullet backend: scenes, walls, robots from URDF files, pictures, and the client."""
