@@ -86,7 +86,8 @@ def test_pedzoo_commands(
     found = commands()
     walk = ["--episodes", "2", "--video_seconds", "1"]
     less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk, "plans": [], "bench": BENCH}
-    less |= {"models": [], "info": [], "export": [], "evaluate": ["--suite", "encounters", "--episodes", "1"]}
+    less |= {name: [] for name in ("models", "info", "robots", "export")}
+    less["evaluate"] = ["--suite", "encounters", "--episodes", "1"]
     assert {words[0] for words in found} == {*less, *(words[0] for words in ELSEWHERE)}
     for words in found:
         if words not in ELSEWHERE:

@@ -134,7 +134,7 @@ def test_rvo2_with_random_people_ends_as_in_the_published_log_of_orca() -> None:
     from tools.bench.crowdnav_rvo2 import compare
     from tools.paper.crowdnav_published import ORCA_LOG
 
-    assert compare(ORCA_LOG, "crowdnav_orca", random_people=True, cases=8) == 8
+    assert compare(ORCA_LOG, "orca", random_people=True, cases=8) == 8
 
 
 # Rules by hand

@@ -392,7 +392,7 @@ def test_cases_are_compared_with_a_published_log_one_by_one() -> None:
     row = {"name": "crowdnav_social_force", "case": {"setting": "crowdnav_pp"}}
     row["outcomes"] = "?".join((*theirs[:3], other))  # of the log is every second case
     (line,) = agreement_page([row]).rows
-    assert line[:4] == ["SF_no_rand", "social_force", "4", "3"]
+    assert line[:4] == ["SF_no_rand", "crowdnav_social_force", "4", "3"]
     assert agreement_page([]).rows == []
 
 
@@ -408,7 +408,7 @@ def test_published_logs_are_whole() -> None:
     [
         (["--seeds", "1"], "seeds of its cases"),
         (["--episodes", "0"], "expected 1 to 500"),
-        (["--models", "orka"], "did you mean 'orca'"),
+        (["--models", "samplin"], "did you mean 'sampling'"),
         (["--physics", "torch"], "no use for it in crowdnav"),
     ],
 )
