@@ -22,7 +22,6 @@ from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import Spec, build, homes, parse, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.scenario_parts.encounter import Encounter
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario
 
 
@@ -138,9 +137,9 @@ class RobotScenes(Scenario):
     def _in_time(self, prepared: PreparedScenario, layout: Layout) -> Tensor:
         """Return starts (B, A, 2); robots stand in the warm start, and are in time to meet people.
 
-        A person of an encounter walks for the warm start, and as long as `MEET` to where people meet.
+        A person of an encounter walks for the warm start, and then ``meet`` seconds to where people meet.
         """
-        if not isinstance(self.inner, Encounter):
+        if self.inner.meet is None:
             return layout.start
         planner, people = prepared.planner, prepared.people - self.robots
         pace, own = layout.pref_speed, self.fleet.top_speed.to(layout.pref_speed)

@@ -90,6 +90,7 @@ class Encounter(Scenario):
     fewest: ClassVar[int] = 2
     most: ClassVar[int] = 50
     stray: float = 0.0
+    meet: float = MEET
     together: bool = False
 
     def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:

@@ -96,6 +96,8 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
+        meet: Seconds after the warm start at which people meet who walk from the start on; None where they
+            need not. A robot, which stands in the warm start, then starts as far ahead.
         unknown: Meaning of unknown cells of the floor plans.
     """
 
@@ -103,6 +105,7 @@ class Scenario(ABC):
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False
     smallest_radius: float | None = None
+    meet: float | None = None
     later: int = 0
     goals: int = 1
     people: int

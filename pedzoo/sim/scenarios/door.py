@@ -62,6 +62,8 @@ class Door(Scenario):
 
     name: ClassVar[str] = "door"
 
+    meet = 0.0
+
     def __init__(
         self,
         width: Numbers = 0.85,
