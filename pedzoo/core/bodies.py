@@ -139,10 +139,7 @@ class Fleet(NamedTuple):
         """
         direction = torch.stack((heading.cos(), heading.sin()), dim=-1)
         free = rotate(_limited(action, self.top_speed), direction)
-        first, second = action.unbind(-1)
-        pair = self.drive == DIFF_DRIVE
-        speed = torch.where(pair, 0.5 * (first + second), first)
-        turn = torch.where(pair, (second - first) / self.track, second)
+        speed, turn = self.speed_of(action)
         driven = self.from_speed(
             speed.clamp(self.slowest, self.top_speed), turn.clamp(-self.top_turn, self.top_turn)
         )
@@ -153,6 +150,13 @@ class Fleet(NamedTuple):
         half = 0.5 * self.track * turn
         wheels = torch.stack((speed - half, speed + half), dim=-1)
         return torch.where((self.drive == DIFF_DRIVE).unsqueeze(-1), wheels, torch.stack((speed, turn), -1))
+
+    def speed_of(self, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Return speeds and turning rates (..., R) of robots with wheels: the inverse of `from_speed`."""
+        first, second = action.unbind(-1)
+        pair = self.drive == DIFF_DRIVE
+        speed = torch.where(pair, 0.5 * (first + second), first)
+        return speed, torch.where(pair, (second - first) / self.track, second)
 
 
 def _limited(velocity: Tensor, top_speed: Tensor) -> Tensor:

@@ -27,17 +27,26 @@ from pedzoo.policies.robot_weights import PREFIX
 from pedzoo.train.run import RunFolder
 
 ROOMS = ["--config", "robot/rooms", "--model.people"]
+PEOPLE = {
+    "orca": "orca",
+    "social_force": "social_force:preset=indoor",
+    "sgan": "sgan_goal_map.indoor",
+    "mix": "orca:share=0.34+social_force:preset=indoor,share=0.33+sgan_goal_map.indoor:share=0.33",
+}
+"""Among whom robots in rooms are trained, by name."""
+
+SEEDS = 3
+"""Trainings of each of these."""
+
 ROBOTS = {
     "circle": ["--config", "robot/ppo"],
     "circle_diff_drive": ["--config", "robot/ppo", "--model.robot", "diff_drive"],
-    "orca": [*ROOMS, "orca"],
-    "social_force": [*ROOMS, "social_force:preset=indoor"],
-    "sgan": [*ROOMS, "sgan_goal_map.indoor"],
-    "mix": [
-        *ROOMS,
-        "orca:share=0.34+social_force:preset=indoor,share=0.33+sgan_goal_map.indoor:share=0.33",
-    ],
-    "orca_diff_drive": [*ROOMS, "orca", "--model.robot", "diff_drive"],
+    "mix_diff_drive": [*ROOMS, PEOPLE["mix"], "--model.robot", "diff_drive"],
+    **{
+        f"{name}-seed{seed}" if seed else name: [*ROOMS, people, "--seed_everything", str(seed)]
+        for seed in range(SEEDS)
+        for name, people in PEOPLE.items()
+    },
 }
 """Options of ``pedzoo fit`` by name: among whom, and with which body."""
 

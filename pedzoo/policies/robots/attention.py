@@ -186,6 +186,14 @@ def as_action(decision: Tensor, frame: Tensor, bodies: Fleet) -> Tensor:
     return torch.where((bodies.drive == HOLONOMIC).unsqueeze(-1), disc, bodies.from_speed(speed, turn))
 
 
+def as_decision(action: Tensor, frame: Tensor, bodies: Fleet) -> Tensor:
+    """Return the decisions (B, R, 2) of actions (B, R, 2): the inverse of `as_action`."""
+    disc = unrotate(action, frame) / bodies.top_speed.unsqueeze(-1)
+    speed, turn = bodies.speed_of(action)
+    wheels = torch.stack((speed / bodies.top_speed, turn / bodies.top_turn), dim=-1)
+    return torch.where((bodies.drive == HOLONOMIC).unsqueeze(-1), disc, wheels)
+
+
 def frame_of(scenes: TensorDictBase, bodies: Fleet) -> Tensor:
     """Return where the x axes of decisions point (B, R, 2), in the robots' own frames."""
     return _frame(cast("Any", scenes["robots", "observation", "waypoint"]), bodies)

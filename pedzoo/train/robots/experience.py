@@ -31,12 +31,13 @@ class Gatherer:
         self._now: TensorDictBase | None = None
 
     @torch.no_grad()
-    def gather(self, acting: TensorDictModuleBase, steps: int) -> TensorDict:
+    def gather(self, acting: TensorDictModuleBase, steps: int, teacher: Teacher | None = None) -> TensorDict:
         """Return decisions (B, T, R) with what followed under ``next``.
 
         Args:
             acting: Writes ``robots/decision`` and ``log_prob``.
             steps: T.
+            teacher: Says what it would have decided (B, R, 2): ``robots/taught``.
         """
         if self._now is None:
             self.env.set_seed(self._seed, static_seed=True)
@@ -45,6 +46,8 @@ class Gatherer:
         for _ in range(steps):
             before = now.select(*_KEPT).clone()
             acting(before)
+            if teacher:
+                before["robots", "taught"] = teacher(now)
             act(now, before["robots", "decision"])
             whole, now = self.env.step_and_maybe_reset(now)
             then = whole["next"].select(
@@ -54,6 +57,10 @@ class Gatherer:
             lived.append(before)
         self._now = now
         return cast("TensorDict", torch.stack(lived, 1))
+
+
+Teacher = Callable[[TensorDictBase], Tensor]
+"""Returns decisions (B, R, 2) for scenes, see `pedzoo.policies.robots.attention.Attention.mean`."""
 
 
 def act(scenes: TensorDictBase, decision: Tensor) -> None:

@@ -22,7 +22,7 @@ from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.robots.acting import Mean, Value, actor
 from pedzoo.train.robots.crossing import CrossingEnv
 from pedzoo.train.robots.experience import Gatherer, ends, rated, walked_once
-from pedzoo.train.robots.teacher import taught
+from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
 _SEEDS = 2**52
 """Seeds of scenes in training begin here: nothing is evaluated on these."""
@@ -59,6 +59,7 @@ class RobotPPO(L.LightningModule):
         episodes: int = 100,
         physics: str = "compiled",
         imitate: int = 0,
+        teacher: str = CONSTANT_VELOCITY,
         std: float = 0.4,
         lr: float = 1e-3,
         final_lr: float = 0.05,
@@ -86,8 +87,8 @@ class RobotPPO(L.LightningModule):
             updates: In an epoch.
             episodes: Of every scenario in a validation.
             physics: As in `pedzoo.make_robot_env`.
-            imitate: So many updates at the beginning follow a teacher, not rewards; see
-                `pedzoo.train.robots.teacher.taught`.
+            imitate: So many updates at the beginning follow a teacher, not rewards.
+            teacher: Its name; see `pedzoo.train.robots.teacher.teacher_of`.
             std: Standard deviation of decisions at the beginning, a share of the robot's limits.
             lr: Learning rate of Adam at the beginning.
             final_lr: Share of it left at the end; it falls linearly.
@@ -123,6 +124,7 @@ class RobotPPO(L.LightningModule):
         self.envs, self.steps, self.updates, self.episodes = envs, steps, updates, episodes
         self.lr, self.final_lr, self.clip = lr, final_lr, clip
         self.passes, self.minibatches, self.imitate = passes, minibatches, imitate
+        self.teacher = teacher_of(teacher)
         self.gamma, self.gae_lambda = gamma, gae_lambda
         self.weights = clip_ratio, entropy, critic
         self.mean, self.value = Mean(policy, std), Value(policy)
@@ -181,12 +183,12 @@ class RobotPPO(L.LightningModule):
         began = time.perf_counter()
         torch.manual_seed(self.seed * 1_000_003 + int(self.iteration))
         acting, loss, estimate, gatherers = self._parts
-        lived: Any = torch.cat([one.gather(acting, self.steps) for one in gatherers])
+        imitates = int(self.iteration) < self.imitate
+        teacher = self.teacher if imitates else None
+        lived: Any = torch.cat([one.gather(acting, self.steps, teacher) for one in gatherers])
         log = ends(lived["next"])
         log["reward"] = lived["next", "robots", "reward"].mean()
         known = rated(lived, self.value, estimate)
-        if imitates := int(self.iteration) < self.imitate:
-            known["robots", "taught"] = torch.cat([taught(part) for part in known.split(4096)])
         log |= self._learn(loss, known, imitates)
         self.iteration += 1
         log |= {"std": self.mean.log_std.detach().exp().mean()}

@@ -1,4 +1,4 @@
-"""A teacher for the first updates: the best of some constant velocities, while all others walk on."""
+"""Teachers for the first updates: any robot's policy, or the best of some constant velocities."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.geometry import unrotate
+from pedzoo.policies.load import load_robot_policy
 from pedzoo.policies.robot_policy import bodies_of
-from pedzoo.policies.robots.attention import TURN_GAIN
+from pedzoo.policies.robots.attention import TURN_GAIN, as_decision, frame_of
+from pedzoo.train.robots.experience import Teacher
 
 DIRECTIONS, SPEEDS, HORIZON, STEP = 24, 3, 12, 0.25
 """How many are tried, and for how many steps of so many seconds."""
@@ -22,6 +24,29 @@ WALL_SPARE = 0.2
 
 MARGIN, MARGIN_COST, COLLISION_COST, DISCOUNT = 0.25, 4.0, 10.0, 0.97
 """Metres to keep from others, what a metre too near costs for a second, a contact, and the next step."""
+
+
+CONSTANT_VELOCITY = "constant_velocity"
+"""The name of the teacher that knows no more than the robot senses."""
+
+
+def teacher_of(name: str) -> Teacher:
+    """Return a teacher: `CONSTANT_VELOCITY`, or a policy of robots by its name with settings.
+
+    Such a policy may see everything: `pedzoo.policies.load.load_robot_policy`.
+
+    Raises:
+        UserError: An unknown name or setting.
+    """
+    if name == CONSTANT_VELOCITY:
+        return taught
+    policy = load_robot_policy(name)
+
+    def decision(scenes: TensorDictBase) -> Tensor:
+        bodies = bodies_of(scenes)
+        return as_decision(policy.action(scenes), frame_of(scenes, bodies), bodies)
+
+    return decision
 
 
 @torch.no_grad()
