@@ -65,7 +65,7 @@ class AsRecorded(Script):
         )
         return torch.where(there, scheduled, -1)
 
-    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
+    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor, before: bool = False) -> Tensor:
         return torch.zeros_like(person, dtype=torch.bool)
 
 

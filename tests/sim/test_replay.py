@@ -467,6 +467,23 @@ def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
     assert same > 300
 
 
+def test_others_are_taken_over_when_they_would_be_around_one_person(folder: Path) -> None:
+    one, around = (replay(folder, "first second", simulated=which) for which in ("one", "around"))
+    assert around.scenes == one.scenes == 5 and around.script is not None
+    people, result, alone = around.persons, run(around, GoToGoal(), 0.4, 5), run(one, GoToGoal(), 0.4, 5)
+    reacting = []
+    for scene in range(5):
+        origin, lead = (int(part[scene]) for part in (around.script.scenes.origin, around.script.scenes.lead))
+        assert alone.person[scene][alone.controlled[scene]].unique().tolist() == [lead]
+        who, moved = result.person[scene], result.controlled[scene]
+        for number in set(who[moved].tolist()) - {lead}:
+            first = int(((who == number) & moved).any(0).nonzero()[0])
+            # a policy takes a person over in a frame of 0.4 s; who was taken before the scene is so at once
+            assert first == max(4 * (int(people.taken[number]) - origin), 0)
+            reacting.append(number)
+    assert len(reacting) >= 2 and people.controlled[torch.tensor(reacting)].all()
+
+
 def test_stays_are_people_and_not_slots(folder: Path) -> None:
     scenario = replay(folder)
     real = scenario.real()

@@ -22,7 +22,8 @@ class Scenes(NamedTuple):
         until: Frame from which on none of its people are there (R,) long.
         last: Frame in which the policy takes a person over for the last time (R,) long.
         left: Frame in which the last of them really leaves (R,) long.
-        lead: The only person that it takes over (R,) long, -1 where it takes over all that it can.
+        lead: The person that it takes over first (R,) long, -1 for none.
+        others: Whether it takes over all others that it can, too (R,) bool.
     """
 
     table: Tensor
@@ -31,6 +32,7 @@ class Scenes(NamedTuple):
     last: Tensor
     left: Tensor
     lead: Tensor
+    others: Tensor
 
 
 class Opening(NamedTuple):
@@ -148,7 +150,7 @@ class Script:
         return Opening(
             scene=scene,
             person=person,
-            controlled=self._taken(scene, person, at),
+            controlled=self._taken(scene, person, at, before=True),
             observed_points=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
             velocity=(following - last) / STEP_SECONDS,
             deadline=self._deadline(scene, person),
@@ -156,12 +158,13 @@ class Script:
 
     def scored(self, scene: Tensor, person: Tensor) -> Tensor:
         """Return which people the policy has at some time (B, A) bool."""
-        lead = self.scenes.lead[scene].unsqueeze(1)
-        return self.people.controlled[person] & (person >= 0) & ((lead < 0) | (person == lead))
+        lead, others = self.scenes.lead[scene].unsqueeze(1), self.scenes.others[scene].unsqueeze(1)
+        return self.people.controlled[person] & (person >= 0) & (others | (person == lead))
 
-    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor) -> Tensor:
-        """Return which people the policy takes over in this frame (B, A) bool."""
-        return self.scored(scene, person) & (self.people.taken[person] == frame)
+    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor, before: bool = False) -> Tensor:
+        """Return which people the policy takes over in this frame (B, A) bool, or took over ``before``."""
+        taken = self.people.taken[person]
+        return self.scored(scene, person) & (taken <= frame if before else taken == frame)
 
     def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
         steps = self.people.until[person] - self.scenes.origin[scene].unsqueeze(1)

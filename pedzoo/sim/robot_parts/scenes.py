@@ -164,7 +164,8 @@ def with_robots(
 
     Args:
         scenario: Such as ``goals:map=plan.yaml,people=6``: six people, and the robots. In
-            ``replay:simulated=one`` a robot takes the place of one recorded person.
+            ``replay:simulated=one`` a robot takes the place of one recorded person; others are played back. With
+            ``simulated=around`` they are moved by the people's policy.
         bodies: Of the robots.
         robot_goals: Goals that each robot has to reach.
         present: Without it the robots are missing: the same people, in the same scenes.
@@ -177,10 +178,10 @@ def with_robots(
     settings = dict(spec.settings)
     cls = SCENARIOS.get(spec.name, Scenario)
     if spec.name == "replay":
-        if len(bodies) > 1 or settings.setdefault("simulated", "one") != "one":
+        if len(bodies) > 1 or settings.setdefault("simulated", "one") == "all":
             raise UserError(
                 f"replay with {len(bodies)} robots, simulated={settings['simulated']}: expected one robot "
-                "in the place of one person, simulated=one"
+                "in the place of one person, simulated=one, or simulated=around if people are to react"
             )
     elif "people" not in setting_types(cls):
         raise UserError(

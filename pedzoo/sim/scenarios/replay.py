@@ -25,7 +25,7 @@ from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
 
-Simulated = Literal["all", "one"]
+Simulated = Literal["all", "one", "around"]
 
 CELL, SHARE = 0.1, 0.2
 """Metres: cells on which ways are planned, and squares in which exits share them; see `Planner`."""
@@ -43,7 +43,8 @@ class Replay(Scenario):
 
     A recording is cut where no person is left (in a recording of sparse crowds), so that its parts run side
     by side: part i of R is scene i, i + R, ... of every seed; only the policy's noise differs. With
-    ``simulated=one`` each person has a scene of their own in which all others are played back.
+    ``simulated=one`` each person has a scene of their own in which all others are played back; with
+    ``simulated=around`` the policy moves them from the moment at which it would have taken them over.
     """
 
     unknown: Unknown = "free"
@@ -69,7 +70,8 @@ class Replay(Scenario):
             dt: Seconds between consecutive frame numbers of ``files``.
             map: The floor plan of ``files``; without one there are no walls.
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
-            simulated: ``all``, or one person per scene among all others as they were recorded.
+            simulated: ``all``; ``one`` person per scene among all others as they were recorded; or ``around``:
+                scenes as of ``one``, in which the policy moves the others, too, so that they react.
             share: Only people who come in this first share of the time are simulated, others are played
                 back: a tenth gives a quick look.
             speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole
@@ -131,8 +133,11 @@ class Replay(Scenario):
         self, planner: Planner, map_id: Tensor, people: RecordedPeople, xy: Tensor
     ) -> PreparedReplay:
         """Give people slots, and print how many are simulated and played back."""
-        scripted = _all_simulated if self.simulated == "all" else _one_simulated
-        script = Script(people, xy, *scripted(people, len(map_id)))
+        if self.simulated == "all":
+            occupants, scenes = _all_simulated(people, len(map_id))
+        else:
+            occupants, scenes = _one_simulated(people, len(map_id), self.simulated == "around")
+        script = Script(people, xy, occupants, scenes)
         result = PreparedReplay(scenario=self, planner=planner, tables=map_id, script=script)
         kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
         print(
@@ -211,25 +216,26 @@ def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Sce
             if len(scored):
                 origin = people.first[group].min() + OBS_LEN - 1
                 last, left = people.taken[scored].max(), people.last[scored].max()
-                scene_rows.append((recording, origin, people.until[group].max(), last, left, -1))
+                scene_rows.append((recording, origin, people.until[group].max(), last, left, -1, True))
     occupants = _occupants(people, slot, people.until, frames, int(slot.max()) + 1, recordings)
     return occupants, _scenes_of(scene_rows)
 
 
-def _one_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scenes]:
+def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, Scenes]:
     """Return the same with a scene for each person, ordered by how long they stay."""
-    frames = int(people.last.max()) + 1
+    until = people.until if around else people.last
+    frames = int(until.max()) + 1
     slot = torch.full_like(people.first, -1)
     for recording in range(recordings):
         mine = (people.recording == recording).nonzero()[:, 0]
-        slot[mine] = slots(people.first[mine], people.last[mine])
+        slot[mine] = slots(people.first[mine], until[mine])
     leads = people.controlled.nonzero()[:, 0]
     leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
     scene_rows = [
-        (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p)
+        (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p, around)
         for p in leads
     ]
-    occupants = _occupants(people, slot, people.last, frames, int(slot.max()) + 2, recordings)
+    occupants = _occupants(people, slot, until, frames, int(slot.max()) + 2, recordings)
     return occupants, _scenes_of(scene_rows)
 
 
@@ -241,4 +247,5 @@ def _occupants(
 
 
 def _scenes_of(rows: list[tuple[Any, ...]]) -> Scenes:
-    return Scenes(*(torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True)))
+    *numbers, others = (torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True))
+    return Scenes(*numbers, others.bool())
