@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 ONLY = {
     "folds": ("table1",),
-    "data_root": ("table1", "loop"),
+    "data_root": ("table1", "loop", "robots"),
     "maps": ("table2", "loop"),
-    "models": ("table2", "figure4", "loop", "crowdnav"),
-    "episodes": ("table2", "figure4", "loop", "crowdnav"),
-    "physics": ("table2", "figure4", "loop"),
+    "models": ("table2", "figure4", "loop", "crowdnav", "robots"),
+    "episodes": ("table2", "figure4", "loop", "crowdnav", "robots"),
+    "physics": ("table2", "figure4", "loop", "robots"),
 }
 """Options that only some have a use for."""
 
@@ -33,11 +33,12 @@ table2   from goal to goal: total steps, goals per person, steps per goal, at tw
 figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
 loop     what controllers trained in the loop have to show: doors, buildings, crowds, noise, recorded people
 crowdnav robots among CrowdNav's 5 and CrowdNav++'s 20 people; --models names robots, or FILE.py:Class
+robots   robots trained among each kind of people, tested among all others and in a recorded crowd
 
-Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV. What was interrupted goes on where it was."""
+Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV, ROBOTS. What was interrupted goes on."""
     parser = Arguments("reproduce", about, EXAMPLE)
     parser.add_argument(
-        "what", choices=("table1", "table2", "figure4", "loop", "crowdnav"), help="what is made"
+        "what", choices=("table1", "table2", "figure4", "loop", "crowdnav", "robots"), help="what is made"
     )
     parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
     parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
@@ -45,7 +46,7 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV. What was interrupte
     parser.add_argument("--workers", type=int, default=1, help="processes; the numbers stay the same")
     parser.add_argument("--folds", metavar="FOLD,...", help="table1: test scenes (default: all five)")
     parser.add_argument(
-        "--data.root", dest="data_root", metavar="FOLDER", help="table1, loop: the recordings"
+        "--data.root", dest="data_root", metavar="FOLDER", help="table1, loop, robots: the recordings"
     )
     parser.add_argument("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
     parser.add_argument("--episodes", type=int, help="not table1: of every case and seed")
@@ -130,6 +131,8 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
         from tools.paper.table2 import Table2 as Walked
     elif options.what == "loop":
         from tools.paper.loop import Loop as Walked
+    elif options.what == "robots":
+        from tools.paper.robots import RobotTransfer as Walked
     else:
         from tools.paper.figure4 import Figure4 as Walked
     evaluation_options = EvaluationOptions(

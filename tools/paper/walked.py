@@ -10,7 +10,7 @@ from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.results import INTERVALS, legend, said
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.workers.progress_meter import Progress
-from pedzoo.models.zoo.loading import list_models
+from pedzoo.models.zoo.store import names as zoo_names
 from tools.paper.base import Reproduction
 
 
@@ -45,7 +45,7 @@ class Walked(Reproduction):
         Raises:
             UserError: As of `pedzoo.eval.evaluate.evaluate`.
         """
-        present = set(list_models())
+        present = set(zoo_names())
         self.missing = [] if models else [name for name in self.models if name not in present]
         self.policies = list(models) or [name for name in self.models if name in present]
         names = [*self.policies, *self.baselines]

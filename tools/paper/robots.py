@@ -1,0 +1,169 @@
+"""Among whom should a robot learn? Robots trained among each kind of people, tested among all others."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from pedzoo.core.paths import write_whole
+from pedzoo.eval.results import Page
+from tools.paper.suites.transfer import PLACES, REACTING, RECORDED
+from tools.paper.walked import Walked
+from tools.zoo.robots import PEOPLE, SEEDS
+
+COLUMNS: Sequence[tuple[str, str]] = (
+    *((place, kind) for place in PLACES for kind in PEOPLE),
+    *((place, REACTING) for place in RECORDED),
+)
+"""Places and kinds of people, as columns."""
+
+SHOWN = {
+    "success": ("success", 2),
+    "collision_person": ("share of robots that touch a person", 2),
+    "stl": ("STL: success, weighted by the time that the way takes alone", 2),
+    "delay_s": ("delay of people because of the robot, seconds", 2),
+}
+"""Metrics of the tables, with digits."""
+
+_SEED = re.compile(r"-seed\d+$")
+
+
+class RobotTransfer(Walked):
+    """Robots trained among each kind of people x people whom they are tested among."""
+
+    title = "Robots: trained among some people, tested among others"
+    stem = "ROBOTS"
+    suites = ("transfer",)
+    models = tuple(
+        f"robot_ppo.{kind}{f'-seed{seed}' if seed else ''}" for kind in PEOPLE for seed in range(SEEDS)
+    )
+    baselines = ("straight", "orca", "sampling", "sgan_goal_map.indoor")
+
+    def notes(self) -> list[str]:
+        """Return what has to be known to read the numbers."""
+        kinds = "; ".join(f"{kind}: `{people}`" for kind, people in PEOPLE.items())
+        places = "; ".join(
+            f"{name}: {place.title}, `{place.scenario}`" for name, place in ({**PLACES, **RECORDED}).items()
+        )
+        return [
+            f"people: {kinds}",
+            f"places: {places}",
+            f"`robot_ppo.KIND` learned among people of that kind; mean [least, largest] of {SEEDS} trainings",
+            "orca, sampling and sgan_goal_map.indoor see the true state of all; learned robots see 5 m of "
+            "lidar and the people around. orca and sgan_goal_map.indoor drive as themselves",
+            f"recorded people who react are moved by `{PEOPLE[REACTING]}` from where they are recorded",
+        ]
+
+    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+        """Return the answer, and a table of each metric."""
+        return transfer_pages(report["rows"])
+
+    def draw(self, folder: Path) -> list[Path]:
+        """Draw success as a map of colours: robots as rows, tests as columns."""
+        groups = grouped(self.evaluation.report()["rows"])
+        if not groups:
+            return []
+        values = [[_mean(rows, "success", *column) for column in COLUMNS] for rows in groups.values()]
+        figure = Figure(figsize=(0.62 * len(COLUMNS) + 2.6, 0.42 * len(groups) + 2.2), layout="constrained")
+        axes = figure.subplots()
+        image = axes.imshow(values, vmin=0.5, vmax=1, cmap="viridis", aspect="auto")
+        axes.set_yticks(range(len(groups)), list(groups))
+        axes.set_xticks(
+            range(len(COLUMNS)), [f"{place}: {kind}" for place, kind in COLUMNS], rotation=50, ha="right"
+        )
+        for y, row in enumerate(values):
+            for x, value in enumerate(row):
+                colour = "black" if value > 0.8 else "white"
+                axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=8, color=colour)
+        axes.set_title("success; mean over trainings")
+        figure.colorbar(image, ax=axes, shrink=0.8)
+        data = BytesIO()
+        figure.savefig(data, format="png", dpi=130)
+        path = folder / f"{self.stem}.png"
+        write_whole(path, data.getvalue())
+        return [path]
+
+
+def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[Page]:
+    """Return the answer, and a table of each metric; nothing where no robot has been tested everywhere."""
+    groups = grouped(rows)
+    if not groups:
+        return []
+    head = ["robot", *(f"{place}\n{kind}" for place, kind in COLUMNS)]
+    tables = [
+        Page(title, head, [[name, *_cells(tested, key, digits)] for name, tested in groups.items()], 1)
+        for key, (title, digits) in SHOWN.items()
+    ]
+    return [_answer(groups), *tables]
+
+
+Group = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
+"""Rows of all trainings of a robot by place and kind of people."""
+
+
+def grouped(rows: Sequence[Mapping[str, Any]]) -> dict[str, Group]:
+    """Return rows by robot, all seeds of one training together, where each has been tested everywhere."""
+    result: dict[str, dict[tuple[str, str], list[Mapping[str, Any]]]] = {}
+    for row in rows:
+        where = row["case"]["place"], row["case"]["people"]
+        result.setdefault(_SEED.sub("", row["name"]), {}).setdefault(where, []).append(row)
+    return {name: cases for name, cases in result.items() if all(column in cases for column in COLUMNS)}
+
+
+def _values(rows: Group, key: str, place: str, kind: str) -> list[float]:
+    return [row["metrics"][key] for row in rows[place, kind] if key in row["metrics"]]
+
+
+def _mean(rows: Group, key: str, place: str, kind: str) -> float:
+    values = _values(rows, key, place, kind)
+    return sum(values) / len(values) if values else float("nan")
+
+
+def _cells(rows: Group, key: str, digits: int) -> list[str]:
+    return [_spread(_values(rows, key, *column), digits) for column in COLUMNS]
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    """Return the mean of some trainings, and the least and the largest where there are several."""
+    if not values:
+        return "-"
+    text = f"{sum(values) / len(values):.{digits}f}"
+    return text if len(values) == 1 else f"{text} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
+
+
+def _answer(groups: Mapping[str, Group]) -> Page:
+    """Return the mean over all kinds of people in each place, the best robot first."""
+    places = [*PLACES, *RECORDED]
+
+    def means(rows: Group, key: str) -> list[list[float]]:
+        """Return means over kinds, for each training, of each place."""
+        trainings = min(len(cases) for cases in rows.values())
+        return [
+            [
+                sum(values) / len(values)
+                for number in range(trainings)
+                if (
+                    values := [
+                        _values(rows, key, *column)[number] for column in COLUMNS if column[0] == place
+                    ]
+                )
+            ]
+            for place in places
+        ]
+
+    body = []
+    for name, rows in groups.items():
+        by_place = means(rows, "success")
+        overall = [sum(seed) / len(seed) for seed in zip(*by_place, strict=True)]
+        touches = [sum(seed) / len(seed) for seed in zip(*means(rows, "collision_person"), strict=True)]
+        body.append(
+            [name, *(_spread(values, 3) for values in (overall, touches)), *(_spread(v, 2) for v in by_place)]
+        )
+    body.sort(key=lambda line: -float(line[1].split()[0]))
+    head = ["robot", "success everywhere", "touches a person", *places]
+    return Page("Among whom should a robot learn? Success, mean over all kinds of people", head, body, 1)
