@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT, agents_of, maps_of
+from pedzoo.core.batch import ROBOT, agents_of, maps_of, others_of
 from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import unrotate
@@ -109,7 +109,7 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
     position = cast("Tensor", agents["history"])[:, :, -1]
     velocity, goal = (cast("Tensor", agents[name]) for name in ("velocity", "goal"))
     radius, heading = (cast("Tensor", agents[name])[..., 0] for name in ("radius", "heading"))
-    mask = cast("Tensor", agents["mask"])
+    others = others_of(cast("Tensor", agents["mask"]), count).flatten(0, 1)
 
     def own(value: Tensor) -> Tensor:
         return value[:, -count:].flatten(0, 1)
@@ -117,9 +117,6 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
     def around(value: Tensor) -> Tensor:
         return value.unsqueeze(1).expand(-1, count, *value.shape[1:]).flatten(0, 1)
 
-    slots = torch.arange(mask.shape[1], device=mask.device)
-    itself = slots == slots[-count:].unsqueeze(1)
-    others = around(mask) & ~itself.repeat(len(mask), 1)
     robot = Robot(own(position), own(velocity), own(goal), own(radius), bodies.top_speed.flatten())
     ahead = torch.stack((heading.cos(), heading.sin()), dim=-1)
     # the scene batch has no turn rates; a planner's window begins at none

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from pedzoo.core.batch import others_of
 from pedzoo.core.errors import UserError
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor
 from pedzoo.sim.robot_parts.view import RobotView
@@ -61,10 +62,7 @@ class Patch(Sensor):
         points = (view.world(own) + view.position[:, :, None, None]).flatten(2, 3)
         gap, _ = view.physics.bank.closest_wall(points, state.map_id, state.pose)
         away = torch.cdist(points.flatten(1, 2), state.position).view(scenes, robots, -1, agents)
-        itself = torch.arange(agents, device=away.device) == (
-            torch.arange(agents - robots, agents, device=away.device).unsqueeze(1)
-        )
-        there = state.mask.unsqueeze(1) & ~itself
-        bodies = ((away < state.radius[:, None, None]) & there.unsqueeze(2)).any(-1)
+        there = others_of(state.mask, robots).unsqueeze(2)
+        bodies = ((away < state.radius[:, None, None]) & there).any(-1)
         layers = torch.stack((gap <= 0, bodies), dim=2).to(points.dtype)
         return {"patch": layers.unflatten(3, (self.cells, self.cells))}

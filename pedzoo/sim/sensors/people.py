@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from pedzoo.core.batch import others_of
 from pedzoo.core.errors import UserError
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor
 from pedzoo.sim.robot_parts.view import RobotView
@@ -64,10 +65,7 @@ class People(Sensor):
         shape = (scenes, robots, agents, 2)
         place = view.own_places(state.position.unsqueeze(1).expand(shape))
         distance = torch.linalg.vector_norm(place, dim=-1)
-        itself = torch.arange(agents, device=distance.device) == (
-            torch.arange(agents - robots, agents, device=distance.device).unsqueeze(1)
-        )
-        seen = state.mask.unsqueeze(1) & ~itself & (distance <= self.reach)
+        seen = others_of(state.mask, robots) & (distance <= self.reach)
         if self.half_angle < math.pi:
             seen = seen & (torch.atan2(place[..., 1], place[..., 0]).abs() <= self.half_angle)
         if self.line_of_sight:
