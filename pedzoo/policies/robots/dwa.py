@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import heading_of
+from pedzoo.core.geometry import direction_of, heading_of
 from pedzoo.policies.local_planner import Clearance, Drive, People, Robot
 
 
@@ -133,7 +133,7 @@ def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | flo
     """
     half = 0.5 * turn_rate * seconds
     chord = speed * seconds * torch.sinc(half / math.pi)
-    return chord[..., None] * torch.stack(((heading + half).cos(), (heading + half).sin()), dim=-1)
+    return chord[..., None] * direction_of(heading + half)
 
 
 def free_seconds(

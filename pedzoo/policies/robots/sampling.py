@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import rotate
+from pedzoo.core.geometry import direction_of, rotate
 from pedzoo.policies.local_planner import Clearance, People, Robot
 
 ROUNDING = 1e-5
@@ -103,8 +103,7 @@ def velocities(robot: Robot, settings: SamplingSettings) -> Tensor:
     angle = torch.arange(settings.directions, device=like.device, dtype=like.dtype) * (
         2 * math.pi / settings.directions
     )
-    turn = torch.stack((angle.cos(), angle.sin()), dim=-1)
-    ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], turn)
+    ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], direction_of(angle))
     share = torch.arange(settings.speeds, 0, -1, device=like.device, dtype=like.dtype) / settings.speeds
     moving = (ahead[:, :, None] * share[:, None]).flatten(1, 2) * robot.v_pref[:, None, None]
     return torch.cat((moving, torch.zeros_like(moving[:, :1])), dim=1)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor
 from pedzoo.sim.robot_parts.view import RobotView
 
@@ -63,5 +64,4 @@ class Lidar(Sensor):
     def read(self, view: RobotView) -> dict[str, Tensor]:
         """See `Sensor.read`."""
         angle = view.heading.unsqueeze(-1) + self._angles.to(view.heading.device)
-        direction = torch.stack((angle.cos(), angle.sin()), dim=-1)
-        return {"lidar": view.rays(direction, self.reach)}
+        return {"lidar": view.rays(direction_of(angle), self.reach)}
