@@ -7,7 +7,7 @@ Magazine 4(1), 1997. B robots, S samples, N people.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
@@ -177,25 +177,9 @@ class Dwa:
     It remembers where it faces and how it moves. Its velocities lead to the ends of its arcs.
     """
 
-    def __init__(
-        self,
-        time_step: float = 0.25,
-        acceleration: float = 1.0,
-        turn_acceleration: float = 3.0,
-        top_turn_rate: float = 1.5,
-        margin: float = 0.1,
-        heading_weight: float = 0.8,
-        clearance_weight: float = 0.8,
-        speed_weight: float = 0.4,
-    ) -> None:
-        """Set the `DwaSettings`; ``time_step`` is in seconds.
-
-        Raises:
-            UserError: A setting is out of range.
-        """
-        names = DwaSettings.__dataclass_fields__
-        given = {name: value for name, value in locals().items() if name in names}
-        self.settings, self.time_step = replace(DwaSettings(), **given), time_step
+    def __init__(self, settings: DwaSettings = DwaSettings(), time_step: float = 0.25) -> None:
+        """Take the settings; ``time_step`` is in seconds."""
+        self.settings, self.time_step = settings, time_step
         self._drive: Drive | None = None
 
     def command(
