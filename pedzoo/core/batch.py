@@ -61,6 +61,12 @@ def usual_body(radius: Tensor) -> Tensor:
     return (radius - BODY_RADIUS).abs() < 1e-6
 
 
+def others_of(mask: Tensor, robots: int) -> Tensor:
+    """Return which agents of ``mask`` (B, A) bool are other ones than each of the last R (B, R, A) bool."""
+    slots = torch.arange(mask.shape[1], device=mask.device)
+    return mask.unsqueeze(1) & (slots != slots[-robots:].unsqueeze(1))
+
+
 def scene_batch(
     *,
     maps: MapBank,

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import limit_speed, rotate
+from pedzoo.core.geometry import direction_of, limit_speed, rotate
 
 HOLONOMIC, UNICYCLE, DIFF_DRIVE = range(3)
 """How a body moves: in any direction, along its heading, or on two wheels; see `pedzoo.sim.dynamics`."""
@@ -137,8 +137,7 @@ class Fleet(NamedTuple):
             action: In the robots' frames, see `RobotBody`.
             heading: Of the robots (B, R), radians.
         """
-        direction = torch.stack((heading.cos(), heading.sin()), dim=-1)
-        free = rotate(_limited(action, self.top_speed), direction)
+        free = rotate(_limited(action, self.top_speed), direction_of(heading))
         speed, turn = self.speed_of(action)
         driven = self.from_speed(
             speed.clamp(self.slowest, self.top_speed), turn.clamp(-self.top_turn, self.top_turn)

@@ -47,6 +47,11 @@ def heading_of(velocity: Tensor, before: Tensor | None = None, slowest: float = 
     return angle if before is None else torch.where(moves, angle, before)
 
 
+def direction_of(heading: Tensor) -> Tensor:
+    """Return unit vectors (..., 2) of directions (...), radians from the x axis."""
+    return torch.stack((heading.cos(), heading.sin()), dim=-1)
+
+
 def nearest_part(away: Tensor, move: Tensor) -> Tensor:
     """Return at which part (...), 0 to 1, of a straight relative move (..., 2) two are nearest; no gradient.
 
@@ -76,13 +81,13 @@ def turn_to_scene(vectors: Tensor, pose: Tensor) -> Tensor:
     """Mirror, then rotate map-frame directions (B, ..., 2) into the scene of ``pose`` (B, 4)."""
     pose = _align(pose, vectors)
     mirrored = torch.stack((vectors[..., 0], vectors[..., 1] * pose[..., 1]), dim=-1)
-    return rotate(mirrored, _direction(pose))
+    return rotate(mirrored, direction_of(pose[..., 0]))
 
 
 def turn_to_map(vectors: Tensor, pose: Tensor) -> Tensor:
     """Turn scene directions (B, ..., 2) back into the map's frame: the inverse of `turn_to_scene`."""
     pose = _align(pose, vectors)
-    turned = unrotate(vectors, _direction(pose))
+    turned = unrotate(vectors, direction_of(pose[..., 0]))
     return torch.stack((turned[..., 0], turned[..., 1] * pose[..., 1]), dim=-1)
 
 
@@ -94,10 +99,6 @@ def move_to_scene(points: Tensor, pose: Tensor) -> Tensor:
 def move_to_map(points: Tensor, pose: Tensor) -> Tensor:
     """Move scene positions (B, ..., 2) to where they are on the floor plan: inverse of `move_to_scene`."""
     return turn_to_map(points - _align(pose, points)[..., 2:], pose)
-
-
-def _direction(pose: Tensor) -> Tensor:
-    return torch.stack((pose[..., 0].cos(), pose[..., 0].sin()), dim=-1)
 
 
 def _align(pose: Tensor, like: Tensor) -> Tensor:

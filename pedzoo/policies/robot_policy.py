@@ -11,10 +11,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT, agents_of, maps_of
+from pedzoo.core.batch import ROBOT, agents_of, maps_of, others_of
 from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import unrotate
+from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.local_planner import Clearance, Drive, LocalPlanner, People, Robot
 from pedzoo.policies.policy import Policy
@@ -109,7 +109,7 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
     position = cast("Tensor", agents["history"])[:, :, -1]
     velocity, goal = (cast("Tensor", agents[name]) for name in ("velocity", "goal"))
     radius, heading = (cast("Tensor", agents[name])[..., 0] for name in ("radius", "heading"))
-    mask = cast("Tensor", agents["mask"])
+    others = others_of(cast("Tensor", agents["mask"]), count).flatten(0, 1)
 
     def own(value: Tensor) -> Tensor:
         return value[:, -count:].flatten(0, 1)
@@ -117,13 +117,10 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
     def around(value: Tensor) -> Tensor:
         return value.unsqueeze(1).expand(-1, count, *value.shape[1:]).flatten(0, 1)
 
-    slots = torch.arange(mask.shape[1], device=mask.device)
-    itself = slots == slots[-count:].unsqueeze(1)
-    others = around(mask) & ~itself.repeat(len(mask), 1)
     robot = Robot(own(position), own(velocity), own(goal), own(radius), bodies.top_speed.flatten())
-    ahead = torch.stack((heading.cos(), heading.sin()), dim=-1)
     # the scene batch has no turn rates; a planner's window begins at none
-    drive = Drive(own(heading), own((velocity * ahead).sum(-1)), torch.zeros_like(robot.radius))
+    speed = own((velocity * direction_of(heading)).sum(-1))
+    drive = Drive(own(heading), speed, torch.zeros_like(speed))
     return robot, drive, People(around(position), around(velocity), around(radius), others)
 
 
@@ -150,8 +147,7 @@ def tracked(velocity: Tensor, heading: Tensor, bodies: Fleet) -> Tensor:
     farther they face away (cos^3), not at all beyond 90 degrees. So they follow late what was decided for a
     disc that moves in any direction: such a policy is a baseline, and not at its best.
     """
-    direction = torch.stack((heading.cos(), heading.sin()), dim=-1)
-    own = unrotate(velocity, direction)
+    own = unrotate(velocity, direction_of(heading))
     speed = torch.linalg.vector_norm(velocity, dim=-1)
     off = torch.atan2(own[..., 1], own[..., 0])
     off = torch.where(speed > 1e-3, off, 0.0)

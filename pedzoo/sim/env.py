@@ -281,8 +281,8 @@ class PedestrianEnv(EnvBase):
 
     def _observation(self, state: State, guidance: Guidance, outcome: Events | None = None) -> TensorDict:
         scenes, agents = state.mask.shape
-        points = self.rules.ticks
         if outcome is None:
+            points = round(self.decision_dt / TRACE_SECONDS)
             nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
             reached = state.reached.unsqueeze(-1).expand(-1, -1, points).contiguous()
             happened = state.past[:, :, -points:], nothing, nothing, reached

@@ -19,7 +19,7 @@ from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Opening
-from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario
+from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, filled
 from pedzoo.sim.state import PAST_LEN, State
 
 TRIES = 8
@@ -87,7 +87,7 @@ class Episodes:
         position, past = state.position, state.past
         if velocity is None:
             velocity = (position - past[:, :, -2]) / TRACE_SECONDS
-        goes = _or(layout.heading, heading_of(guidance.goal_point - position))
+        goes = filled(layout.heading, heading_of(guidance.goal_point - position))
         faces = heading_of(velocity, goes, TURNS_FROM)
         if layout.heading is not None:
             faces = torch.where(state.drive == HOLONOMIC, faces, layout.heading)
@@ -138,8 +138,8 @@ class Episodes:
             person=opening.person,
             observed_points=opening.observed_points,
             velocity=velocity,
-            heading=_or(layout.heading, heading_of(velocity)),
-            radius=_or(layout.radius, usual),
+            heading=filled(layout.heading, heading_of(velocity)),
+            radius=filled(layout.radius, usual),
             kind=layout.kind,
             drive=layout.drive,
             top_speed=layout.top_speed,
@@ -189,10 +189,6 @@ class Episodes:
             f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
             f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
         )
-
-
-def _or(value: Tensor | None, default: Tensor) -> Tensor:
-    return default if value is None else value
 
 
 def _everybody(layout: Layout) -> Opening:

@@ -160,21 +160,21 @@ class Rollout:
 def joined(parts: Sequence[Rollout]) -> Rollout:
     """Join rollouts of the same scenario; shorter ones stand still, absent, until the longest ends."""
     longest = max(part.trace.shape[2] for part in parts)
-
-    def grown(value: Tensor) -> Tensor:
-        missing = longest - value.shape[2]
-        last = value[:, :, -1:].expand(*value.shape[:2], missing, *value.shape[3:])
-        return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
-
     result: dict[str, Any] = {}
     for field in fields(Rollout):
         values = [getattr(part, field.name) for part in parts]
         if isinstance(values[0], Tensor):
-            values = [grown(value) for value in values] if field.name in OVER_TIME else values
+            values = [grown(value, longest) for value in values] if field.name in OVER_TIME else values
             result[field.name] = torch.cat(values)
         else:
             result[field.name] = values[0]
     return Rollout(**result)
+
+
+def grown(value: Tensor, points: int) -> Tensor:
+    """Return values of trace points (E, A, T, ...) grown to ``points``: the last stays, flags are false."""
+    last = value[:, :, -1:].expand(*value.shape[:2], points - value.shape[2], *value.shape[3:])
+    return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)
 
 
 def rollout_of(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import move_to_scene
+from pedzoo.core.geometry import direction_of, move_to_scene
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.sim.physics_parts.base import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, free_corners, person_color
@@ -130,7 +130,7 @@ class _Scene:
         frames = self.path.shape[1]
         angle = 2 * torch.pi * torch.arange(beams) / max(beams, 1)
         angle = self.heading.T.unsqueeze(2) + angle
-        direction = torch.stack((angle.cos(), angle.sin()), dim=-1)
+        direction = direction_of(angle)
         origin = self.path[-self.robots :].transpose(0, 1).unsqueeze(2).expand_as(direction)
         if not beams:
             return origin
@@ -167,7 +167,7 @@ class _Scene:
             draw_disc(image, self.to_pixel, self.path[agent, frame], float(self.radius[agent]), color)
         for number, robot in enumerate(robots):
             angle = self.heading[number, frame]
-            ahead = torch.stack((angle.cos(), angle.sin())) * self.radius[robot]
+            ahead = direction_of(angle) * self.radius[robot]
             tip = torch.stack((self.path[robot, frame], self.path[robot, frame] + ahead))
             ends = self._pixels(tip).reshape(-1, 1, 2)
             cv2.polylines(image, [ends], False, LIDAR, 2 * FINER, cv2.LINE_AA, 4)

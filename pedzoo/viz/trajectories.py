@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import move_to_map
+from pedzoo.core.geometry import direction_of, move_to_map
 from pedzoo.core.paths import write_whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
@@ -206,7 +206,7 @@ class _Episode:
 
     def _mark_goal(self, axes: Axes, goal: Tensor, color: tuple[float, ...]) -> None:
         angle = torch.linspace(0, 2 * torch.pi, 33)
-        circle = goal + GOAL_RADIUS * torch.stack((angle.cos(), angle.sin()), dim=-1)
+        circle = goal + GOAL_RADIUS * direction_of(angle)
         axes.plot(*circle.T.numpy(), color=color, linewidth=1, linestyle=":", zorder=2)
         axes.plot(*goal.numpy(), "x", color=color, markersize=5, zorder=2)
 

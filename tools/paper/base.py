@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import shlex
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pedzoo.eval.results import Page, markdown_table
-from pedzoo.eval.workers.progress_meter import Progress
+from pedzoo.eval.workers.journal import Journal
+from pedzoo.eval.workers.pool import finished
+from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
 
 
 class Reproduction(ABC):
@@ -57,6 +61,62 @@ class Reproduction(ABC):
     def draw(self, folder: Path) -> list[Path]:
         """Draw what there is to be seen into a folder, and return the files."""
         return []
+
+
+class Jobs(Reproduction):
+    """Rows of jobs, each kept in a journal under the digest of all that it depends on."""
+
+    def __init__(
+        self,
+        jobs: Sequence[Any],
+        digests: Sequence[str],
+        work: Callable[[Any], list[dict[str, Any]]],
+        journal: Path | None,
+        group: Callable[[Any], Hashable] | None = None,
+    ) -> None:
+        """Take the jobs, and take from the journal what is done.
+
+        Args:
+            jobs: Picklable, each with a ``label``.
+            digests: One of each job.
+            work: Does a job and returns its rows, or why they cannot be made (``missing``).
+            journal: A file that keeps finished jobs.
+            group: See `pedzoo.eval.workers.pool.finished`.
+        """
+        self.jobs, self._digests, self._journal = list(jobs), list(digests), Journal(journal)
+        self._work, self._group, done = work, group, self._journal.done
+        self._done = {number: done[key] for number, key in enumerate(self._digests) if key in done}
+
+    @property
+    def parts(self) -> tuple[int, int]:
+        """See `Reproduction.parts`."""
+        return len(self._done), len(self.jobs)
+
+    @property
+    def others(self) -> int:
+        """See `Reproduction.others`."""
+        return len(self._journal.done.keys() - set(self._digests))
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of all jobs that are done, in the order of jobs."""
+        return [row for number in sorted(self._done) for row in self._done[number]]
+
+    def run(self, workers: int = 1, progress: Progress | None = None) -> None:
+        """See `Reproduction.run`."""
+        missing = [number for number in range(len(self.jobs)) if number not in self._done]
+        start, total = time.perf_counter(), len(self.jobs)
+        jobs = [self.jobs[number] for number in missing]
+        with closing(finished(jobs, self._work, workers, group=self._group)) as results:
+            for count, (place, rows) in enumerate(results, 1):
+                number = missing[place]
+                self._done[number] = rows
+                if "missing" not in rows[0]:  # what is missing may be there next time
+                    self._journal.add(self._digests[number], rows)
+                if progress:
+                    left = (time.perf_counter() - start) / count * (len(missing) - count)
+                    done, label = len(self._done), self.jobs[number].label
+                    progress(ProgressReport(label, done / total, done, total, rows[0]["seconds"], left))
 
 
 def markdown(

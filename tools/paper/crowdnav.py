@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,22 +11,18 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
 from pedzoo.eval.results import Page
 from pedzoo.eval.units import fingerprint
-from pedzoo.eval.workers.journal import Journal
-from pedzoo.eval.workers.pool import finished
-from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
 from pedzoo.policies.robot_weights import load_planner
 from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, SUCCESS, TIMEOUT
 from pedzoo.sim.crowdnav.run import Runs, run
 from pedzoo.sim.crowdnav.settings import TIME_STEP
-from tools.paper.base import Reproduction
+from tools.paper.base import Jobs
 from tools.paper.crowdnav_published import PUBLISHED
 from tools.paper.crowdnav_tables import LEGEND, NOTES, TABLES, agreement_page, table_page
 
 CASES = 500
 """Cases of each table."""
-
 
 LETTERS = {SUCCESS: "s", COLLISION: "c", TIMEOUT: "t", FAILED: "f"}
 """How a case ended, as rows of the report have it."""
@@ -40,8 +35,13 @@ class Job(NamedTuple):
     robot: str
     count: int
 
+    @property
+    def label(self) -> str:
+        """What is said while it is done."""
+        return f"{self.table} {self.robot}"
 
-class Crowdnav(Reproduction):
+
+class Crowdnav(Jobs):
     """Each robot in each setting, all cases at once."""
 
     title = "Robots among people: CrowdNav and CrowdNav++"
@@ -64,42 +64,11 @@ class Crowdnav(Reproduction):
             load_planner(name, TIME_STEP)
         names = {table: tuple(robots) or TABLES[table].robots for table in TABLES}
         self.count = count
-        self.jobs = [Job(table, robot, count) for table in TABLES for robot in names[table]]
-        self._digests = [fingerprint(job, _file_sum(job.robot)) for job in self.jobs]
-        self._journal = Journal(journal)
-        self._done = {
-            number: self._journal.done[digest]
-            for number, digest in enumerate(self._digests)
-            if digest in self._journal.done
-        }
-
-    @property
-    def parts(self) -> tuple[int, int]:
-        """How many rows are done, and how many there are."""
-        return len(self._done), len(self.jobs)
-
-    @property
-    def others(self) -> int:
-        """How many rows the journal had of other requests or code."""
-        return len(self._journal.done.keys() - set(self._digests))
-
-    def run(self, workers: int = 1, progress: Progress | None = None) -> None:
-        """Do whatever is not done."""
-        missing = [number for number in range(len(self.jobs)) if number not in self._done]
-        start, total = time.perf_counter(), len(self.jobs)
-        with closing(finished([self.jobs[number] for number in missing], work, workers)) as results:
-            for count, (place, rows) in enumerate(results, 1):
-                number = missing[place]
-                self._done[number] = rows
-                self._journal.add(self._digests[number], rows)
-                if progress:
-                    left = (time.perf_counter() - start) / count * (len(missing) - count)
-                    done, label = len(self._done), " ".join(map(str, self.jobs[number][:2]))
-                    progress(ProgressReport(label, done / total, done, total, rows[0]["seconds"], left))
+        jobs = [Job(table, robot, count) for table in TABLES for robot in names[table]]
+        super().__init__(jobs, [fingerprint(job, _file_sum(job.robot)) for job in jobs], work, journal)
 
     def report(self) -> dict[str, Any]:
         """Return all rows, and what others have printed."""
-        rows = [row for number in sorted(self._done) for row in self._done[number]]
         return {
             "protocol": {"cases": self.count, "time_step_s": TIME_STEP}
             | {
@@ -108,7 +77,7 @@ class Crowdnav(Reproduction):
             },
             "seeds": sorted({table.first for table in TABLES.values()}),
             "notes": list(NOTES),
-            "rows": rows,
+            "rows": self.rows,
             "published": {name: [row._asdict() for row in rows] for name, rows in PUBLISHED.items()},
         }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing, redirect_stdout
+from contextlib import redirect_stdout
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -18,12 +18,9 @@ from pedzoo.eval.results import Page
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.eval.units import fingerprint
-from pedzoo.eval.workers.journal import Journal
-from pedzoo.eval.workers.pool import finished
-from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.store import find
-from tools.paper.base import Reproduction
+from tools.paper.base import Jobs
 from tools.paper.folds import means
 from tools.paper.line_density import NATS, line_likelihood
 from tools.paper.paper import FOLDS, RELEASED, TABLE_1
@@ -87,11 +84,11 @@ class Job(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What people are told is going on."""
+        """What is said while it is done."""
         return f"{self.fold}, 8 -> {self.pred_len}, {self.goal}: {self.row}"
 
 
-class Table1(Reproduction):
+class Table1(Jobs):
     """Every model of the zoo that was trained for a fold, on that fold."""
 
     title = "Table I: forecasts on ETH/UCY, leave one scene out"
@@ -117,69 +114,32 @@ class Table1(Reproduction):
         """
         self.folds, self.seed = tuple(folds), seed
         self.missing: dict[str, str] = {}
-        self.jobs: list[Job] = []
-        self._digests: list[str] = []
+        jobs: list[Job] = []
+        digests: list[str] = []
         recordings = {fold: digest_of(fold, root) for fold in self.folds}
         for fold in self.folds:
             for block in BLOCKS:
                 for row, weights, digest in self._rows(block, fold):
                     job = Job(row, weights, fold, block.goal, block.pred_len, SAMPLES, seed, root)
-                    self.jobs.append(job)
-                    self._digests.append(fingerprint(job._replace(root=None), digest, recordings[fold]))
-        self._journal = Journal(journal)
-        self._done = {
-            number: self._journal.done[known]
-            for number, known in enumerate(self._digests)
-            if known in self._journal.done
-        }
+                    jobs.append(job)
+                    digests.append(fingerprint(job._replace(root=None), digest, recordings[fold]))
+        super().__init__(jobs, digests, work, journal, lambda job: (job.fold, job.pred_len))
 
     def _rows(self, block: Block, fold: str) -> list[tuple[str, str, str]]:
         """Return name, weights and their sum of all rows of a block that can be made."""
-        found = [(name, name, "") for name in block.lines]
+        rows = [(name, name, "") for name in block.lines]
         for architecture in block.models:
             weights = f"{architecture}.{fold}{block.tag}"
             if entry := find(weights):
-                found.append((architecture, weights, entry.card.sha256))
+                rows.append((architecture, weights, entry.card.sha256))
             else:
                 self.missing[weights] = "no such weights"
-        return found
-
-    @property
-    def parts(self) -> tuple[int, int]:
-        """How many parts are done, and how many there are."""
-        return len(self._done), len(self.jobs)
-
-    @property
-    def others(self) -> int:
-        """How many parts the journal had of other requests, weights or code."""
-        return len(self._journal.done.keys() - set(self._digests))
-
-    def run(self, workers: int = 1, progress: Progress | None = None) -> None:
-        """Do whatever is not done."""
-        missing = [number for number in range(len(self.jobs)) if number not in self._done]
-        start, total = time.perf_counter(), len(self.jobs)
-        results = finished(
-            [self.jobs[number] for number in missing],
-            work,
-            workers,
-            group=lambda job: (job.fold, job.pred_len),
-        )
-        with closing(results):
-            for count, (place, rows) in enumerate(results, 1):
-                number = missing[place]
-                self._done[number] = rows
-                if "missing" not in rows[0]:  # what is missing may be there next time
-                    self._journal.add(self._digests[number], rows)
-                if progress:
-                    left = (time.perf_counter() - start) / count * (len(missing) - count)
-                    done, label = len(self._done), self.jobs[number].label
-                    progress(ProgressReport(label, done / total, done, total, rows[0]["seconds"], left))
+        return rows
 
     def report(self) -> dict[str, Any]:
         """Return all rows, means over folds, and what others have printed."""
-        rows = [row for number in sorted(self._done) for row in self._done[number]]
-        missing = self.missing | {row["weights"]: row["missing"] for row in rows if "missing" in row}
-        rows = [row for row in rows if "missing" not in row]
+        missing = self.missing | {row["weights"]: row["missing"] for row in self.rows if "missing" in row}
+        rows = [row for row in self.rows if "missing" not in row]
         protocol = {"folds": list(self.folds), "obs_len": 8, "samples": SAMPLES, "split": "test"}
         protocol |= {"clock": "benchmark", "keep_people": "complete", "min_people": 2}
         return {

@@ -7,13 +7,13 @@ Magazine 4(1), 1997. B robots, S samples, N people.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import heading_of
+from pedzoo.core.geometry import direction_of, heading_of
 from pedzoo.policies.local_planner import Clearance, Drive, People, Robot
 
 
@@ -133,7 +133,7 @@ def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | flo
     """
     half = 0.5 * turn_rate * seconds
     chord = speed * seconds * torch.sinc(half / math.pi)
-    return chord[..., None] * torch.stack(((heading + half).cos(), (heading + half).sin()), dim=-1)
+    return chord[..., None] * direction_of(heading + half)
 
 
 def free_seconds(
@@ -177,25 +177,9 @@ class Dwa:
     It remembers where it faces and how it moves. Its velocities lead to the ends of its arcs.
     """
 
-    def __init__(
-        self,
-        time_step: float = 0.25,
-        acceleration: float = 1.0,
-        turn_acceleration: float = 3.0,
-        top_turn_rate: float = 1.5,
-        margin: float = 0.1,
-        heading_weight: float = 0.8,
-        clearance_weight: float = 0.8,
-        speed_weight: float = 0.4,
-    ) -> None:
-        """Set the `DwaSettings`; ``time_step`` is in seconds.
-
-        Raises:
-            UserError: A setting is out of range.
-        """
-        names = DwaSettings.__dataclass_fields__
-        given = {name: value for name, value in locals().items() if name in names}
-        self.settings, self.time_step = replace(DwaSettings(), **given), time_step
+    def __init__(self, settings: DwaSettings = DwaSettings(), time_step: float = 0.25) -> None:
+        """Take the settings; ``time_step`` is in seconds."""
+        self.settings, self.time_step = settings, time_step
         self._drive: Drive | None = None
 
     def command(

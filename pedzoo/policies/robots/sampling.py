@@ -6,14 +6,14 @@ The velocity is chosen anew at every step, as in model predictive control. B rob
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import rotate
+from pedzoo.core.geometry import direction_of, rotate
 from pedzoo.policies.local_planner import Clearance, People, Robot
 
 ROUNDING = 1e-5
@@ -103,8 +103,7 @@ def velocities(robot: Robot, settings: SamplingSettings) -> Tensor:
     angle = torch.arange(settings.directions, device=like.device, dtype=like.dtype) * (
         2 * math.pi / settings.directions
     )
-    turn = torch.stack((angle.cos(), angle.sin()), dim=-1)
-    ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], turn)
+    ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], direction_of(angle))
     share = torch.arange(settings.speeds, 0, -1, device=like.device, dtype=like.dtype) / settings.speeds
     moving = (ahead[:, :, None] * share[:, None]).flatten(1, 2) * robot.v_pref[:, None, None]
     return torch.cat((moving, torch.zeros_like(moving[:, :1])), dim=1)
@@ -137,25 +136,9 @@ def people_gap(robot: Robot, people: People, samples: Tensor, time_step: float, 
 class Sampling:
     """The planner with settings of about 100 that did best on 500 cases of CrowdNav's validation (.998)."""
 
-    def __init__(
-        self,
-        time_step: float = 0.25,
-        directions: int = 24,
-        speeds: int = 4,
-        horizon: int = 14,
-        margin: float = 0.25,
-        discount: float = 0.9,
-        margin_cost: float = 16.0,
-        collision_cost: float = 10.0,
-    ) -> None:
-        """Set the `SamplingSettings`; ``time_step`` is in seconds.
-
-        Raises:
-            UserError: A setting is out of range.
-        """
-        names = SamplingSettings.__dataclass_fields__
-        given = {name: value for name, value in locals().items() if name in names}
-        self.settings, self.time_step = replace(SamplingSettings(), **given), time_step
+    def __init__(self, settings: SamplingSettings = SamplingSettings(), time_step: float = 0.25) -> None:
+        """Take the settings; ``time_step`` is in seconds."""
+        self.settings, self.time_step = settings, time_step
 
     def __call__(self, robot: Robot, people: People, walls: Clearance | None = None) -> Tensor:
         """Return the velocities (B, 2), m/s."""

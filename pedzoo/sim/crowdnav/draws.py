@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pedzoo.core.geometry import direction_of
+
 LENGTH = 8192
 """Numbers kept of each case: CrowdNav++ takes about 600 of them in 50 s."""
 
@@ -58,4 +60,4 @@ def on_circle(radius: float, numbers: Tensor, least: float, most: float) -> Tens
     """
     angle = numbers[..., 0] * (2 * math.pi)
     shift = least + (most - least) * numbers[..., 1:]
-    return radius * torch.stack((angle.cos(), angle.sin()), dim=-1) + shift
+    return radius * direction_of(angle) + shift

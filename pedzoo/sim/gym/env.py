@@ -18,18 +18,15 @@ FPS = 5
 """Pictures a second at which videos run as fast as the world, where robots decide every 0.2 s."""
 
 
-class RobotGymEnv(gymnasium.Env[Any, Any]):
-    """One scene with one robot; `pedzoo.sim.gym.ids` names some.
-
-    Observations are a Dict. ``robot`` holds what the robot knows of itself, see `Observations.columns`; all
-    is in its own frame, x ahead and y to the left. ``people`` (N, 5) are x, y, vx, vy, radius of the nearest
-    ones, and ``mask`` (N,) says which rows are people. Other sensors add theirs: ``lidar``, ``map``, ...
+class OneScene:
+    """What environments of one scene have in common.
 
     Attributes:
         batched: The environment of TorchRL (``batched.env``) behind it.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(MODES), "render_fps": FPS}
+    several: ClassVar[str]
+    """What there is for several scenes."""
 
     def __init__(
         self,
@@ -49,12 +46,46 @@ class RobotGymEnv(gymnasium.Env[Any, Any]):
             settings: As of `pedzoo.make_robot_env`; ``first_episode=i`` begins with scene i of a seed.
 
         Raises:
-            UserError: An unknown name or setting, several robots, or no display for a window.
+            UserError: An unknown name or setting, too many robots, or no display for a window.
         """
-        check_one(settings, "num_envs", "gymnasium.make_vec(..., num_envs=8)")
+        if "num_envs" in settings:
+            raise UserError(f"num_envs {settings['num_envs']}: this environment has one; use {self.several}")
         self.batched = Batched(scenario, render_mode, seed, render_size, settings)
-        check_one_robot(self.batched)
         self.render_mode = render_mode
+        self.set_spaces()
+
+    def set_spaces(self) -> None:
+        """Say what robots observe and do.
+
+        Raises:
+            UserError: There are too many robots.
+        """
+        raise NotImplementedError
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture (H, W, 3) from the top in the mode ``rgb_array``; windows draw by themselves."""
+        pictures = self.batched.picture()
+        return pictures[0] if pictures else None
+
+    def close(self) -> None:
+        """Close the window and the physics."""
+        self.batched.close()
+
+
+class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
+    """One scene with one robot; `pedzoo.sim.gym.ids` names some.
+
+    Observations are a Dict. ``robot`` holds what the robot knows of itself, see `Observations.columns`; all
+    is in its own frame, x ahead and y to the left. ``people`` (N, 5) are x, y, vx, vy, radius of the nearest
+    ones, and ``mask`` (N,) says which rows are people. Other sensors add theirs: ``lidar``, ``map``, ...
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(MODES), "render_fps": FPS}
+    several = "gymnasium.make_vec(..., num_envs=8)"
+
+    def set_spaces(self) -> None:
+        """See `OneScene.set_spaces`."""
+        check_one_robot(self.batched)
         self.observation_space = self.batched.observations.space
         self.action_space = self.batched.actions[0]
 
@@ -69,25 +100,6 @@ class RobotGymEnv(gymnasium.Env[Any, Any]):
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Take a decision; an action that is no number truncates the episode, as ``info["FAILED"]`` says."""
         return _first(self.batched.step(action))
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture (H, W, 3) from the top in the mode ``rgb_array``; windows draw by themselves."""
-        pictures = self.batched.picture()
-        return pictures[0] if pictures else None
-
-    def close(self) -> None:
-        """Close the window and the physics."""
-        self.batched.close()
-
-
-def check_one(settings: dict[str, Any], name: str, instead: str) -> None:
-    """Check that a setting is not given.
-
-    Raises:
-        UserError: It is.
-    """
-    if name in settings:
-        raise UserError(f"{name} {settings[name]}: this environment has one; use {instead}")
 
 
 def check_one_robot(batched: Batched) -> None:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from pettingzoo import ParallelEnv
 
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import Batched, Step
-from pedzoo.sim.gym.env import FPS, check_one
+from pedzoo.sim.gym.batched import Step
+from pedzoo.sim.gym.env import FPS, OneScene
 from pedzoo.sim.gym.render import MODES
 
 Dicts = dict[str, Any]
@@ -20,14 +20,11 @@ CROWD = "goals:map=apartment.7,people=4"
 """The scenario where nothing else is said."""
 
 
-class RobotParallelEnv(ParallelEnv[str, Any, Any]):
+class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
     """One scene with R robots, ``robot_0`` and so on; observations are those of `RobotGymEnv`.
 
     ``people`` has other robots, too. A robot whose episode is over stands where it is, and is no agent
     any more.
-
-    Attributes:
-        batched: The environment of TorchRL (``batched.env``) behind it.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -37,29 +34,10 @@ class RobotParallelEnv(ParallelEnv[str, Any, Any]):
         "is_parallelizable": True,
     }
 
-    def __init__(
-        self,
-        scenario: str | Spec,
-        render_mode: str | None = None,
-        seed: int | None = None,
-        render_size: tuple[int, int] = (640, 480),
-        **settings: Any,
-    ) -> None:
-        """Make the scene.
+    several = "one parallel_env for each scene, or pedzoo.make_robot_env"
 
-        Args:
-            scenario: As in `pedzoo.make_robot_env`.
-            render_mode: ``rgb_array``, ``human`` for a window, or None.
-            seed: Of the scenes; `reset` takes it, too. None: by chance.
-            render_size: Width and height of pictures in pixels.
-            settings: As of `pedzoo.make_robot_env`; ``robot`` is a list of names.
-
-        Raises:
-            UserError: An unknown name or setting, or no display for a window.
-        """
-        check_one(settings, "num_envs", "one parallel_env for each scene, or pedzoo.make_robot_env")
-        self.batched = Batched(scenario, render_mode, seed, render_size, settings)
-        self.render_mode = render_mode
+    def set_spaces(self) -> None:
+        """See `OneScene.set_spaces`; ``robot`` is a list of names here."""
         self.possible_agents = [f"robot_{number}" for number in range(self.batched.env.robots)]
         self.agents = []
         self.action_spaces = dict(zip(self.possible_agents, self.batched.actions, strict=True))
@@ -88,15 +66,6 @@ class RobotParallelEnv(ParallelEnv[str, Any, Any]):
         said = self._of_agents(self.batched.step(np.stack(given)))
         self.agents = [agent for agent in self.agents if not (said[2][agent] or said[3][agent])]
         return said
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture (H, W, 3) from the top in the mode ``rgb_array``."""
-        pictures = self.batched.picture()
-        return pictures[0] if pictures else None
-
-    def close(self) -> None:
-        """Close the window and the physics."""
-        self.batched.close()
 
     def _of_agents(self, step: Step) -> tuple[Dicts, Dicts, Dicts, Dicts, Dicts]:
         mine = {agent: self.possible_agents.index(agent) for agent in self.agents}

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of
 from pedzoo.sim.physics_parts.base import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
 from pedzoo.sim.robot_parts.env import RobotEnv
@@ -81,7 +82,7 @@ class Pictures:
             if state.mask[scene, slot]:
                 heading, radius = state.heading[scene, slot], state.radius[scene, slot]
                 here = state.position[scene, slot]
-                front = here + radius * torch.stack((heading.cos(), heading.sin()))
+                front = here + radius * direction_of(heading)
                 wide = max(3, round(float(radius) * to_pixel[0, 0]))
                 cv2.circle(image, pixel(here), wide, (0, 0, 0), 2, cv2.LINE_AA)
                 cv2.line(image, pixel(here), pixel(front), (0, 0, 0), 2, cv2.LINE_AA)

@@ -12,6 +12,7 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.data.tensor_specs import TensorSpec
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from pedzoo.core.adapters import tensordict_of
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
@@ -107,9 +108,9 @@ class RobotEnv(PedestrianEnv):
         self._people = Teams(people, _Commanded(part)).to(self.device)
         self._ends_at, self._time_limit, self._reward = ends_at, time_limit, reward
         self._readings = Readings(sensors, decision_dt)
-        self._set_specs(num_envs, sensors)
+        self._set_specs(num_envs)
 
-    def _set_specs(self, scenes: int, sensors: Sequence[Sensor]) -> None:
+    def _set_specs(self, scenes: int) -> None:
         shape, agents = (scenes, self.robots), self.prepared.people
         points = round(self.decision_dt / TRACE_SECONDS)
         full = specs.observation_spec(scenes, agents, points, self.bank)
@@ -142,7 +143,9 @@ class RobotEnv(PedestrianEnv):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
-        self._begun = None if flags is None or self._scenes is None else flags.view(-1)
+        if flags is None or self._scenes is None:
+            flags = torch.ones(self.batch_size, dtype=torch.bool, device=self.device)
+        self._begun = flags.view(-1)
         observation = super()._reset(tensordict, **kwargs)
         over = ~self.state.controlled[:, -self.robots :]
         self._set_ends(observation, over, over & self.state.overdue[:, -self.robots :])
@@ -215,29 +218,16 @@ class RobotEnv(PedestrianEnv):
     def _observation(
         self, state: State, guidance: Guidance, happened: Events | None = None, outcome: Outcome | None = None
     ) -> TensorDict:
-        scenes, agents = state.mask.shape
-        robots = (scenes, self.robots)
-        points = round(self.decision_dt / TRACE_SECONDS)
-        if happened is None:
-            nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
-            reached = state.reached.unsqueeze(-1).repeat(1, 1, points)
-            values = state.past[:, :, -points:], nothing, nothing, reached
-        else:
-            values = happened[:4]
-        info = dict(zip(("trace", "agent_contact", "wall_contact", "reached"), values, strict=True))
-        info |= {"overdue": state.overdue, "remaining_path": state.remaining_path}
-        batch = observed(state, guidance, self.bank)
-        batch["agents", "info"] = TensorDict(info, (scenes, agents), device=self.device)
-        batch["failed"] = state.failed.unsqueeze(1)
-        seen = self._readings(self.view(state, guidance), None if happened is None else False, self._begun)
+        batch, robots = super()._observation(state, guidance, happened), self._body.batch_size
+        seen = self._readings(self.view(state, guidance), self._begun if happened is None else None)
         outcome = outcome or Outcome.none(state.controlled[:, -self.robots :])
         flags = {name: getattr(outcome, name) for name in ("active", *INFO)}
         group = {
-            "observation": TensorDict(seen, robots, device=self.device),
-            "info": TensorDict(flags, robots, device=self.device),
+            "observation": tensordict_of(seen, robots, self.device),
+            "info": tensordict_of(flags, robots, self.device),
             "body": self._body,
         }
-        batch["robots"] = TensorDict(group, robots, device=self.device)
+        batch["robots"] = tensordict_of(group, robots, self.device)
         return batch
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,7 +24,8 @@ class Readings:
             UserError: Two sensors have entries of one name, or a delay is no multiple of the interval.
         """
         self.entries: dict[str, Reading] = {}
-        self._sensors, self._late, self._kept = list(sensors), [], {}
+        self._sensors, self._late = list(sensors), []
+        self._last: dict[str, Tensor] = {}
         for sensor in sensors:
             name = type(sensor).__name__
             if twice := self.entries.keys() & sensor.readings.keys():
@@ -43,36 +43,30 @@ class Readings:
         """Return the specs of all entries for ``shape`` scenes and robots."""
         return {name: _spec(reading, (*shape, *reading.shape)) for name, reading in self.entries.items()}
 
-    def __call__(self, view: RobotView, begins: bool | None, begun: Tensor | None) -> dict[str, Tensor]:
+    def __call__(self, view: RobotView, begun: Tensor | None) -> dict[str, Tensor]:
         """Return all entries (B, R, ...).
 
         Args:
             view: The scenes now.
-            begins: False after a decision; None where scenes begin.
-            begun: Which scenes begin (B,) bool; None for all.
+            begun: Which of them begin (B,) bool, where there was no decision; None after a decision.
         """
         result: dict[str, Tensor] = {}
-        for number, (sensor, late) in enumerate(zip(self._sensors, self._late, strict=True)):
+        for sensor, late in zip(self._sensors, self._late, strict=True):
             seen = sensor.observe(view)
             if late:
-                seen = {
-                    name: self._delayed((number, name), value, late, begins is None, begun)
-                    for name, value in seen.items()
-                }
+                seen = {name: self._delayed(name, value, late, begun) for name, value in seen.items()}
             result |= seen
         return result
 
-    def _delayed(self, key: Any, now: Tensor, late: int, begins: bool, begun: Tensor | None) -> Tensor:
-        kept = self._kept.get(key)
+    def _delayed(self, name: str, now: Tensor, late: int, begun: Tensor | None) -> Tensor:
         whole = now.unsqueeze(0).expand(late + 1, *now.shape)
-        if kept is None or (begins and begun is None):
-            kept = whole.clone()
-        elif begins and begun is not None:
-            kept = torch.where(begun.view(1, -1, *[1] * (now.dim() - 1)), whole, kept)
+        last = self._last.get(name, whole)
+        if begun is None:
+            last = torch.cat((last[1:], now.unsqueeze(0)))
         else:
-            kept = torch.cat((kept[1:], now.unsqueeze(0)))
-        self._kept[key] = kept
-        return kept[0]
+            last = torch.where(begun.view(1, -1, *[1] * (now.dim() - 1)), whole, last)
+        self._last[name] = last
+        return last[0]
 
 
 def _spec(reading: Reading, shape: tuple[int, ...]) -> TensorSpec:

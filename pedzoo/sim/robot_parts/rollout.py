@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pedzoo.core.bodies import Fleet
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.rollout import Rollout, joined
+from pedzoo.sim.rollout import Rollout, grown, joined
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,8 @@ def joined_robots(parts: Sequence[RobotRollout]) -> RobotRollout:
             result[field.name] = joined(values)
         elif isinstance(values[0], Tensor):
             points = longest + (field.name == "heading")
-            result[field.name] = torch.cat([_grown(value, points) for value in values])
+            over_time = values[0].dim() == 3
+            result[field.name] = torch.cat([grown(v, points) if over_time else v for v in values])
         else:
             result[field.name] = values[0]
     return RobotRollout(**result)
@@ -91,11 +92,3 @@ def _some(value: Any, index: slice) -> Any:
     if isinstance(value, Rollout):
         return value.episodes(index)
     return value[index] if isinstance(value, Tensor) else value
-
-
-def _grown(value: Tensor, points: int) -> Tensor:
-    """Return what has a value for every trace point (E, R, T) with ``points`` of them; else as it is."""
-    if value.dim() < 3:
-        return value
-    last = value[..., -1:].expand(*value.shape[:2], points - value.shape[2])
-    return torch.cat((value, torch.zeros_like(last) if value.dtype == torch.bool else last), dim=2)

@@ -22,7 +22,7 @@ from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import Spec, build, homes, parse, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
 
 
 class RobotScenes(Scenario):
@@ -114,7 +114,7 @@ class RobotScenes(Scenario):
         usual = torch.full_like(layout.pref_speed, self.body_radius)
         endless = torch.full_like(usual, torch.inf)
         whole = torch.zeros_like(layout.goal)
-        top_speed = _or(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
+        top_speed = filled(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
         # a scene of fewer people leaves out the last ones, which are robots here
         mask = layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1)
         layout = layout._replace(
@@ -122,16 +122,16 @@ class RobotScenes(Scenario):
             mask=joined(mask, torch.tensor(True)),
             pref_speed=joined(layout.pref_speed, fleet.top_speed),
             top_speed=joined(top_speed, fleet.top_speed),
-            radius=joined(usual if layout.radius is None else layout.radius, fleet.radius),
-            kind=joined(whole if layout.kind is None else layout.kind, torch.tensor(ROBOT)),
+            radius=joined(filled(layout.radius, usual), fleet.radius),
+            kind=joined(filled(layout.kind, whole), torch.tensor(ROBOT)),
         )
         if not self.wheels:
             return layout
         return layout._replace(
-            drive=joined(whole + HOLONOMIC if layout.drive is None else layout.drive, fleet.drive),
-            acceleration=joined(_or(layout.acceleration, endless), fleet.acceleration),
-            turn_acceleration=joined(_or(layout.turn_acceleration, endless), fleet.turn_acceleration),
-            track=joined(_or(layout.track, torch.ones_like(usual)), fleet.track),
+            drive=joined(filled(layout.drive, whole + HOLONOMIC), fleet.drive),
+            acceleration=joined(filled(layout.acceleration, endless), fleet.acceleration),
+            turn_acceleration=joined(filled(layout.turn_acceleration, endless), fleet.turn_acceleration),
+            track=joined(filled(layout.track, torch.ones_like(usual)), fleet.track),
         )
 
     def _in_time(self, prepared: PreparedScenario, layout: Layout) -> Tensor:
@@ -213,7 +213,3 @@ def _counts(value: object) -> bool:
 
 def _needs_limits(body: RobotBody) -> bool:
     return body.drive != "holonomic" or math.isfinite(body.acceleration)
-
-
-def _or(value: Tensor | None, default: Tensor) -> Tensor:
-    return default if value is None else value

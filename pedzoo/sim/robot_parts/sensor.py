@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -31,6 +32,7 @@ class Reading(NamedTuple):
     high: float = torch.inf
 
 
+@dataclass(eq=False, kw_only=True)
 class Sensor(ABC):
     """One file in `pedzoo.sim.sensors`, or ``file.py:Class``: what robots observe in every decision.
 
@@ -40,18 +42,21 @@ class Sensor(ABC):
         delay: Seconds by which readings are late.
     """
 
-    def __init__(self, noise: float = 0.0, dropout: float = 0.0, delay: float = 0.0) -> None:
-        """Say how good the sensor is.
+    noise: float = 0.0
+    dropout: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values; a sensor with more settings is a dataclass, and checks its own as well.
 
         Raises:
             UserError: A value is out of range.
         """
-        if noise < 0 or not 0 <= dropout < 1 or delay < 0:
+        if self.noise < 0 or not 0 <= self.dropout < 1 or self.delay < 0:
             raise UserError(
-                f"sensor {type(self).__name__}: noise {noise}, dropout {dropout}, delay {delay}: expected at "
-                "least 0, a share below 1, and seconds from 0 on"
+                f"sensor {type(self).__name__}: noise {self.noise}, dropout {self.dropout}, delay "
+                f"{self.delay}: expected at least 0, a share below 1, and seconds from 0 on"
             )
-        self.noise, self.dropout, self.delay = noise, dropout, delay
 
     @property
     @abstractmethod
@@ -86,3 +91,22 @@ class Sensor(ABC):
         # what is not seen is 0, and stays so
         noisy = torch.where(value == 0, value, noisy.clamp(reading.low, reading.high))
         return torch.where(gone, 0.0, noisy)
+
+
+def check_view(number: str, count: int, reach: float, field_of_view: float) -> None:
+    """Check how many things a sensor sees, how far in metres, and how wide in degrees.
+
+    Args:
+        number: The sensor's name and that of its ``count``.
+        count: Of beams, people, ...
+        reach: Metres.
+        field_of_view: Degrees.
+
+    Raises:
+        UserError: A value is out of range.
+    """
+    if count < 1 or not reach > 0 or not 0 < field_of_view <= 360:
+        raise UserError(
+            f"sensor {number} {count}, reach {reach}, field_of_view {field_of_view}: expected at least 1, "
+            "metres above 0, and degrees up to 360"
+        )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import rotate, unrotate
+from pedzoo.core.geometry import direction_of, rotate, unrotate
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.physics_parts.base import Bodies, Physics
 from pedzoo.sim.state import State
@@ -41,7 +41,7 @@ class RobotView(NamedTuple):
     @property
     def ahead(self) -> Tensor:
         """Unit vectors (B, R, 2) to where they face."""
-        return torch.stack((self.heading.cos(), self.heading.sin()), dim=-1)
+        return direction_of(self.heading)
 
     @property
     def bodies(self) -> Bodies:

@@ -76,6 +76,11 @@ class Layout(NamedTuple):
     heading: Tensor | None = None
 
 
+def filled(value: Tensor | None, usual: Tensor) -> Tensor:
+    """Return a value of a layout, or the ``usual`` one where the scenario leaves it out."""
+    return usual if value is None else value
+
+
 def door_at_origin(width: Tensor) -> Tensor:
     """Return doors (B, 5) of clear ``width`` (B,), metres, in walls along y: see `Scenario.gate`."""
     centre, across = torch.zeros_like(width), torch.ones_like(width)

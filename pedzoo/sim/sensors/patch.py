@@ -3,48 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from pedzoo.core.batch import others_of
 from pedzoo.core.errors import UserError
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor
 from pedzoo.sim.robot_parts.view import RobotView
 
 
+@dataclass(eq=False)
 class Patch(Sensor):
     """``patch`` (B, R, 2, N, N): 1 where the centre of a cell is in a wall (layer 0) or in a body (layer 1).
 
     The robot is in the middle and faces up: rows go from ahead to behind, columns from left to right. Its own
     body is not drawn.
+
+    Attributes:
+        cells: N.
+        side: Length of the square's side, metres.
     """
 
-    def __init__(
-        self,
-        cells: int = 32,
-        side: float = 6.4,
-        noise: float = 0.0,
-        dropout: float = 0.0,
-        delay: float = 0.0,
-    ) -> None:
-        """Say how much floor it shows.
+    cells: int = 32
+    side: float = 6.4
 
-        Args:
-            cells: N.
-            side: Length of the square's side, metres.
-            noise: See `Sensor`.
-            dropout: See `Sensor`.
-            delay: See `Sensor`.
-
-        Raises:
-            UserError: A value is out of range.
-        """
-        super().__init__(noise, dropout, delay)
+    def __post_init__(self) -> None:
+        """See `Sensor.__post_init__`."""
+        super().__post_init__()
+        cells, side = self.cells, self.side
         if cells < 1 or not side > 0:
             raise UserError(
                 f"sensor patch: cells {cells}, side {side}: expected at least 1, and metres above 0"
             )
-        self.cells, self.side = cells, side
         across = (torch.arange(cells) + 0.5) * (side / cells) - side / 2
         self._centres = torch.stack(torch.meshgrid(-across, -across, indexing="ij"), dim=-1)
 
@@ -61,10 +53,7 @@ class Patch(Sensor):
         points = (view.world(own) + view.position[:, :, None, None]).flatten(2, 3)
         gap, _ = view.physics.bank.closest_wall(points, state.map_id, state.pose)
         away = torch.cdist(points.flatten(1, 2), state.position).view(scenes, robots, -1, agents)
-        itself = torch.arange(agents, device=away.device) == (
-            torch.arange(agents - robots, agents, device=away.device).unsqueeze(1)
-        )
-        there = state.mask.unsqueeze(1) & ~itself
-        bodies = ((away < state.radius[:, None, None]) & there.unsqueeze(2)).any(-1)
+        there = others_of(state.mask, robots).unsqueeze(2)
+        bodies = ((away < state.radius[:, None, None]) & there).any(-1)
         layers = torch.stack((gap <= 0, bodies), dim=2).to(points.dtype)
         return {"patch": layers.unflatten(3, (self.cells, self.cells))}

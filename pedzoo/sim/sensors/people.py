@@ -4,53 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
-from pedzoo.sim.robot_parts.sensor import Reading, Sensor
+from pedzoo.core.batch import others_of
+from pedzoo.sim.robot_parts.sensor import Reading, Sensor, check_view
 from pedzoo.sim.robot_parts.view import RobotView
 
 
+@dataclass(eq=False)
 class People(Sensor):
     """``people`` (B, R, N, 5): x, y, vx, vy in the robot's frame, and radius; ``people_mask`` (B, R, N) bool.
 
     Metres and m/s; velocities are those over the ground. Rows beyond the agents in view are 0 and masked.
+
+    Attributes:
+        most: N, the nearest ones.
+        reach: Metres between centres.
+        field_of_view: Degrees, half of it to either side.
+        line_of_sight: Agents behind walls are not seen.
     """
 
-    def __init__(
-        self,
-        most: int = 10,
-        reach: float = 10.0,
-        field_of_view: float = 360.0,
-        line_of_sight: bool = False,
-        noise: float = 0.0,
-        dropout: float = 0.0,
-        delay: float = 0.0,
-    ) -> None:
-        """Say which agents are seen.
+    most: int = 10
+    reach: float = 10.0
+    field_of_view: float = 360.0
+    line_of_sight: bool = False
 
-        Args:
-            most: N, the nearest ones.
-            reach: Metres between centres.
-            field_of_view: Degrees, half of it to either side.
-            line_of_sight: Agents behind walls are not seen.
-            noise: See `Sensor`; metres and m/s.
-            dropout: See `Sensor`.
-            delay: See `Sensor`.
-
-        Raises:
-            UserError: A value is out of range.
-        """
-        super().__init__(noise, dropout, delay)
-        if most < 1 or not reach > 0 or not 0 < field_of_view <= 360:
-            raise UserError(
-                f"sensor people: most {most}, reach {reach}, field_of_view {field_of_view}: expected "
-                "at least 1, metres above 0, and degrees up to 360"
-            )
-        self.most, self.reach, self.line_of_sight = most, reach, line_of_sight
-        self.half_angle = math.radians(field_of_view / 2)
+    def __post_init__(self) -> None:
+        """See `Sensor.__post_init__`."""
+        super().__post_init__()
+        check_view("people: most", self.most, self.reach, self.field_of_view)
+        self.half_angle = math.radians(self.field_of_view / 2)
 
     @property
     def readings(self) -> Mapping[str, Reading]:
@@ -64,10 +50,7 @@ class People(Sensor):
         shape = (scenes, robots, agents, 2)
         place = view.own_places(state.position.unsqueeze(1).expand(shape))
         distance = torch.linalg.vector_norm(place, dim=-1)
-        itself = torch.arange(agents, device=distance.device) == (
-            torch.arange(agents - robots, agents, device=distance.device).unsqueeze(1)
-        )
-        seen = state.mask.unsqueeze(1) & ~itself & (distance <= self.reach)
+        seen = others_of(state.mask, robots) & (distance <= self.reach)
         if self.half_angle < math.pi:
             seen = seen & (torch.atan2(place[..., 1], place[..., 0]).abs() <= self.half_angle)
         if self.line_of_sight:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of, maps_of
+from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people.crowd import Crowd
@@ -62,7 +63,7 @@ class Critic(TensorDictModuleBase):
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
         angle = torch.arange(_RING) * (2 * math.pi / _RING)
-        ring = torch.cat((torch.zeros(1, 2), _RADIUS * torch.stack((angle.cos(), angle.sin()), -1)))
+        ring = torch.cat((torch.zeros(1, 2), _RADIUS * direction_of(angle)))
         self.register_buffer("ring", ring, persistent=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

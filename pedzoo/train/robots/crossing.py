@@ -14,7 +14,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC, Fleet, RobotBody
-from pedzoo.core.geometry import nearest_part, unrotate
+from pedzoo.core.geometry import direction_of, nearest_part, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.sim.crowdnav.cases import cases
@@ -165,7 +165,7 @@ class CrossingEnv(EnvBase):
         return place / TIME_STEP
 
     def _ahead(self) -> Tensor:
-        return torch.stack((self._heading.cos(), self._heading.sin()), dim=-1)
+        return direction_of(self._heading)
 
     def _left(self) -> Tensor:
         return (self._goal() - self._robot).norm(dim=-1)

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.geometry import direction_of
 from pedzoo.sim.physics_parts.bullet.looks import CUT_HEIGHT
 from pedzoo.sim.physics_parts.bullet.scenes import PlacedScene, as_array
 from pedzoo.sim.physics_parts.bullet.walls import WALL_HEIGHT
@@ -45,7 +45,7 @@ def from_robots(
     """
     shape = (*heading.shape, lens.height, lens.width)
     pictures, depths = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
-    ahead = as_array(torch.stack((heading.cos(), heading.sin()), dim=-1))
+    ahead = as_array(direction_of(heading))
     first = radius.shape[1] - heading.shape[1]
     for asked in placed:
         linear = asked.affine[:, :2]

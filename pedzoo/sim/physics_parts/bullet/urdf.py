@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
-from pedzoo.core.geometry import TURNS_FROM, heading_of
+from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.motion import Contacts, MotionInput, Owned
@@ -57,7 +57,7 @@ def drive_by_wheels(
     heading, rate = as_array(state.heading).copy(), np.zeros(state.mask.shape)
     first, second = command.unbind(-1)
     pair = state.drive == DIFF_DRIVE
-    speed = (state.velocity * torch.stack((state.heading.cos(), state.heading.sin()), -1)).sum(-1)
+    speed = (state.velocity * direction_of(state.heading)).sum(-1)
     wanted = torch.where(pair, (first + second) / 2, first).clamp(-state.top_speed, state.top_speed)
     turn = torch.where(pair, (second - first) / state.track, second)
     columns = state.heading, speed, state.turn_rate, wanted, turn
@@ -110,7 +110,7 @@ def with_shapes(
     """
     agent, wall = (values.cpu().numpy().copy() for values in contacts)
     ways, radius = as_array(path), as_array(state.radius)
-    ahead = as_array(torch.stack((heading.cos(), heading.sin()), dim=-1))
+    ahead = as_array(direction_of(heading))
     robots = ((state.kind == ROBOT) & state.mask).cpu().numpy()
     for asked in placed:
         at, affine = asked.index, asked.affine
