@@ -135,14 +135,14 @@ class Table1(Reproduction):
 
     def _rows(self, block: Block, fold: str) -> list[tuple[str, str, str]]:
         """Return name, weights and their sum of all rows of a block that can be made."""
-        found = [(name, name, "") for name in block.lines]
+        result = [(name, name, "") for name in block.lines]
         for architecture in block.models:
             weights = f"{architecture}.{fold}{block.tag}"
             if entry := find(weights):
-                found.append((architecture, weights, entry.card.sha256))
+                result.append((architecture, weights, entry.card.sha256))
             else:
                 self.missing[weights] = "no such weights"
-        return found
+        return result
 
     @property
     def parts(self) -> tuple[int, int]:

@@ -63,16 +63,16 @@ class Readings:
         return result
 
     def _delayed(self, key: Any, now: Tensor, late: int, begins: bool, begun: Tensor | None) -> Tensor:
-        kept = self._kept.get(key)
+        stored = self._kept.get(key)
         whole = now.unsqueeze(0).expand(late + 1, *now.shape)
-        if kept is None or (begins and begun is None):
-            kept = whole.clone()
+        if stored is None or (begins and begun is None):
+            stored = whole.clone()
         elif begins and begun is not None:
-            kept = torch.where(begun.view(1, -1, *[1] * (now.dim() - 1)), whole, kept)
+            stored = torch.where(begun.view(1, -1, *[1] * (now.dim() - 1)), whole, stored)
         else:
-            kept = torch.cat((kept[1:], now.unsqueeze(0)))
-        self._kept[key] = kept
-        return kept[0]
+            stored = torch.cat((stored[1:], now.unsqueeze(0)))
+        self._kept[key] = stored
+        return stored[0]
 
 
 def _spec(reading: Reading, shape: tuple[int, ...]) -> TensorSpec:
