@@ -242,7 +242,7 @@ def _in_groups(path: str, values: dict[str, Any], place: str) -> dict[str, Any]:
 
 def _homes(path: str | None) -> dict[str, str]:
     """Return the groups of the settings of one of pedzoo's classes; another class has none."""
-    return homes(found) if path and isinstance(found := _class(path), type) else {}
+    return homes(result) if path and isinstance(result := _class(path), type) else {}
 
 
 def _class(path: str) -> Any:

@@ -110,8 +110,8 @@ def open_fold(fold: str, root: str | None, clock: TimeBase) -> Dataset:
     Raises:
         UserError: No dataset has it, or the dataset does not find its files.
     """
-    if found := find_fold(fold):
-        return DATASETS.get(found.dataset)(found.name, root, clock)
+    if result := find_fold(fold):
+        return DATASETS.get(result.dataset)(result.name, root, clock)
     dataset = name_of(fold) if ".py:" in fold else ""
     datasets, kind = ([dataset], f"fold of {dataset}") if dataset else (DATASETS.names(), "fold")
     known = [name for one in datasets for name in DATASETS.constant(one, "FOLDS") or ()]

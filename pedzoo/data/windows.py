@@ -139,10 +139,10 @@ def why_empty(
             f"a window needs obs_len + pred_len = {obs_len} + {pred_len} = {length} steps, but "
             f"there is only {recorded}: record longer, or lower --data.obs_len or --data.pred_len"
         )
-    ways = ["--data.keep_people present keeps partly seen people"] * (people == "complete")
-    ways += ["--data.min_people 1 keeps lone people"] * (min_people > 1)
+    advice = ["--data.keep_people present keeps partly seen people"] * (people == "complete")
+    advice += ["--data.min_people 1 keeps lone people"] * (min_people > 1)
     part = "all" if people == "complete" else "enough"
     return UserError(
         f"no window of {length} steps has {min_people} people who are seen in {part} of it: {recorded}; "
-        f"{', '.join(ways) or 'record more'}"
+        f"{', '.join(advice) or 'record more'}"
     )

@@ -177,10 +177,10 @@ def _for_card(report: Report, name: str) -> Report:
     """Return a report with rows called ``name``, without what a card does not need, and digits beyond six."""
     rows = []
     for row in report["rows"]:
-        kept = {"name": name, **only(row, _ROW)}
-        kept["metrics"] = {key: _short(value) for key, value in row["metrics"].items()}
-        kept["ci95"] = {key: [_short(end) for end in ends] for key, ends in row["ci95"].items()}
-        rows.append(kept)
+        short = {"name": name, **only(row, _ROW)}
+        short["metrics"] = {key: _short(value) for key, value in row["metrics"].items()}
+        short["ci95"] = {key: [_short(end) for end in ends] for key, ends in row["ci95"].items()}
+        rows.append(short)
     return report | {"rows": rows}
 
 

@@ -1,4 +1,4 @@
-"""How the reports on model cards are made: from their protocol alone, so that anybody can make them again."""
+"""How the reports on model cards are made: from their protocol alone, so that they can be made again."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Rows of a replay: what a policy made of recorded people, beside these people themselves.
 
-A replay's rollout has all scenes of the scenario, K rounds of them. Everybody is compared with themselves in
+A replay's rollout has all scenes of the scenario, K rounds of them. People are compared with themselves in
 the recording, where both are at the same place at the same moment until the policy takes over. Intervals are
 over people, who are drawn with all that they did in all rounds and in the recording. That people who met
 depend on each other is left out, so intervals are somewhat too narrow.
@@ -68,8 +68,8 @@ def replay_row(
       ``deadlock``: of people who once moved less than 0.1 m in 5 s, away from their exit; real people do.
       ``time_ratio_median``: the time that it took them to the real time until there, median over people.
     * ``closed_loop_ade_m``: mean distance to the recorded positions of the same time, until either arrives,
-      never set back to them. ``closed_loop_min_ade_K_m``: of everybody's best round. ``dtw_m``: distance to
-      the recorded walk whatever the pace. Whoever arrives in the first step of 0.4 s has neither.
+      never set back to them. ``closed_loop_min_ade_K_m``: of each person's best round. ``dtw_m``: distance to
+      the recorded walk whatever the pace. A person who arrives in the first step of 0.4 s has neither.
 
     ``density_speed`` is the curve of both crowds.
 

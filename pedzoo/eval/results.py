@@ -33,7 +33,7 @@ _LEGEND = {
     "time_ratio_median": "the median over people of each one's time by that of free walking; in a replay of "
     "the time until the exit to the real one",
     "outcome_blocked": "share of episodes in which not both arrive and one of them is deadlocked",
-    "outcome_lost": "in which not both arrive, though nobody stands still",
+    "outcome_lost": "in which not both arrive, though no person stands still",
     "outcome_through": "in which both arrive, but their centres come closer than 0.15 m",
     "outcome_circle": "in which both arrive and turn around each other: by 90 degrees or more within 0.6 m",
     "outcome_pass": "in which both arrive at a distance, or one after the other",
@@ -160,10 +160,10 @@ def cell(row: Mapping[str, Any], key: str) -> str:
 
 def case_label(row: Mapping[str, Any]) -> str:
     """Return what tells a row from others of its suite."""
-    kept = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
-    if {"people", "goals"} <= kept.keys():  # as in Table II
-        kept["people"] = f"{kept['people']}/{kept.pop('goals')}"
-    return " ".join(kept.values())
+    case = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
+    if {"people", "goals"} <= case.keys():  # as in Table II
+        case["people"] = f"{case['people']}/{case.pop('goals')}"
+    return " ".join(case.values())
 
 
 _NO_CASE = ("suite", "physics", "weights", SEEN)

@@ -129,21 +129,21 @@ def run_robots(
         ended: Called after every decision with the number of episodes that are over.
     """
     now = env.reset()
-    kept, robots = Recorder(env), _RobotRecorder(env)
-    decisions = torch.zeros_like(kept.alive, dtype=torch.long)
-    while kept.alive.any():
+    recorder, robots = Recorder(env), _RobotRecorder(env)
+    decisions = torch.zeros_like(recorder.alive, dtype=torch.long)
+    while recorder.alive.any():
         result = env.step(policy(now))
-        decisions += kept.alive
-        robots.add(result["next"], kept.alive)
-        kept.add(result["next"])
+        decisions += recorder.alive
+        robots.add(result["next"], recorder.alive)
+        recorder.add(result["next"])
         if ended:
-            ended(int((~kept.alive).sum()))
+            ended(int((~recorder.alive).sum()))
         now = step_mdp(result)
     others = _walk_alone(alone, decisions)
     return RobotRollout(
-        walked=kept.rollout(),
+        walked=recorder.rollout(),
         alone=others.rollout(),
-        progress=kept.progress.cpu(),
+        progress=recorder.progress.cpu(),
         progress_alone=others.progress.cpu(),
         goals=env.scenes.robot_goals,
         bodies=env.fleet.to("cpu"),
@@ -154,12 +154,12 @@ def run_robots(
 def _walk_alone(env: RobotEnv, decisions: Tensor) -> Recorder:
     """Return what people do without robots in so many ``decisions`` (B,)."""
     now = env.reset()
-    kept, action = Recorder(env), env.action_spec.zero()
+    recorder, action = Recorder(env), env.action_spec.zero()
     for number in range(1, int(decisions.max()) + 1):
         result = env.step(now.update(action))
-        kept.add(result["next"], decisions <= number)
+        recorder.add(result["next"], decisions <= number)
         now = step_mdp(result)
-    return kept
+    return recorder
 
 
 class _RobotRecorder:

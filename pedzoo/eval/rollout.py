@@ -122,14 +122,14 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
         ended: Called after every decision with the number of episodes that are over.
     """
     now = env.reset()
-    kept = Recorder(env)
-    while kept.alive.any():
+    recorder = Recorder(env)
+    while recorder.alive.any():
         result = env.step(policy(now))
-        kept.add(result["next"])
+        recorder.add(result["next"])
         if ended:
-            ended(int((~kept.alive).sum()))
+            ended(int((~recorder.alive).sum()))
         now = step_mdp(result)
-    return kept.rollout()
+    return recorder.rollout()
 
 
 class Recorder:
@@ -166,9 +166,9 @@ class Recorder:
 
     def rollout(self) -> Rollout:
         """Return the episodes, on the CPU."""
-        kept = [{key: value.cpu() for key, value in step.items()} for step in self._steps]
+        stored = [{key: value.cpu() for key, value in step.items()} for step in self._steps]
         ends = self._overdue.cpu(), self._failed.cpu()
-        return rollout_of(self._env.scenario, self._start.to("cpu"), kept, *ends, self._env.decision_dt)
+        return rollout_of(self._env.scenario, self._start.to("cpu"), stored, *ends, self._env.decision_dt)
 
 
 def _progress(state: State) -> Tensor:
@@ -182,18 +182,18 @@ def _kept(
     """Return what is kept of one decision: scenes that were over before it stay as they ended."""
     info = after["agents", "info"]
     points = info["reached"].shape[2]
-    # where the policy gave no number nobody walked
+    # no agent walked where the policy gave no number
     there = before.mask & (alive & ~state.failed).unsqueeze(1)
-    kept = {key: info[key] for key in ("trace", "agent_contact", "wall_contact", "reached")}
-    kept["present"] = there.unsqueeze(2).expand(-1, -1, points)
-    kept["controlled"] = kept["present"] & before.controlled.unsqueeze(2)
-    kept["goal"] = before.goal_point.unsqueeze(2).expand(-1, -1, points, -1)
+    stored = {key: info[key] for key in ("trace", "agent_contact", "wall_contact", "reached")}
+    stored["present"] = there.unsqueeze(2).expand(-1, -1, points)
+    stored["controlled"] = stored["present"] & before.controlled.unsqueeze(2)
+    stored["goal"] = before.goal_point.unsqueeze(2).expand(-1, -1, points, -1)
     for key in ("person", "planned"):
-        kept[key] = getattr(before, key).unsqueeze(2).expand(-1, -1, points)
+        stored[key] = getattr(before, key).unsqueeze(2).expand(-1, -1, points)
     for key in ("agent_contact", "wall_contact"):
-        kept[key] = kept[key] & kept["present"]
+        stored[key] = stored[key] & stored["present"]
     if last is not None:
         for key in ("trace", "goal", "reached", "person", "planned"):
-            running = alive.view(-1, *[1] * (kept[key].dim() - 1))
-            kept[key] = torch.where(running, kept[key], last[key][:, :, -1:])
-    return kept
+            running = alive.view(-1, *[1] * (stored[key].dim() - 1))
+            stored[key] = torch.where(running, stored[key], last[key][:, :, -1:])
+    return stored

@@ -14,8 +14,8 @@ from pedzoo.metrics.intervals import Interval
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return one row for every policy and table: each case counts the same, however many people it has.
 
-    A metric that a case has no value of (nobody arrived, nobody met) has none in the summary either: a mean
-    over the other cases could not be compared with anybody else's.
+    A metric that a case has no value of (no arrivals, no meetings) has none in the summary either: a mean
+    over the other cases could not be compared with those of other policies.
 
     Args:
         rows: Of an evaluation.

@@ -79,8 +79,8 @@ def personal_space_igibson(rollout: Rollout) -> Ratio:
 
     See `pedzoo.metrics.safety.compliance_igibson`.
     """
-    kept = safety.compliance_igibson(_nearest(rollout), rollout.scored)
-    return ratio(kept.where(rollout.mask, 0.0), rollout.mask)
+    stored = safety.compliance_igibson(_nearest(rollout), rollout.scored)
+    return ratio(stored.where(rollout.mask, 0.0), rollout.mask)
 
 
 @metric()

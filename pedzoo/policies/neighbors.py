@@ -74,11 +74,11 @@ def nearest(
             keys = keys.permute(2, 1, 0).reshape(-1, agents - 1)
             few = _least(keys if rows is None else keys.index_select(0, rows), most)
     low, high = (bound.tolist() for bound in few.aminmax(dim=1))
-    few = few[: sum(least < _NOBODY for least in low)]
+    few = few[: sum(least < _ABSENT for least in low)]
     # the own key comes before those of ignored people, and after the others
-    own = _NOBODY + _places(mask, rows)
+    own = _ABSENT + _places(mask, rows)
     index = few.minimum(own).bitwise_and_(_PLACE)
-    return Neighbors(index, None if max(high[: len(few)], default=0) < _NOBODY else few < _NOBODY)
+    return Neighbors(index, None if max(high[: len(few)], default=0) < _ABSENT else few < _ABSENT)
 
 
 def _least(keys: Tensor, most: int) -> Tensor:
@@ -112,7 +112,7 @@ _PLACE = (1 << 31) - 1
 _FAR = 1e30
 """Squared metres from which on others are ignored, for every reach."""
 
-_NOBODY = int(torch.tensor(_FAR).view(torch.int32)) - 1 << 31
+_ABSENT = int(torch.tensor(_FAR).view(torch.int32)) - 1 << 31
 """Where the keys of ignored people begin."""
 
 
@@ -204,11 +204,11 @@ def _keys_in_cells(position: Tensor, mask: Tensor, reach: float, rows: Tensor | 
     x, y = position.flatten(0, 1).T.contiguous()
     dx, dy = (part.index_select(0, other) - part.index_select(0, own) for part in (x, y))
     distance2 = dx * dx + dy * dy
-    kept = ((distance2 < min(reach * reach, _FAR)) & (other != own)).nonzero()[:, 0]
-    person = person.index_select(0, kept)
-    key = _key(distance2.index_select(0, kept), other.index_select(0, kept))
+    stored = ((distance2 < min(reach * reach, _FAR)) & (other != own)).nonzero()[:, 0]
+    person = person.index_select(0, stored)
+    key = _key(distance2.index_select(0, stored), other.index_select(0, stored))
     count = person.bincount(minlength=len(asked))
     rank = torch.arange(len(person), device=person.device) - (count.cumsum(0) - count).index_select(0, person)
-    keys = person.new_full((len(asked), max(1, int(count.max()))), _NOBODY + _PLACE)
+    keys = person.new_full((len(asked), max(1, int(count.max()))), _ABSENT + _PLACE)
     keys.view(-1)[person * keys.shape[1] + rank] = key
     return keys

@@ -92,10 +92,10 @@ class Memory:
             return like
         if _same(self._last.key, like.key):
             return self._last.seated(person)
-        kept = self._all()
-        order = kept.key.argsort()
-        place = torch.searchsorted(kept.key[order], like.key).clamp_max(len(order) - 1)
-        result = kept.rows(order[place])
+        stored = self._all()
+        order = stored.key.argsort()
+        place = torch.searchsorted(stored.key[order], like.key).clamp_max(len(order) - 1)
+        result = stored.rows(order[place])
         known = result.key == like.key
         result = result._replace(
             key=like.key,
@@ -107,8 +107,8 @@ class Memory:
     def keep(self, plans: Plans) -> None:
         """Keep the plans of a batch, and those of other scenes for a while."""
         if self._last is not None and not _same(self._last.key, plans.key):
-            kept = self._all()
-            others = kept.rows(~torch.isin(kept.key, plans.key))
+            stored = self._all()
+            others = stored.rows(~torch.isin(stored.key, plans.key))
             most = max(MOST, 4 * len(plans.key))
             self._others = Plans(*(value[:most] for value in others))
         self._last = plans

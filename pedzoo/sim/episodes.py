@@ -64,7 +64,7 @@ class Episodes:
         """
         layout = self._prepared.layout(draws)
         self._check(layout)
-        opening = layout.opening or _everybody(layout)
+        opening = layout.opening or _all_present(layout)
         recorded = self._warm_start == "recorded" or layout.opening is not None
         past = warm.recorded(layout) if recorded else warm.standing(layout.start)
         state = self._placed(draws.key, layout, opening, past).to(self._device)
@@ -191,7 +191,7 @@ class Episodes:
         )
 
 
-def _everybody(layout: Layout) -> Opening:
+def _all_present(layout: Layout) -> Opening:
     """Return the opening of scenes without a script: all are there, seen before, and walk or stand."""
     slot = torch.arange(layout.mask.shape[1], device=layout.mask.device)
     walks = layout.mask if layout.stand is None else layout.mask & (layout.stand <= 0)

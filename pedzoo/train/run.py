@@ -72,11 +72,11 @@ class RunFolder:
     def keep_earlier(self) -> None:
         """Copy the records of the runs so far aside: a resumed run writes its own in their place."""
         records = [self.path / name for name in ("config.yaml", "versions.json", "metrics.csv")]
-        kept = self.path / f"before-resume-{len(list(self.path.glob('before-resume-*'))) + 1}"
-        kept.mkdir()
+        stored = self.path / f"before-resume-{len(list(self.path.glob('before-resume-*'))) + 1}"
+        stored.mkdir()
         for record in records:
             if record.is_file():
-                shutil.copy2(record, kept)
+                shutil.copy2(record, stored)
 
     @rank_zero_only
     def discard_if_empty(self) -> None:

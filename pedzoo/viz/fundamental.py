@@ -43,7 +43,7 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
         raise UserError("there is no density and speed to draw: evaluate the suite replay")
     folds = list(dict.fromkeys(row["case"]["fold"] for row in mine))
     names = [name for name in dict.fromkeys(row["name"] for row in mine) if name != REAL]
-    # whoever comes after ten colours has them again, dashed
+    # policies beyond ten have the same colours again, dashed
     looks = product(("-", "--", ":"), colormaps["tab10"].colors)  # pyright: ignore
     styles = {
         name: {"color": colour, "ls": line, "lw": 1.3}

@@ -18,7 +18,7 @@ from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
 
 MARGIN = 2.0
-"""Metres around everybody that a panel shows."""
+"""Metres around people that a panel shows."""
 
 
 @torch.no_grad()

@@ -46,7 +46,7 @@ RECENT = 60
 """Trace points before a star that are drawn broad, 6 s; what is older is thin."""
 
 MARGIN = 0.5
-"""Metres around everybody's way that panels show."""
+"""Metres around people's paths that panels show."""
 
 SHADE = ListedColormap(colormaps["viridis"](np.linspace(0.12, 0.95, 200)), "time")
 """Time along the way; without the darkest end, on which no agent's colour is seen."""

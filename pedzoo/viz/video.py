@@ -28,7 +28,7 @@ COLUMNS = 3
 """Panels beside each other."""
 
 MARGIN = 0.6
-"""Metres around everybody's way that are seen."""
+"""Metres around people's paths that are seen."""
 
 HEADER = 30
 """Pixels above each panel for its name."""
@@ -229,11 +229,11 @@ def _side_by_side(panels: list[Image]) -> Image:
 def _silence() -> Iterator[None]:
     """Keep the codec library's remarks, written by C past Python, off the terminal."""
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    stored, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stored, 2)
+        os.close(stored)
         os.close(nowhere)

@@ -152,8 +152,8 @@ def test_lists_need_no_brackets(typed, wanted):
     parser = ArgumentParser(**PARSER_SETTINGS)
     parser.add_argument("--names", type=list[str] | None)
     parser.add_argument("--devices", type=list[int] | int | str)
-    found = parse(parser, typed)
-    assert (found.names if "names" in typed[0] else found.devices) == wanted
+    result = parse(parser, typed)
+    assert (result.names if "names" in typed[0] else result.devices) == wanted
 
 
 @pytest.mark.parametrize(
@@ -283,17 +283,17 @@ def test_reports_are_written_whole_and_into_folders_that_are_made(elsewhere, mon
 
 
 @pytest.mark.parametrize(
-    ("argv", "told"),
+    ("argv", "message"),
     [
         (["plans", "office", "--count", "1", "--sheet", "full.png"], "--sheet full.png: is a folder"),
         (["plans", "office", "--count", "1", "--json", "file/a.json"], "file' is a file, expected a folder"),
         (["forecast", "absent", "--json", "full.png"], "--json full.png: is a folder"),
     ],
 )
-def test_files_that_cannot_be_written_are_refused_before_the_work(argv, told, capsys, elsewhere):
+def test_files_that_cannot_be_written_are_refused_before_the_work(argv, message, capsys, elsewhere):
     (elsewhere / "full.png").mkdir()
     (elsewhere / "file").touch()
-    assert told in refused(capsys, *argv)
+    assert message in refused(capsys, *argv)
     assert not (elsewhere / "plans").exists()
 
 

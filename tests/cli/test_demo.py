@@ -43,7 +43,7 @@ def test_the_demo_walks_tunes_and_compares(
     assert report["protocol"]["physics"] == physics
     for number in range(1, 7):
         assert f"\n{number}/6 " in printed
-    # everybody at the table of forecasts, and who goes where in Python
+    # all rows of the table of forecasts, and what is shown in Python
     assert all(name in printed for name in ("constant_velocity", "straight_line", "bent_line"))
     velocity = next(line for line in printed.splitlines() if line.startswith("{'anna'"))
     (anna, _), (ben, _) = json.loads(velocity.translate(str.maketrans("'()", '"[]'))).values()

@@ -72,7 +72,7 @@ def test_a_run_becomes_weights_and_a_card_with_its_numbers(
     ]
 
 
-def test_numbers_are_left_out_where_nobody_wants_them(tmp_path: Path) -> None:
+def test_numbers_are_left_out_where_no_person_wants_them(tmp_path: Path) -> None:
     options = ["--to", str(tmp_path / "zoo"), "--name", "sgan_goal.mall", "--no-evaluation"]
     assert main(["export", str(make_run(tmp_path)), "--zoo", *options]) == 0
     assert read_card(tmp_path / "zoo" / "sgan_goal.mall" / "card.yaml").evaluations == []

@@ -79,19 +79,19 @@ def test_text_of_a_card_is_never_taken_for_orders_to_the_terminal(
 
 def test_names_that_have_no_card_are_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'sgan_goal.mall'" in refused(capsys, "info", "sgan_goal.mal")
-    told = refused(capsys, "info", "sgan_goal")
-    assert "unknown model 'sgan_goal'" in told
-    told = refused(capsys, "info", "sgan")
-    assert "'sgan' is an architecture" in told and "name its weights: sgan." in told
-    told = refused(capsys, "info", "runs/sgan/checkpoints/best.ckpt")
-    assert "cards are asked for by name" in told and "pedzoo export" in told
+    message = refused(capsys, "info", "sgan_goal")
+    assert "unknown model 'sgan_goal'" in message
+    message = refused(capsys, "info", "sgan")
+    assert "'sgan' is an architecture" in message and "name its weights: sgan." in message
+    message = refused(capsys, "info", "runs/sgan/checkpoints/best.ckpt")
+    assert "cards are asked for by name" in message and "pedzoo export" in message
     assert "is a folder" in refused(capsys, "info", "zoo", "--json", "zoo")
 
 
 def test_models_has_a_row_for_every_card_with_its_headline(capsys: pytest.CaptureFixture[str]) -> None:
-    found = {row["name"]: row for row in rows("*")}
-    assert list(found) == names() and len(found) > 16
-    assert found["sgan_goal.mall"] == {
+    result = {row["name"]: row for row in rows("*")}
+    assert list(result) == names() and len(result) > 16
+    assert result["sgan_goal.mall"] == {
         "name": "sgan_goal.mall",
         "kB": 192,
         "fold": "zara1",

@@ -58,7 +58,7 @@ def commands() -> list[list[str]]:
 
 
 @pytest.fixture
-def somebodys_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def readers_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working directory with the files that the README's reader is supposed to have."""
     monkeypatch.chdir(tmp_path)
     plaza = ROOT / "pedzoo" / "data" / "embedded"
@@ -80,21 +80,21 @@ def somebodys_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_pedzoo_commands(
-    somebodys_folder: Path, shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    readers_folder: Path, shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
-    found = commands()
+    result = commands()
     walk = ["--episodes", "2", "--video_seconds", "1"]
     less = {"fit": SHORT, "forecast": ["--samples", "2"], "rollout": walk, "plans": [], "bench": BENCH}
     less |= {name: [] for name in ("models", "info", "robots", "export")}
     less["evaluate"] = ["--suite", "encounters", "--episodes", "1"]
-    assert {words[0] for words in found} == {*less, *(words[0] for words in ELSEWHERE)}
-    for words in found:
+    assert {words[0] for words in result} == {*less, *(words[0] for words in ELSEWHERE)}
+    for words in result:
         if words not in ELSEWHERE:
             shorter = ["--no-evaluation"] if "--zoo" in words else less[words[0]]
             assert main([*words, *shorter]) == 0, words
     for file in ("out.json", "walk.json", "door.png", "door.webm", "walked.json", "walked.md"):
-        assert (somebodys_folder / file).is_file()
+        assert (readers_folder / file).is_file()
     assert "min_ade_2" in capsys.readouterr().out
 
 
@@ -102,7 +102,7 @@ def test_what_is_shown_elsewhere_is_in_the_readme() -> None:
     assert all(words in commands() for words in ELSEWHERE)
 
 
-def test_python_snippets(somebodys_folder: Path) -> None:
+def test_python_snippets(readers_folder: Path) -> None:
     scopes: list[dict] = [{} for _ in blocks("python")]
     for snippet, scope in zip(blocks("python"), scopes, strict=True):
         exec(compile(snippet, "README.md", "exec"), scope)

@@ -111,7 +111,7 @@ def test_bodies_of_the_environment_face_where_they_go_and_keep_it_when_they_stan
 def test_the_floor_plans_stay_with_the_batch() -> None:
     bank = MapBank([ROOM])
     batch = make_batch((2, 3), maps=bank)
-    kept: dict[str, Any] = {
+    stored: dict[str, Any] = {
         "index": batch[:1],
         "mask": batch[torch.tensor([True, False])],
         "clone": batch.clone(),
@@ -124,8 +124,8 @@ def test_the_floor_plans_stay_with_the_batch() -> None:
         "pickle": pickle.loads(pickle.dumps(batch)),
         "deepcopy": copy.deepcopy(batch),
     }
-    for name, found in kept.items():
-        assert maps_of(found) is bank, name
+    for name, result in stored.items():
+        assert maps_of(result) is bank, name
     env = make_env("door:people=2", 2, "compiled")
     steps = env.rollout(3, load_policy("go_to_goal"), break_when_any_done=False)
     assert maps_of(steps) is maps_of(cast("TensorDict", steps["next"])) is env.bank
@@ -154,7 +154,7 @@ def test_equal_banks_are_one_and_what_counts_as_a_wall_is_a_difference() -> None
 
 @pytest.mark.parametrize("policy", AVOIDING)
 def test_bodies_count_as_wide_as_they_are(policy: str) -> None:
-    """Somebody passes a parked agent 0.6 m beside: nothing to do for a person's body, a lot for 0.5 m."""
+    """A person passes a parked agent 0.6 m beside: nothing to do for a person's body, a lot for 0.5 m."""
     walks = load_policy(policy)
     place, velocity = [[-0.45, 0.0], [0.0, 0.6]], [[1.3, 0.0], [0.0, 0.0]]
     options: dict[str, Any] = {"controlled": [[True, False]]}
@@ -191,8 +191,8 @@ def test_a_robot_leaves_the_correction_to_people() -> None:
     walks = load_policy("go_to_goal:safety=true")
     place, velocity = [[-0.4, 0.0], [0.4, 0.0]], [[1.0, 0.0], [-1.0, 0.0]]
     for kind, shares in (((PERSON, PERSON), (True, True)), ((PERSON, ROBOT), (True, False))):
-        found = walks(scene(place, velocity, velocity, kind=torch.tensor(kind)))["agents", "action"][0]
-        changed = (found - torch.tensor(velocity)).norm(dim=-1) > 1e-3
+        result = walks(scene(place, velocity, velocity, kind=torch.tensor(kind)))["agents", "action"][0]
+        changed = (result - torch.tensor(velocity)).norm(dim=-1) > 1e-3
         assert tuple(changed.tolist()) == shares
     both = walks(scene(place, velocity, velocity, kind=ROBOT))["agents", "action"][0]
     assert both[0].tolist() == pytest.approx((-both[1]).tolist(), abs=1e-5)
@@ -226,7 +226,7 @@ def test_neither_order_nor_pose_matters_for_mixed_bodies(policy: str) -> None:
     moved |= {key: turn_to_scene(parts[key], pose) for key in ("velocity", "desired")}
     turned = scene(**moved, maps=bank)
     turned["scene_pose"] = pose
-    found = walks(turned)["agents", "action"]
-    apart = (found - turn_to_scene(action, pose)).norm(dim=-1)
+    result = walks(turned)["agents", "action"]
+    apart = (result - turn_to_scene(action, pose)).norm(dim=-1)
     # equally near walls and jammed people may be solved in another order
     assert (apart < 5e-3).float().mean() >= 0.9

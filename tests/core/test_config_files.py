@@ -41,11 +41,11 @@ def test_a_config_takes_its_base_and_changes_what_follows() -> None:
 def test_a_base_is_a_file_beside_the_config_or_a_shipped_name() -> None:
     write("mine/first.yaml", data={"fold": "eth"})
     assert load_config(write("mine/second.yaml", base="first.yaml")) == {"data": {"fold": "eth"}}
-    found = load_config(write("third.yaml", base="sgan_goal", data={"fold": "mall"}))
-    assert found["data"].pop("fold") == "mall"
+    result = load_config(write("third.yaml", base="sgan_goal", data={"fold": "mall"}))
+    assert result["data"].pop("fold") == "mall"
     shipped = load_config("sgan_goal")
     del shipped["data"]["fold"]
-    assert found == shipped
+    assert result == shipped
 
 
 def test_another_class_takes_none_of_the_arguments_of_the_base() -> None:
@@ -65,7 +65,7 @@ def test_scenarios_may_be_mappings() -> None:
     door = {"scenario": "door", "width": [0.9, 1.0], "people": 3, "jitter": 0, "together": True}
     plans = {"scenario": "goals:people=2", "map": ["a.1", "b,c.yaml"], "seed": None}
     courses = [door | {"scenes": 6, "share": 0.5}, {"scenario": "circle"}, {"scenario": "door:people=2"}]
-    found = load_config(
+    result = load_config(
         write(
             "mine.yaml",
             rollout={"scenarios": [door, plans, "hallway", {"scenario": "circle"}]},
@@ -73,13 +73,13 @@ def test_scenarios_may_be_mappings() -> None:
         )
     )
     text = "door:width=[0.9,1.0],people=3,jitter=0,together=true"
-    assert found["rollout"]["scenarios"] == [
+    assert result["rollout"]["scenarios"] == [
         text,
         "goals:people=2,map=[a.1,'b,c.yaml'],seed=null",
         "hallway",
         "circle",
     ]
-    assert found["model"]["init_args"]["courses"] == [
+    assert result["model"]["init_args"]["courses"] == [
         {"scenario": text, "scenes": 6, "share": 0.5},
         {"scenario": "circle"},
         {"scenario": "door:people=2"},
@@ -123,8 +123,8 @@ def test_files_that_are_no_mapping_are_refused(text: str) -> None:
 
 @pytest.mark.parametrize("name", config_names())
 def test_shipped_configs_are_whole(name: str) -> None:
-    found = load_config(name)
+    result = load_config(name)
     robot = name.startswith("robot/")  # it learns in an environment, and from no recordings
     wanted = {"model", "trainer"} if robot else {"model", "data", "trainer", "rollout"}
-    assert "base" not in found and wanted <= found.keys()
-    assert robot or all(isinstance(one, str) for one in found["rollout"]["scenarios"] or [])
+    assert "base" not in result and wanted <= result.keys()
+    assert robot or all(isinstance(one, str) for one in result["rollout"]["scenarios"] or [])

@@ -98,7 +98,7 @@ PHYSICS = '''
 '''
 
 LOSS = '''
-    """Nobody should walk to the left of where they began."""
+    """People should not walk to the left of where they began."""
 
     def leftwards(segment, bank):
         return segment.trace[..., -1, 1].clamp_min(0.0)
@@ -239,7 +239,7 @@ def test_a_reward(folder: Path) -> None:
     assert more.tolist() == torch.where(speed < 0.8, 3.0, 0.0).tolist() and 0 < int((more > 0).sum()) < 4
     with pytest.raises(UserError, match="did you mean 'slow'"):
         Reward(terms={f"{folder / 'reward.py'}:slwo": 1.0})
-    with pytest.raises(UserError, match=r"expected everybody's reward \(1, 4\), not \(\)"):
+    with pytest.raises(UserError, match=r"expected the reward of all agents \(1, 4\), not \(\)"):
         Reward(terms={f"{folder / 'reward.py'}:scalar": 1.0})(before, after)
 
 

@@ -21,7 +21,7 @@ from pedzoo.core.fetch import fetch
 
 CONTENT = bytes(range(256)) * 1000
 SUM = hashlib.sha256(CONTENT).hexdigest()
-NOBODY = "http://127.0.0.1:9/file.bin"
+REFUSED = "http://127.0.0.1:9/file.bin"
 
 
 @pytest.fixture
@@ -32,8 +32,8 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     monkeypatch.delenv("PEDZOO_OFFLINE", raising=False)
     monkeypatch.setattr(fetching, "WAITS", (0.0, 0.0, 0.0))
     monkeypatch.setattr(fetching, "TIMEOUT", (1.0, 0.25))
-    with serving() as found:
-        yield found
+    with serving() as result:
+        yield result
 
 
 @pytest.fixture
@@ -89,10 +89,10 @@ def test_an_endless_answer_is_cut_off(site: Site, place: Path) -> None:
 def test_errors_say_what_each_mirror_did_and_what_to_do(site: Site, place: Path) -> None:
     lying = site.put("lies.bin", b"other")
     with pytest.raises(UserError, match=r"cannot download file\.bin") as caught:
-        fetch([f"{site.url}/none.bin", NOBODY, lying], SUM, "file.bin", "or give weights=...")
+        fetch([f"{site.url}/none.bin", REFUSED, lying], SUM, "file.bin", "or give weights=...")
     said = str(caught.value)
     assert f"{site.url}/none.bin: 404 Not Found; " in said
-    assert f"{NOBODY}: Connection refused, tried 4 times; " in said
+    assert f"{REFUSED}: Connection refused, tried 4 times; " in said
     assert (
         f"{lying}: does not have the expected content: sha256 {hashlib.sha256(b'other').hexdigest()}" in said
     )
@@ -254,8 +254,8 @@ def test_a_cache_that_cannot_be_written_is_named(
 def test_many_at_once_download_once(site: Site) -> None:
     url = site.put("file.bin", Page(CONTENT, drops=4, drip=0.05))
     with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda _: fetch(url, SUM, "file.bin").read_bytes(), range(4)))
-    assert found == [CONTENT] * 4
+        result = list(pool.map(lambda _: fetch(url, SUM, "file.bin").read_bytes(), range(4)))
+    assert result == [CONTENT] * 4
     assert len(site.asked) == 1
 
 
@@ -294,8 +294,8 @@ def test_an_interrupted_download_is_continued_by_the_next(site: Site, place: Pat
     _, err = process.communicate(timeout=30)
     assert "KeyboardInterrupt" in err
     assert not place.exists()
-    kept = part_of(place).stat().st_size
-    assert 0 < kept <= len(CONTENT) // 2
+    stored = part_of(place).stat().st_size
+    assert 0 < stored <= len(CONTENT) // 2
     page.drip = 0.0
     assert fetch(url, SUM, "file.bin").read_bytes() == CONTENT
-    assert site.ranges_asked() == [None, f"bytes={kept}-"]
+    assert site.ranges_asked() == [None, f"bytes={stored}-"]

@@ -140,11 +140,11 @@ def test_trainings_take_old_names_of_options(capsys: pytest.CaptureFixture[str])
         "--model.init_args.walking.init_args.assertiveness=0.4",
         *("--model.max_segments", "3", "--data.imitated.one_recording_per_batch"),
     ]
-    told = capsys.readouterr().err.splitlines()
+    message = capsys.readouterr().err.splitlines()
     words = ["--data.people=present", "--model.reward.people", "2", "--model.walking.people", "3"]
     new = ["--data.keep_people=present", "--model.reward.person_cost", "2"]
     assert renamed.new_options(words) == [*new, "--model.walking.person_distance", "3"]
-    assert len(told) == 3 and told[1] == "pedzoo: --model.keep is now --model.max_segments"
+    assert len(message) == 3 and message[1] == "pedzoo: --model.keep is now --model.max_segments"
 
 
 def test_settings_of_pedzoos_classes_may_be_written_without_their_groups(
@@ -164,8 +164,8 @@ def test_settings_of_pedzoos_classes_may_be_written_without_their_groups(
     own = {"model": "mine.Module", "model.generator": "mine.Generator"}
     assert renamed.new_options(words, own) == words  # settings of another class keep their names
     settings = {"model": {"init_args": {"generator": {"init_args": {"safety": True}}}}}
-    found = renamed.new_config(settings, classes=ppo)["model"]["init_args"]["generator"]["init_args"]
-    assert found == {"walking": {"safety": True}}
+    result = renamed.new_config(settings, classes=ppo)["model"]["init_args"]["generator"]["init_args"]
+    assert result == {"walking": {"safety": True}}
     assert renamed.new_config(settings, classes=own) == settings
 
 
@@ -195,6 +195,6 @@ def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[
     assert "pedzoo: model.walking.trait is now model.walking.assertiveness\n" in capsys.readouterr().err
     change = "{keep: 9, generator: {init_args: {noise_dim: 4}}}"
     (tmp_path / "mine.yaml").write_text(f"base: old.yaml\nmodel: {{init_args: {change}}}\n")
-    found = load_config(tmp_path / "mine.yaml")["model"]["init_args"]
-    architecture = found["generator"]["init_args"]["architecture"]
-    assert (found["max_segments"], architecture["noise_dim"], architecture["goal_dim"]) == (9, 4, 16)
+    result = load_config(tmp_path / "mine.yaml")["model"]["init_args"]
+    architecture = result["generator"]["init_args"]["architecture"]
+    assert (result["max_segments"], architecture["noise_dim"], architecture["goal_dim"]) == (9, 4, 16)

@@ -51,8 +51,8 @@ def test_defaults_are_those_of_the_class() -> None:
 def test_a_preset_has_the_values_that_are_not_given() -> None:
     policy = load_policy("orca:preset=igibson,radius=0.3")
     assert isinstance(policy, Orca)
-    found = policy.settings
-    assert (found.radius, found.max_neighbors, found.top_speed_ratio) == (0.3, None, 1.0)
+    result = policy.settings
+    assert (result.radius, result.max_neighbors, result.top_speed_ratio) == (0.3, None, 1.0)
 
 
 def test_a_model_says_its_settings_without_groups() -> None:

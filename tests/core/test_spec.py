@@ -70,7 +70,7 @@ def test_typed_values_hold_any_text(path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ({"pool": "many"}, "goals:pool='many': expected int"),
         ({"pool": 2.5}, "goals:pool=2.5: expected int"),
@@ -78,13 +78,13 @@ def test_typed_values_hold_any_text(path: str) -> None:
         ({"poll": 3}, "did you mean 'pool'"),
     ],
 )
-def test_typed_values_are_checked(settings: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_typed_values_are_checked(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
         build(SCENARIOS, Spec("goals", settings), Scenario)
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("orca:radus=0.3", "did you mean 'radius'"),
         ("orca:radius=wide", "orca:radius=wide: expected"),
@@ -100,8 +100,8 @@ def test_typed_values_are_checked(settings: dict[str, Any], told: str) -> None:
         ("constant_velocity:speed=3", "unknown setting of walker constant_velocity 'speed'"),
     ],
 )
-def test_mistakes(name: str, told: str) -> None:
-    with pytest.raises(UserError, match=told.replace("(", r"\(")):
+def test_mistakes(name: str, message: str) -> None:
+    with pytest.raises(UserError, match=message.replace("(", r"\(")):
         load_policy(name)
 
 

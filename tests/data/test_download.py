@@ -42,9 +42,9 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     for name in ("PEDZOO_OFFLINE", "PEDZOO_DATA", "PEDZOO_ALEXNET"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(fetching, "WAITS", (0.0,))
-    with serving() as found:
-        monkeypatch.setattr(listing, "HOSTS", (f"{found.url}/{RAW}", f"{found.url}/{CDN}"))
-        yield found
+    with serving() as result:
+        monkeypatch.setattr(listing, "HOSTS", (f"{result.url}/{RAW}", f"{result.url}/{CDN}"))
+        yield result
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Batches of scenes of similar size: everybody once, within the caps, the same again for the same seed."""
+"""Batches of scenes of similar size: every scene once, within the caps, the same again for the same seed."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def test_caps_are_used() -> None:
 
 
 def test_sizes_within_a_batch_are_close() -> None:
-    padded = kept = 0
+    padded = stored = 0
     for draw in epoch(BucketSampler(SIZES, 64, 16384, shuffle=True)):
         sizes = SIZES[draw.scenes]
         padded += int(len(sizes) * sizes.max() ** 2)
-        kept += int((sizes**2).sum())
-    assert padded < 1.2 * kept
+        stored += int((sizes**2).sum())
+    assert padded < 1.2 * stored
     shuffled = sum(int(len(part) * part.max() ** 2) for part in SIZES[torch.randperm(501)].split(64))
     assert shuffled > 3 * padded
 

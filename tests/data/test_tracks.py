@@ -157,7 +157,7 @@ def test_other_rates_are_interpolated(seconds: float) -> None:
 
 def test_rows_already_at_04_s_are_kept_to_the_last_bit() -> None:
     xy = np.random.default_rng(0).normal(size=(30, 2))
-    # from frame 783, with a hole in which nobody is seen: 15 rows of one person, 15 of the next
+    # from frame 783, with a hole in which no person is seen: 15 rows of one person, 15 of the next
     frames = np.concatenate((783 + 10 * np.arange(15), 1083 + 10 * np.arange(15)))
     table = np.column_stack((frames, np.repeat((4, 9), 15), xy))
     tracks = Tracks.from_table("a", table).resampled(0.04)

@@ -56,8 +56,8 @@ def test_who_is_alone_is_dropped_and_counted() -> None:
     windows = cut_windows(tracks, 2, 2)
     assert listed(tracks, windows) == [{1: [0, 1, 2, 3], 2: [0, 1, 2, 3]}]
     assert windows.counts == Counts(windows=1, people=2, dropped_lone=2, dropped_partial=2)
-    kept = cut_windows(tracks, 2, 2, min_people=1).counts
-    assert kept == Counts(windows=3, people=4, dropped_lone=0, dropped_partial=2)
+    stored = cut_windows(tracks, 2, 2, min_people=1).counts
+    assert stored == Counts(windows=3, people=4, dropped_lone=0, dropped_partial=2)
     none = cut_windows(tracks, 2, 2, min_people=3).counts
     assert none == Counts(windows=0, people=0, dropped_lone=4, dropped_partial=2)
 
@@ -86,7 +86,7 @@ def random_recording(seed: int) -> Tracks:
     random = np.random.default_rng(seed)
     seen = random.random((12, 30)) < 0.93
     seen &= np.abs(np.arange(30) - random.integers(30, size=(12, 1))) < random.integers(3, 25, size=(12, 1))
-    seen[:, random.integers(30)] = False  # a step in which nobody is seen is no step at all
+    seen[:, random.integers(30)] = False  # a step in which no person is seen is no step at all
     agent, step = np.nonzero(seen)
     return Tracks.from_table("random", np.column_stack((step * 10, agent * 7 + 3, agent, step)).astype(float))
 
@@ -110,19 +110,19 @@ def by_social_gans_loop(tracks: Tracks, obs_len: int, pred_len: int) -> list[lis
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("people", ["complete", "present"])
-def test_random_recordings_agree_with_the_loop_and_nobody_is_lost(seed: int, people: KeptPeople) -> None:
+def test_random_recordings_agree_with_the_loop_and_no_person_is_lost(seed: int, people: KeptPeople) -> None:
     tracks = random_recording(seed)
     windows = cut_windows(tracks, 4, 3, people)
-    found = [
+    result = [
         [(int(tracks.agent[rows.max()]), rows.tolist()) for rows in windows.rows[a:b] if (rows >= 0).all()]
         for a, b in zip(windows.offsets[:-1], windows.offsets[1:], strict=True)
     ]
     loop = by_social_gans_loop(tracks, 4, 3)
     assert len(loop) > 3
     if people == "complete":
-        assert found == loop
+        assert result == loop
     else:
-        assert [scene for scene in found if len(scene) > 1] == loop
+        assert [scene for scene in result if len(scene) > 1] == loop
     frames = np.unique(tracks.frame)
     last_observed = frames[3 : len(frames) - 3]
     counts = windows.counts

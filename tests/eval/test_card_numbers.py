@@ -88,14 +88,14 @@ def test_weights_that_saw_every_scene_are_measured_on_their_validation_windows(
     shared: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(card_numbers, "WALKS", [])
-    found = measure("sgan_goal_map.eth_ucy", "mine.all", root=str(shared / "data"))
-    assert [report["protocol"]["fold"] for report in found] == ["eth_ucy", "embedded"]
-    assert found[0]["protocol"]["split"] == "val" and found[0]["protocol"]["clock"] == "true"
-    assert {row["name"] for report in found for row in report["rows"]} == {"mine.all"}
+    result = measure("sgan_goal_map.eth_ucy", "mine.all", root=str(shared / "data"))
+    assert [report["protocol"]["fold"] for report in result] == ["eth_ucy", "embedded"]
+    assert result[0]["protocol"]["split"] == "val" and result[0]["protocol"]["clock"] == "true"
+    assert {row["name"] for report in result for row in report["rows"]} == {"mine.all"}
     entry = find("sgan_goal_map.eth_ucy")
     assert entry
     # by which these weights were chosen
-    assert found[0]["rows"][0]["metrics"]["ade_m"] == pytest.approx(entry.card.training["value"], 1e-3)
+    assert result[0]["rows"][0]["metrics"]["ade_m"] == pytest.approx(entry.card.training["value"], 1e-3)
 
 
 def test_the_numbers_of_a_card_are_found_again(
@@ -152,7 +152,7 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(
         ("evaluate", {"suites": ["door"], "episodes": "few"}, "episodes is 'few', expected a whole number"),
     ],
 )
-def test_a_protocol_that_nobody_wrote_is_refused_and_runs_nothing(
+def test_a_protocol_that_no_person_wrote_is_refused_and_runs_nothing(
     command: str, changed: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -56,7 +56,7 @@ from pedzoo.policies.policy import Policy
 
 
 class Broken(Policy):
-    """Has no number for anybody in scenes that began 0.8 s ago."""
+    """Has no numbers in scenes that began 0.8 s ago."""
 
     def __init__(self):
         super().__init__(0.4)
@@ -78,10 +78,10 @@ def small(tmp_path: Path) -> str:
 
 def compared(report: dict[str, Any]) -> dict[str, Any]:
     """Return a report without versions and times."""
-    found = json.loads(json.dumps(report))
-    for row in found["rows"] + found["summary"]:
+    result = json.loads(json.dumps(report))
+    for row in result["rows"] + result["summary"]:
         del row["seconds"]
-    return {key: value for key, value in found.items() if key not in ("versions", "command")}
+    return {key: value for key, value in result.items() if key not in ("versions", "command")}
 
 
 def test_the_command_a_resumed_run_and_python_give_the_same_table(
@@ -127,11 +127,11 @@ def test_the_command_a_resumed_run_and_python_give_the_same_table(
 
 
 def test_kept_parts_of_another_command_stay(small: str, tmp_path: Path) -> None:
-    kept = Path(tmp_path / "out.json.partial")
-    Journal(kept).add("another", [{"n": 1}])
+    stored = Path(tmp_path / "out.json.partial")
+    Journal(stored).add("another", [{"n": 1}])
     command = ["evaluate", "go_to_goal", "--suite", small, "--episodes", "1"]
     assert main([*command, "--json", str(tmp_path / "out.json")]) == 0
-    assert "another" in Journal(kept).done and len(Journal(kept).done) == 3
+    assert "another" in Journal(stored).done and len(Journal(stored).done) == 3
 
 
 def test_what_is_done_is_told_when_a_worker_dies(
@@ -200,7 +200,7 @@ def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.
     monkeypatch.setattr(Journal, "add", full)
     with pytest.raises(UserError, match="cannot write") as caught:
         pedzoo.evaluate(["go_to_goal"], [small])
-    assert ended and caught.traceback  # though whoever looks at the error holds on to the iterator
+    assert ended and caught.traceback  # though the caught error holds on to the iterator
 
 
 def test_two_workers_give_the_same_table(small: str) -> None:
@@ -429,7 +429,7 @@ def test_the_mean_of_cases_and_its_interval_by_hand() -> None:
     ]
     mine, other = summary(rows)
     assert (mine["name"], mine["n"], mine["cases"], other["n"]) == ("orca", 40, 2, 20)
-    assert mine["metrics"] == pytest.approx({"success": 0.7})  # not everybody has a time
+    assert mine["metrics"] == pytest.approx({"success": 0.7})  # not every person has a time
     assert mine["ci95"]["success"] == pytest.approx((0.45, 0.75))
     assert other["ci95"] == {} and mine["seconds"] == {"wall": 2.0, "cpu": 1.0}
 
@@ -443,7 +443,7 @@ def test_tables_and_pages_show_the_same_cells(small: str, tmp_path: Path) -> Non
     evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], EvaluationOptions(episodes=2))
     evaluation.run()
     report = {**evaluation.report(), "versions": {"pedzoo": "0", "torch": "0"}}
-    shown = {small: Shown(("success",), ("success", "failed", "nobody_has_it"), "episodes")}
+    shown = {small: Shown(("success",), ("success", "failed", "no_row_has_it"), "episodes")}
     head, own, each = pages(report, shown)
     assert [row[0] for row in head.rows] == ["go_to_goal", "constant_velocity"]
     assert own.head == ["policy", "n", "success"] and each.head == ["policy", "circle", "two"]

@@ -32,11 +32,11 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "plain": {"residual": "constant_velocity"},
         "goal": {"goal_dim": 4, "goal_protocol": "destination", "residual": "bent_line", "map": "patch"},
     }
-    found = {}
+    result = {}
     for name, given in options.items():
-        found[name] = str(folder / f"{name}.safetensors")
-        save_weights(random_weights(SGAN.of(**given)), found[name])
-    return found
+        result[name] = str(folder / f"{name}.safetensors")
+        save_weights(random_weights(SGAN.of(**given)), result[name])
+    return result
 
 
 def make_data(goal: str = "none", batch_size: int = 256, **options: Any) -> TrajectoryDataModule:

@@ -25,7 +25,7 @@ from pedzoo.policies.policy import Policy
 
 
 class Broken(Policy):
-    """Walks to the goal until, after 0.8 s, it has no number for somebody in the first scene."""
+    """Walks to the goal until, after 0.8 s, it has no number for a person in the first scene."""
 
     def __init__(self):
         super().__init__(0.4)
@@ -148,7 +148,7 @@ def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> 
         broken, _ = rollout(f"{tmp_path}/broken.py:Broken", "door", "compiled", 3)
     whole, _ = rollout("go_to_goal", "door", "compiled", 3)
     assert broken.failed.tolist() == [True, False, False]
-    assert broken.length[0] == 8  # two decisions; in the third nobody walked
+    assert broken.length[0] == 8  # two decisions; in the third none walked
     for episode in (1, 2):
         some = slice(episode, episode + 1)
         assert_same(broken.episodes(some), whole.episodes(some))
@@ -225,15 +225,15 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
         "warm_start": "static",
         "clearance": 0.25,
     }
-    assert [found["name"] for found in report["rows"]] == policies
-    for found in report["rows"]:
-        assert found["n"] == 3 and len(found["per_agent"]) == 6
-        lines = [line for line in printed.splitlines() if found["name"] in line]
+    assert [result["name"] for result in report["rows"]] == policies
+    for result in report["rows"]:
+        assert result["n"] == 3 and len(result["per_agent"]) == 6
+        lines = [line for line in printed.splitlines() if result["name"] in line]
         shown = [cell.strip() for line in lines for cell in line.split("│")]
-        for value in found["metrics"].values():
+        for value in result["metrics"].values():
             assert f"{value:.3f}" in shown
-        for key, (low, high) in found["ci95"].items():
-            assert low <= found["metrics"][key] <= high
+        for key, (low, high) in result["ci95"].items():
+            assert low <= result["metrics"][key] <= high
     walked, _ = rollout(policies[1], "door", "compiled", 3, 2, True, warm_start="static")
     again = json.loads(json.dumps(row(policies[1], walked)))
     assert again == report["rows"][1]
@@ -259,7 +259,7 @@ def test_interrupted_command_prints_what_is_over(
     assert main([*words, "--json", str(file)]) == 130
     report = json.loads(file.read_text())
     assert report["interrupted"] is True
-    assert [(found["name"], found["n"]) for found in report["rows"]] == [
+    assert [(result["name"], result["n"]) for result in report["rows"]] == [
         ("go_to_goal", 2),
         ("go_to_goal:dt=0.2", 1),
     ]

@@ -250,7 +250,7 @@ def test_a_worker_stays_with_its_group_and_then_helps_where_most_is_left() -> No
     assert [shares.take(0), shares.take(0), shares.take(0)] == [(4, 0), (6, 0), None]
 
 
-def test_every_job_is_handed_out_once_whoever_asks() -> None:
+def test_every_job_is_handed_out_once_who_asks() -> None:
     draw = random.Random(0)
     for _ in range(50):
         keys = [draw.randrange(5) for _ in range(draw.randrange(1, 30))]

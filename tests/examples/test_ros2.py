@@ -99,11 +99,11 @@ def test_people_walk_to_their_goals_in_turn_and_past_the_robot(
     ]
     said = walked(services, people, robot, 120)
     assert [one.position.position.x for one in said[0]] == [-3.0, 3.0, 4.0]
-    ways = [[(row[i].position.position.x, row[i].position.position.y) for row in said] for i in range(3)]
-    assert math.dist(ways[0][-1], (3.0, 1.0)) < 0.5 and math.dist(ways[1][-1], (-3.0, -1.0)) < 0.5
-    assert min(math.dist(place, (3.0, 0.05)) for place in ways[0]) <= 0.3
-    assert min(math.dist(place, (0.0, 0.0)) for place in ways[0]) > 0.5
-    assert max(math.dist(place, (4.0, 0.5)) for place in ways[2]) == 0
+    paths = [[(row[i].position.position.x, row[i].position.position.y) for row in said] for i in range(3)]
+    assert math.dist(paths[0][-1], (3.0, 1.0)) < 0.5 and math.dist(paths[1][-1], (-3.0, -1.0)) < 0.5
+    assert min(math.dist(place, (3.0, 0.05)) for place in paths[0]) <= 0.3
+    assert min(math.dist(place, (0.0, 0.0)) for place in paths[0]) > 0.5
+    assert max(math.dist(place, (4.0, 0.5)) for place in paths[2]) == 0
     for before, after in pairwise(said):
         one, two = before[0], after[0]
         step = two.position.position.x - one.position.position.x

@@ -34,9 +34,9 @@ def make_batch(
         goal: With ``window_end`` goals.
         partly: Some people leave, and one is lost from sight for two steps.
         dtype: Of all positions.
-        padding: What stands where nobody is: whoever reads it is found out.
+        padding: What stands in empty slots: code that reads it fails the test.
         steps: Future steps.
-        seed: Of everybody's walk.
+        seed: Of every person's walk.
         maps: Floor plans; None for none.
     """
     random = torch.Generator().manual_seed(seed)
@@ -55,7 +55,7 @@ def make_batch(
         known[-1, 0, 9:11] = False
         known[-1, 1, 8:] = False
     for step in range(8, 8 + steps):
-        # as recordings do: where somebody is not seen stands their last known position
+        # as recordings do: where a person is not seen stands their last known position
         xy[:, :, step] = torch.where(known[:, :, step, None], xy[:, :, step], xy[:, :, step - 1])
     xy[~mask] = padding
     history, future = xy.split((8, steps), 2)

@@ -96,7 +96,7 @@ def free_places(env: PedestrianEnv, clear: float, seed: int = 0) -> Tensor:
 
 
 def commands(env: PedestrianEnv, generator: torch.Generator) -> Tensor:
-    """Return random commands at everybody's top speed (B, A, 2), m/s."""
+    """Return random commands at every person's top speed (B, A, 2), m/s."""
     top = env.state.top_speed
     angle = 6.3 * torch.rand(top.shape, generator=generator)
     return top.unsqueeze(2) * torch.stack((angle.cos(), angle.sin()), dim=-1)

@@ -31,10 +31,10 @@ def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> 
     longest = STEP_SECONDS * (1.3 + 0.4 * draw())
     velocity = limit_speed(0.8 * torch.randn(position.shape, generator=random), longest / STEP_SECONDS)
     step = 0.4 * torch.randn(position.shape, generator=random)
-    everybody, nobody = draw() >= 0, draw() > 1
+    present, absent = draw() >= 0, draw() > 1
     if not mixed:
         radius = torch.full_like(longest, BODY_RADIUS)
-        return ProposedSteps(position, step, longest, everybody, everybody, nobody, radius, nobody, velocity)
+        return ProposedSteps(position, step, longest, present, present, absent, radius, absent, velocity)
     present = draw() > 0.1
     moved = present & (draw() > 0.15)
     return ProposedSteps(

@@ -41,9 +41,9 @@ class There(Tensor):
     def __new__(cls, here: Tensor) -> There:
         """Wrap values."""
         size = here.shape, here.stride(), here.storage_offset()
-        found = Tensor._make_wrapper_subclass(cls, *size, dtype=here.dtype, device=_META)
-        found.here = here
-        return found
+        result = Tensor._make_wrapper_subclass(cls, *size, dtype=here.dtype, device=_META)
+        result.here = here
+        return result
 
     @property
     def device(self) -> torch.device:  # type: ignore[override]
@@ -72,12 +72,12 @@ class _Operations(TorchDispatchMode):
         if target is not None:
             given["device"] = torch.device("cpu")
         here = tree_map(lambda leaf: leaf.here if isinstance(leaf, There) else leaf, (args, given))
-        found = func(*here[0], **here[1])
+        result = func(*here[0], **here[1])
         if not there and target != _META:
-            return found
+            return result
         if name.split(".")[0].endswith("_"):
             return args[0]
-        return tree_map(lambda leaf: There(leaf) if isinstance(leaf, Tensor) else leaf, found)
+        return tree_map(lambda leaf: There(leaf) if isinstance(leaf, Tensor) else leaf, result)
 
 
 class _Arrivals(TorchFunctionMode):
@@ -94,13 +94,13 @@ class _Arrivals(TorchFunctionMode):
             return func(*args, **given)
         if func is not Tensor.to and func not in (torch.tensor, torch.as_tensor):
             return func(*args, **given | {"device": _META})
-        found = args[0] if func is Tensor.to else func(*args, **given | {"device": "cpu"})
+        result = args[0] if func is Tensor.to else func(*args, **given | {"device": "cpu"})
         for to in targets:
             dtype = to.dtype if isinstance(to, There) else to
-            found = found.to(dtype) if isinstance(dtype, torch.dtype) else found
-        if not (self.copies or isinstance(found, There)):
-            raise MixedDevicesError(f"a tensor of shape {tuple(found.shape)} is copied from the CPU")
-        return found if isinstance(found, There) else There(found)
+            result = result.to(dtype) if isinstance(dtype, torch.dtype) else result
+        if not (self.copies or isinstance(result, There)):
+            raise MixedDevicesError(f"a tensor of shape {tuple(result.shape)} is copied from the CPU")
+        return result if isinstance(result, There) else There(result)
 
 
 def _reads(func: Any, name: str, args: Any) -> bool:

@@ -115,4 +115,4 @@ def _answer(handler: BaseHTTPRequestHandler, page: Page) -> None:
             handler.wfile.flush()
             time.sleep(page.drip)
     except (BrokenPipeError, ConnectionResetError):
-        pass  # whoever asked has gone
+        pass  # the client has gone

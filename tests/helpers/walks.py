@@ -14,7 +14,7 @@ from pedzoo.sim.rollout import Rollout
 def made(path: Tensor, present: Tensor | None = None, **more: Any) -> Rollout:
     """Return the rollout of people who walk ``path`` (E, A, 1 + T, 2), metres, and reach no goal.
 
-    Everybody is there until the end unless ``present`` (E, A, T) says otherwise; ``more`` are fields of their
+    All are there until the end unless ``present`` (E, A, T) says otherwise; ``more`` are fields of their
     own instead of those made up here.
     """
     episodes, agents, points = path.shape[0], path.shape[1], path.shape[2] - 1

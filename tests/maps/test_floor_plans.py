@@ -41,8 +41,8 @@ def distance(grid: OccupancyGrid, *points: tuple[float, float]) -> list[float]:
 def test_a_door_is_as_wide_as_it_is_said_to_be(width: float, resolution: float) -> None:
     grid = two_rooms(width)
     assert grid.resolution == resolution
-    found = distance(grid, (0, 0), (0, width / 2 + 0.5), (-0.075 - 0.3, 1.0), (0.06, width / 2 + 0.01))
-    assert found == pytest.approx([width / 2, -0.075, 0.3, -0.01], abs=1e-9)
+    result = distance(grid, (0, 0), (0, width / 2 + 0.5), (-0.075 - 0.3, 1.0), (0.06, width / 2 + 0.01))
+    assert result == pytest.approx([width / 2, -0.075, 0.3, -0.01], abs=1e-9)
     assert len(boxes(grid, "free")) == 6
 
 

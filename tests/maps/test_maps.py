@@ -124,10 +124,10 @@ def test_the_content_makes_the_id_and_not_the_name() -> None:
 
 def test_bank_reads_between_cell_centres_and_stops_at_the_border() -> None:
     grid = corridor()
-    found = ask(
+    result = ask(
         MapBank([grid]), grid, (1.0, 1.0), (1.75, 1.0), (2.0, 1.0), (2.25, 0.3), (-9.0, 1.0), (2.0, 99.0)
     )
-    assert found == pytest.approx([1.0, 0.25, 0.0, -0.25, 1.75, 0.0], abs=1e-5)
+    assert result == pytest.approx([1.0, 0.25, 0.0, -0.25, 1.75, 0.0], abs=1e-5)
 
 
 def test_origin_and_yaw() -> None:
@@ -199,13 +199,13 @@ def test_ids_are_checked() -> None:
         MapBank([grid, OccupancyGrid(grid.cells, 9.0, name=grid.name)])
 
 
-def test_no_map_and_nobody() -> None:
+def test_no_map_and_no_points() -> None:
     for bank in (MapBank(), MapBank([corridor()])):
         assert ask(bank, None, (2.25, 1.0), (1e6, 0.0)) == [5.0, 5.0]
-        nobody = bank.signed_distance(
+        no_points = bank.signed_distance(
             torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4)
         )
-        assert nobody.shape == (0, 3)
+        assert no_points.shape == (0, 3)
     with pytest.raises(UserError, match="holds no map"):
         MapBank().index(torch.tensor([7]))
 

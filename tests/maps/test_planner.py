@@ -63,16 +63,16 @@ def next_waypoints(planner: Planner, points: Tensor, goal: Tensor) -> NextWaypoi
 
 def guide(planner: Planner, points: Tensor, goal: Tensor, speed: float = 1.0, ahead: float = 3.2) -> Guidance:
     speeds = torch.full((len(points),), speed)
-    return told(planner, points, goal, *arguments(planner.bank, len(points)), speeds, ahead)
+    return guidance_of(planner, points, goal, *arguments(planner.bank, len(points)), speeds, ahead)
 
 
-def told(
+def guidance_of(
     planner: Planner, points: Tensor, goal: Tensor, map_id: Tensor, pose: Tensor, speed: Tensor, ahead: float
 ) -> Guidance:
     """Guide people (P,) of whom each is in a scene of their own."""
     scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.map_rows(map_id), pose, speed.unsqueeze(1)
-    found = planner.guidance(*scenes, ahead, float(speed.max()))
-    return Guidance(*(value.squeeze(1) for value in found))
+    result = planner.guidance(*scenes, ahead, float(speed.max()))
+    return Guidance(*(value.squeeze(1) for value in result))
 
 
 def length(start: np.ndarray, way: np.ndarray) -> float:
@@ -98,13 +98,13 @@ def test_ways_by_hand() -> None:
 
     goal = planner.add_goals(0, [(6.5, 0.5)])
     points = torch.tensor([[0.5, 0.5], [2.5, 4.5], [3.4, 4.6], [5.0, 3.0], [6.5, 0.5]])
-    found = next_waypoints(planner, points, goal.expand(5))
+    result = next_waypoints(planner, points, goal.expand(5))
     root = math.sqrt(20)
-    assert found.waypoint.tolist() == [[2.5, 4.5], [4.5, 4.5], [4.5, 4.5], [6.5, 0.5], [6.5, 0.5]]
-    assert found.next_waypoint.tolist() == [[4.5, 4.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5]]
-    assert found.goal_point.tolist() == [[6.5, 0.5]] * 5
+    assert result.waypoint.tolist() == [[2.5, 4.5], [4.5, 4.5], [4.5, 4.5], [6.5, 0.5], [6.5, 0.5]]
+    assert result.next_waypoint.tolist() == [[4.5, 4.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5], [6.5, 0.5]]
+    assert result.goal_point.tolist() == [[6.5, 0.5]] * 5
     expected = [2 * root + 2, 2 + root, math.hypot(1.1, 0.1) + root, math.hypot(1.5, 2.5), 0]
-    assert found.distance.tolist() == pytest.approx(expected, abs=1e-5)
+    assert result.distance.tolist() == pytest.approx(expected, abs=1e-5)
 
 
 def test_diagonal_steps_do_not_cut_corners() -> None:
@@ -169,12 +169,12 @@ def check_lengths(planner: Planner, pairs: int) -> None:
     cells = draws.choice(rooms, 8, replace=False)
     goals = planner.add_goals(0, graph.xy[cells] + jitter[:8])
     which = np.arange(pairs) % 8
-    found = next_waypoints(planner, torch.from_numpy(starts).float(), goals[which]).distance.numpy()
+    result = next_waypoints(planner, torch.from_numpy(starts).float(), goals[which]).distance.numpy()
     ends = graph.xy[cells] + jitter[:8]
-    ways = [length(start, planner.path(start, ends[k], 0)) for start, k in zip(starts, which, strict=True)]
-    np.testing.assert_allclose(found, ways, rtol=0.01)
+    paths = [length(start, planner.path(start, ends[k], 0)) for start, k in zip(starts, which, strict=True)]
+    np.testing.assert_allclose(result, paths, rtol=0.01)
     eight = dijkstra(graph.matrix, indices=cells)[which, graph.index[graph.locate(starts)[0]]]
-    assert (np.array(ways) <= eight + 2 * graph.grid.resolution).all()  # between centres, not quite the same
+    assert (np.array(paths) <= eight + 2 * graph.grid.resolution).all()  # between centres, not quite the same
 
 
 def test_paths_and_fields_are_equally_long() -> None:
@@ -191,9 +191,9 @@ def check_clearance(bank: MapBank, planner: Planner) -> None:
     goals = planner.add_goals(0, graph.xy[rooms[:: len(rooms) // 5]])
     points = torch.from_numpy(graph.xy[rooms]).float()
     for goal in goals:
-        found = next_waypoints(planner, points, goal.expand(len(points)))
+        result = next_waypoints(planner, points, goal.expand(len(points)))
         part = torch.linspace(0, 1, 60)[:, None]
-        line = points[:, None] + (found.waypoint - points)[:, None] * part
+        line = points[:, None] + (result.waypoint - points)[:, None] * part
         assert bank.signed_distance(line, *arguments(bank, len(line))).min() > planner.clearance - 1e-4
 
 
@@ -203,15 +203,15 @@ def test_ways_keep_the_clearance(shared: Path) -> None:
 
 
 def walk(bank: MapBank, planner: Planner, goal: Tensor, starts: Tensor, speed: float = 1.3) -> None:
-    """Follow the desired velocity in steps of 0.1 s: everybody arrives in time, and nobody touches a wall."""
+    """Follow the desired velocity in steps of 0.1 s: all arrive in time, without touching walls."""
     points, goals = starts.clone(), goal.expand(len(starts))
     here = arguments(bank, len(points))
     first = next_waypoints(planner, points, goals).distance
     walked, arrived = torch.zeros(len(points)), torch.zeros(len(points), dtype=torch.bool)
     for _ in range(int(first.max() * 1.1 / (speed * 0.1)) + 5):
-        told = guide(planner, points, goals, speed)
-        arrived |= (points - told.goal_point).norm(dim=1) < 0.3
-        step = torch.where(arrived[:, None], 0.0, told.desired_velocity * 0.1)
+        seen = guide(planner, points, goals, speed)
+        arrived |= (points - seen.goal_point).norm(dim=1) < 0.3
+        step = torch.where(arrived[:, None], 0.0, seen.desired_velocity * 0.1)
         walked += step.norm(dim=1)
         points = points + step
         distance, _ = bank.closest_wall(points, *here)
@@ -220,7 +220,7 @@ def walk(bank: MapBank, planner: Planner, goal: Tensor, starts: Tensor, speed: f
     assert (walked < 1.05 * first + 0.2).all()
 
 
-def test_everybody_gets_there(shared: Path) -> None:
+def test_all_people_get_there(shared: Path) -> None:
     for bank, planner in (flat(), apartment(shared)):
         graph, rooms = planner.graph(0), rooms_of(planner)
         for goal in planner.add_goals(0, graph.xy[rooms[len(rooms) // 5 :: len(rooms) // 2]]):
@@ -243,12 +243,12 @@ def test_people_pushed_aside_find_back() -> None:
 def test_from_outside_and_inside_of_walls_the_way_begins_at_the_nearest_open_cell() -> None:
     planner = cells_planner(TWO_ROOMS)
     goal = planner.add_goals(0, [(6.5, 0.5)])
-    found = next_waypoints(planner, torch.tensor([[-4.5, 0.5], [3.6, 0.5]]), goal.expand(2))
-    assert found.waypoint[0].tolist() == [0.5, 0.5]
-    assert found.next_waypoint[0].tolist() == [2.5, 4.5]
-    assert float(found.distance[0]) == pytest.approx(5 + 2 * math.sqrt(20) + 2, abs=1e-5)
-    assert float(found.waypoint[1, 0]) in (2.5, 4.5) or found.waypoint[1].tolist() == [6.5, 0.5]
-    assert found.distance.isfinite().all()
+    result = next_waypoints(planner, torch.tensor([[-4.5, 0.5], [3.6, 0.5]]), goal.expand(2))
+    assert result.waypoint[0].tolist() == [0.5, 0.5]
+    assert result.next_waypoint[0].tolist() == [2.5, 4.5]
+    assert float(result.distance[0]) == pytest.approx(5 + 2 * math.sqrt(20) + 2, abs=1e-5)
+    assert float(result.waypoint[1, 0]) in (2.5, 4.5) or result.waypoint[1].tolist() == [6.5, 0.5]
+    assert result.distance.isfinite().all()
 
 
 def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
@@ -264,8 +264,8 @@ def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
     ids, speed = torch.full((count,), bank.grids[0].map_id), torch.full((count,), 1.2)
     # rounding must not decide which cell it is, or whether a line passes a wall at just a body's radius
     points = points + torch.rand(count, 2, generator=draws) * 0.02
-    plain = told(planner, points, goals, ids, identity_pose(count), speed, 3.2)
-    moved = told(planner, move_to_scene(points, pose), goals, ids, pose, speed, 3.2)
+    plain = guidance_of(planner, points, goals, ids, identity_pose(count), speed, 3.2)
+    moved = guidance_of(planner, move_to_scene(points, pose), goals, ids, pose, speed, 3.2)
     for name in ("goal", "waypoint", "goal_point"):
         back = move_to_map(getattr(moved, name), pose)
         torch.testing.assert_close(back, getattr(plain, name), atol=1e-4, rtol=1e-4)
@@ -282,17 +282,17 @@ def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
 def test_the_carrot_by_hand() -> None:
     planner = cells_planner(drawn(*["." * 12] * 12))
     goal = planner.add_goals(0, [(8.5, 2.5)])
-    told = guide(planner, torch.tensor([[2.5, 2.5], [7.5, 2.5], [8.5, 5.5]]), goal.expand(3), speed=1.25)
+    seen = guide(planner, torch.tensor([[2.5, 2.5], [7.5, 2.5], [8.5, 5.5]]), goal.expand(3), speed=1.25)
     # 4 m ahead: on the way; prolonged beyond the goal; the same from above
-    assert told.goal.flatten().tolist() == pytest.approx([6.5, 2.5, 11.5, 2.5, 8.5, 1.5], abs=1e-5)
-    assert told.desired_velocity.flatten().tolist() == pytest.approx([1.25, 0, 1.25, 0, 0, -1.25], abs=1e-5)
+    assert seen.goal.flatten().tolist() == pytest.approx([6.5, 2.5, 11.5, 2.5, 8.5, 1.5], abs=1e-5)
+    assert seen.desired_velocity.flatten().tolist() == pytest.approx([1.25, 0, 1.25, 0, 0, -1.25], abs=1e-5)
 
     around = cells_planner(TWO_ROOMS)
     goal = around.add_goals(0, [(6.5, 0.5)])
-    told = guide(around, torch.tensor([[2.5, 3.5], [2.5, 3.5]]), goal.expand(2), speed=1.0, ahead=2.0)
+    seen = guide(around, torch.tensor([[2.5, 3.5], [2.5, 3.5]]), goal.expand(2), speed=1.0, ahead=2.0)
     # a metre up to the waypoint, then a metre to the right: in sight over the wall's corner
-    assert told.waypoint.tolist() == [[2.5, 4.5]] * 2
-    x, y = told.goal[0].tolist()
+    assert seen.waypoint.tolist() == [[2.5, 4.5]] * 2
+    x, y = seen.goal[0].tolist()
     assert y == pytest.approx(4.5)
     assert 2.5 <= x <= 3.5
 
@@ -304,10 +304,10 @@ def test_the_carrot_is_seen_and_as_far_as_the_way() -> None:
     here = arguments(bank, len(points))
     cut = 0
     for goal in planner.add_goals(0, [(7.0, 1.0), (0.5, 0.5), (4.1, 3.0)]):
-        told = guide(planner, points, goal.expand(len(points)), speed=1.3)
+        seen = guide(planner, points, goal.expand(len(points)), speed=1.3)
         ahead = 1.3 * 3.2
-        chord = told.goal - points
-        free = (told.waypoint - points).norm(dim=1) >= ahead
+        chord = seen.goal - points
+        free = (seen.waypoint - points).norm(dim=1) >= ahead
         assert chord[free].norm(dim=1).numpy() == pytest.approx(ahead, abs=1e-4)
         assert (chord.norm(dim=1) < ahead + 1e-4).all()
         part = torch.linspace(0, 1, 200)[:, None]
@@ -315,21 +315,21 @@ def test_the_carrot_is_seen_and_as_far_as_the_way() -> None:
         least = bank.signed_distance(line, *here).min(dim=1).values
         assert least.min() > 0  # never through a wall
         assert (least > 0.1).float().mean() > 0.99
-        to_waypoint = (told.waypoint - points).norm(dim=1)
+        to_waypoint = (seen.waypoint - points).norm(dim=1)
         assert (chord.norm(dim=1) > to_waypoint.clamp_max(ahead) - 0.35).all()
         cut += int((chord.norm(dim=1) < to_waypoint + 1e-4).sum())
-    assert cut > 0  # somebody stands where only the waypoint is in sight
+    assert cut > 0  # a person stands where only the waypoint is in sight
 
 
 def test_standing_on_waypoint_and_goal() -> None:
     planner = cells_planner(TWO_ROOMS)
     goal = planner.add_goals(0, [(6.5, 0.5)])
     points = torch.tensor([[2.5, 4.5], [6.5, 0.5]], requires_grad=True)
-    told = guide(planner, points, goal.expand(2))
-    assert told.desired_velocity[0].tolist() == pytest.approx([1, 0])
-    assert told.desired_velocity[1].tolist() == [0, 0]
-    assert told.goal[1].tolist() == [6.5, 0.5]
-    (gradient,) = torch.autograd.grad(sum(part.sum() for part in told), points)  # type: ignore[arg-type]
+    seen = guide(planner, points, goal.expand(2))
+    assert seen.desired_velocity[0].tolist() == pytest.approx([1, 0])
+    assert seen.desired_velocity[1].tolist() == [0, 0]
+    assert seen.goal[1].tolist() == [6.5, 0.5]
+    (gradient,) = torch.autograd.grad(sum(part.sum() for part in seen), points)  # type: ignore[arg-type]
     assert gradient.isfinite().all()
 
 
@@ -337,11 +337,11 @@ def test_gradients_pass_through_positions() -> None:
     _, planner = flat()
     goal = planner.add_goals(0, [(7.0, 1.0)])
     points = torch.tensor([[1.0, 1.0], [6.0, 2.0]], requires_grad=True)
-    told = guide(planner, points, goal.expand(2))
-    assert not told.waypoint.requires_grad
-    (gradient,) = torch.autograd.grad(told.distance.sum(), points, retain_graph=True)
-    torch.testing.assert_close(gradient, -told.desired_velocity)
-    (gradient,) = torch.autograd.grad(told.desired_velocity[0, 0], points)
+    seen = guide(planner, points, goal.expand(2))
+    assert not seen.waypoint.requires_grad
+    (gradient,) = torch.autograd.grad(seen.distance.sum(), points, retain_graph=True)
+    torch.testing.assert_close(gradient, -seen.desired_velocity)
+    (gradient,) = torch.autograd.grad(seen.desired_velocity[0, 0], points)
     assert gradient.isfinite().all()
     assert gradient[0].abs().sum() > 0
 
@@ -370,14 +370,14 @@ def test_people_without_map_or_goal() -> None:
     ids = torch.tensor([-1, bank.grids[0].map_id, -1, bank.grids[0].map_id])
     goals = torch.tensor([int(everywhere), -1, -1, int(somewhere)])
     points = torch.tensor([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0], [6.0, 1.0]])
-    found = planner.next_waypoints(points, goals, ids, identity_pose(4))
-    assert found.waypoint.tolist() == [[3, 4], [1, 1], [90, 0], [7, 1]]
-    assert found.distance.tolist() == pytest.approx([5, 0, 0, 1])
-    guidance = told(planner, points, goals, ids, identity_pose(4), torch.ones(4), 2.0)
-    assert guidance.desired_velocity.flatten().tolist() == pytest.approx([0.6, 0.8, 0, 0, 0, 0, 1, 0])
-    assert guidance.goal[:3].flatten().tolist() == pytest.approx([1.2, 1.6, 1, 1, 90, 0])
-    nobody = planner.next_waypoints(points[:0], goals[:0], ids[:0], identity_pose(0))
-    assert nobody.distance.shape == (0,)
+    result = planner.next_waypoints(points, goals, ids, identity_pose(4))
+    assert result.waypoint.tolist() == [[3, 4], [1, 1], [90, 0], [7, 1]]
+    assert result.distance.tolist() == pytest.approx([5, 0, 0, 1])
+    seen = guidance_of(planner, points, goals, ids, identity_pose(4), torch.ones(4), 2.0)
+    assert seen.desired_velocity.flatten().tolist() == pytest.approx([0.6, 0.8, 0, 0, 0, 0, 1, 0])
+    assert seen.goal[:3].flatten().tolist() == pytest.approx([1.2, 1.6, 1, 1, 90, 0])
+    empty = planner.next_waypoints(points[:0], goals[:0], ids[:0], identity_pose(0))
+    assert empty.distance.shape == (0,)
     assert Planner(MapBank()).add_goals(-1, [(0, 0)]).tolist() == [0]
 
 
@@ -409,19 +409,19 @@ def test_no_way() -> None:
         planner.path((0.5, 0.5), (4.5, 0.5), 0)
     goal = planner.add_goals(0, [(4.5, 0.5)])
     points = torch.tensor([[0.5, 0.5], [3.5, 0.5]])
-    found = next_waypoints(planner, points, goal.expand(2))
-    assert found.distance.tolist() == [math.inf, 1]
-    assert found.waypoint.tolist() == [[0.5, 0.5], [4.5, 0.5]]
-    told = guide(planner, points, goal.expand(2))
-    assert told.desired_velocity.tolist() == [[0, 0], [1, 0]]
-    assert told.goal[0].tolist() == [0.5, 0.5]
+    result = next_waypoints(planner, points, goal.expand(2))
+    assert result.distance.tolist() == [math.inf, 1]
+    assert result.waypoint.tolist() == [[0.5, 0.5], [4.5, 0.5]]
+    seen = guide(planner, points, goal.expand(2))
+    assert seen.desired_velocity.tolist() == [[0, 0], [1, 0]]
+    assert seen.goal[0].tolist() == [0.5, 0.5]
 
 
 def test_bad_goals_are_moved_a_little_or_refused() -> None:
     bank, planner = flat()
     near = planner.add_goals(0, [(0.1, 1.025)])  # 0.1 m from a wall: moved to the next open cell's centre
-    found = next_waypoints(planner, torch.tensor([[1.0, 1.0]]), near)
-    assert found.goal_point[0].tolist() == pytest.approx([0.275, 1.025], abs=1e-4)
+    result = next_waypoints(planner, torch.tensor([[1.0, 1.0]]), near)
+    assert result.goal_point[0].tolist() == pytest.approx([0.275, 1.025], abs=1e-4)
     assert planner.add_goals(0, [(0.1, 1.025)]).tolist() == near.tolist()
     with pytest.raises(UserError, match=r"goal \(-3.00, 1.00\) is outside the map on map 'flat'.*\(0.2"):
         planner.add_goals(0, [(1.0, 1.0), (-3.0, 1.0)])

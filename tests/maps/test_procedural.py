@@ -87,9 +87,9 @@ def test_doors_measured_on_the_grid(kind: str) -> None:
             for x0, y0, x1, y1 in room.parts:
                 openings[y0:y1, x0:x1] = False
         # whatever is free and in no room leads through a wall
-        found, count = label(openings)  # type: ignore[misc]
+        result, count = label(openings)  # type: ignore[misc]
         assert count == len(bare.doors)
-        for place in find_objects(found):
+        for place in find_objects(result):
             assert openings[place].all()
             thickness, width = sorted(openings[place].shape)
             assert thickness * UNIT == pytest.approx(0.1)

@@ -48,8 +48,8 @@ def test_a_hole_runs_clockwise_and_walls_at_the_border_are_closed_there() -> Non
 
 
 def test_solids_that_touch_at_a_corner_stay_apart() -> None:
-    found = sorted(canonical(polygon) for polygon in outlines(draw("#.", ".#")))
-    assert found == [[(0, 1), (1, 1), (1, 2), (0, 2)], [(1, 0), (2, 0), (2, 1), (1, 1)]]
+    result = sorted(canonical(polygon) for polygon in outlines(draw("#.", ".#")))
+    assert result == [[(0, 1), (1, 1), (1, 2), (0, 2)], [(1, 0), (2, 0), (2, 1), (1, 1)]]
 
 
 def test_no_walls_no_outlines() -> None:
@@ -94,7 +94,7 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def brute_force(bank: MapBank, row: int, point: Tensor, pose: Tensor, reach: float) -> list:
     """Return distance, start and end of all segments in reach that a point is outside of, nearest first."""
-    found = []
+    result = []
     for polygon in bank.walls.outlines.polygons()[row]:
         there = move_to_scene(torch.as_tensor(polygon)[None], pose[None].double())[0]
         if pose[1] < 0:
@@ -103,8 +103,8 @@ def brute_force(bank: MapBank, row: int, point: Tensor, pose: Tensor, reach: flo
             way, off = b - a, point.double() - a
             distance = (off - (off @ way / (way @ way)).clamp(0, 1) * way).norm()
             if way[0] * off[1] - way[1] * off[0] < 0 and distance < reach:
-                found.append((float(distance), a, b))
-    return sorted(found, key=lambda one: one[0])
+                result.append((float(distance), a, b))
+    return sorted(result, key=lambda one: one[0])
 
 
 def turned_left(direction: Tensor) -> Tensor:
@@ -144,8 +144,8 @@ def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(dtype: torc
         expected = brute_force(bank, int(which[i]), points[i], pose[i], float(reach[i]))[:6]
         valid = near.valid[:, i] > 0
         assert valid.tolist() == [True] * len(expected) + [False] * (len(valid) - len(expected))
-        found = distances(near)[valid, i]
-        assert found.tolist() == pytest.approx([one[0] for one in expected], abs=1e-5)
+        result = distances(near)[valid, i]
+        assert result.tolist() == pytest.approx([one[0] for one in expected], abs=1e-5)
         wanted = {tuple(torch.cat(one[1:]).mul(100).round().int().tolist()) for one in expected[:-1]}
         both = ends(near, points.to(dtype))
         mine = torch.cat(both if pose[i, 1] > 0 else both[::-1])[:, valid, i].T.mul(100).round().int()
@@ -234,8 +234,8 @@ def test_people_without_walls() -> None:
     for bank in (MapBank(), MapBank([grid])):
         alone = WallSegments(bank).near(points[:1], torch.tensor([-1]), identity_pose(1), 2.0)
         assert alone.direction.shape == (2, 0, 1)
-        nobody = WallSegments(bank).near(points[:0], ids[:0], identity_pose(0), 2.0)
-        assert nobody.direction.shape == (2, 0, 0)
+        no_points = WallSegments(bank).near(points[:0], ids[:0], identity_pose(0), 2.0)
+        assert no_points.direction.shape == (2, 0, 0)
 
 
 def test_a_map_of_another_bank_is_an_error() -> None:

@@ -103,13 +103,13 @@ def test_distance_is_that_to_the_nearest_square(share: float) -> None:
         grid = OccupancyGrid(cells, 0.5)
         points = np.random.default_rng(seed).uniform(-4, np.array(shape[::-1]) * 0.5 + 4, (1500, 2))
         points[:500] = np.round(points[:500], 1)  # many of them on edges and corners
-        found, away = ask(grid, points, max_distance=20.0)
-        error = np.abs(found.numpy() - brute_force(grid, points))
+        result, away = ask(grid, points, max_distance=20.0)
+        error = np.abs(result.numpy() - brute_force(grid, points))
         # Hardly ever is a box missed, and then it is nearer by very little.
         assert error.max() < 0.01 * grid.resolution
         assert (error < 1e-9).mean() > 0.998
         # within a cell of a wall nothing is ever missed
-        assert error[found.abs().numpy() <= 0.5].max(initial=0) < 1e-9
+        assert error[result.abs().numpy() <= 0.5].max(initial=0) < 1e-9
         assert torch.allclose(away.norm(dim=1), torch.ones(len(points), dtype=away.dtype))
 
 
@@ -134,17 +134,17 @@ def test_nothing_within_reach() -> None:
     assert ask(solid, [[0.4, 0.5], [2.0, 0.5]])[0].tolist() == pytest.approx([-0.4, 1.0])
 
 
-def test_no_map_and_nobody() -> None:
+def test_no_map_and_no_points() -> None:
     grid = drawn("#..")
     for bank in (MapBank(), MapBank([grid])):
         points = torch.tensor([[[0.2, 0.2], [1e6, 0.0]]])
         distance, away = bank.closest_wall(points, torch.tensor([-1]), identity_pose(1))
         assert distance.tolist() == [[5.0, 5.0]] and away.abs().max() == 0
-        nobody = bank.closest_wall(torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4))
-        assert [part.shape for part in nobody] == [(0, 3), (0, 3, 2)]
+        empty = bank.closest_wall(torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4))
+        assert [part.shape for part in empty] == [(0, 3), (0, 3, 2)]
 
 
-def test_lost_positions_stay_lost_and_harm_nobody() -> None:
+def test_lost_positions_stay_lost_and_harm_no_person() -> None:
     distance, _ = ask(drawn("#..."), [[math.nan, 0.2], [1.0, 0.25]])
     assert distance[0].isnan() and distance[1:].tolist() == [0.5]
 
@@ -216,12 +216,12 @@ def test_rays_go_to_the_nearest_box(share: float) -> None:
     origin, direction = move_to_scene(origin, pose), turn_to_scene(direction, pose)
     rays = origin.permute(2, 1, 0), direction.permute(2, 1, 0)
     walls = bank.walls_around(ids, pose)
-    found = walls.cast(*rays, reach).t()
-    assert (found - expected).abs().max() < 1e-6
+    result = walls.cast(*rays, reach).t()
+    assert (result - expected).abs().max() < 1e-6
     x_axis, y_axis, _ = walls.frame[:6].view(3, 2, 1, 3)
     ahead = x_axis * rays[1][0] + y_axis * rays[1][1]
     again = walls.traverse(walls.cells(rays[0]), ahead, reach).t()
-    torch.testing.assert_close(again, found, atol=1e-9, rtol=0)
+    torch.testing.assert_close(again, result, atol=1e-9, rtol=0)
 
 
 def test_the_gradient_is_the_direction() -> None:
@@ -252,10 +252,10 @@ def test_distances_on_a_real_map(shared: Path) -> None:
         expected += sign * np.hypot(*gap.transpose(2, 0, 1)).min(axis=1) * grid.resolution
     bank = MapBank([grid], unknown="wall")
     ids = torch.full((len(points),), grid.map_id)
-    found, _ = bank.closest_wall(
+    result, _ = bank.closest_wall(
         torch.from_numpy(points) + torch.tensor(grid.origin[:2]), ids, identity_pose(len(points))
     )
-    error = np.abs(found.numpy() - expected)
+    error = np.abs(result.numpy() - expected)
     assert error.max() < 0.05 * grid.resolution
     assert error[np.abs(expected) < 0.2].max() < 1e-9
     assert (error < 1e-9).mean() > 0.9999

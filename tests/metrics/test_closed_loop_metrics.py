@@ -56,7 +56,7 @@ def busy() -> Rollout:
     present = (torch.arange(120) < length).expand(5, 3, 120)
     when = torch.tensor([[60, 70, 80], [50, 60, 70], [40, 45, 49], [30, 80, 500], [10, 20, 30]]).unsqueeze(2)
     speeds = 1.0 + torch.rand(5, 3, generator=generator, dtype=torch.float64)
-    speeds[0] = 1.3  # nobody is faster
+    speeds[0] = 1.3  # no person is faster
     return made(
         path,
         present,
@@ -97,15 +97,15 @@ def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
     walked = two_episodes()
     # the third point is the last that both share: 0.4 along x, 0.3 across; later they would be 0.3 apart
     expected = [[0.5, 0.5], [INF, INF]]
-    found = least_distance(nearest(walked.trace, walked.present), walked.scored)
-    assert found.tolist() == [pytest.approx(row) for row in expected]
+    result = least_distance(nearest(walked.trace, walked.present), walked.scored)
+    assert result.tolist() == [pytest.approx(row) for row in expected]
 
 
 def test_row_of_two_episodes() -> None:
-    found = row("somebody", two_episodes())
+    result = row("policy", two_episodes())
     minutes = (3 + 4 + 5) / 600
     second = 1.09**0.5 + 0.1 + 0.3 + 0.2  # metres that the second person walks until the goal
-    assert found["metrics"] == pytest.approx(
+    assert result["metrics"] == pytest.approx(
         {
             "success": 2 / 3,
             "episode_success": 0.5,
@@ -137,25 +137,25 @@ def test_row_of_two_episodes() -> None:
             "time_ratio_median": 0.3,  # the lower one of two
         }
     )
-    assert list(found["metrics"]) == [
-        *(name for name in NAMES if name in found["metrics"]),
+    assert list(result["metrics"]) == [
+        *(name for name in NAMES if name in result["metrics"]),
         "time_ratio_median",
     ]
-    assert found["name"] == "somebody" and found["n"] == 2 and found["decision_dt_s"] == 0.4
-    assert found["ci95"]["episode_success"] == wilson(0.5, 2)
-    assert "time_s" not in found["ci95"]  # one episode says nothing about others
-    first, second, third = found["per_agent"]
+    assert result["name"] == "policy" and result["n"] == 2 and result["decision_dt_s"] == 0.4
+    assert result["ci95"]["episode_success"] == wilson(0.5, 2)
+    assert "time_s" not in result["ci95"]  # one episode says nothing about others
+    first, second, third = result["per_agent"]
     assert (first["episode"], first["agent"], third["episode"], third["agent"]) == (0, 0, 1, 0)
     assert (first["time_s"], second["time_s"], third["time_s"]) == (0.3, 0.4, None)
     assert (first["agent_contacts"], first["wall_contacts"], third["wall_contacts"]) == (1, 2, 2)
     assert third["least_distance_m"] is None and third["success"] is False
 
 
-def test_clean_are_episodes_in_which_all_arrive_and_nobody_touches_anything() -> None:
-    """Of five episodes one is clean; in the others somebody touches, is late, or the policy fails."""
+def test_clean_are_episodes_in_which_all_arrive_and_none_touches_anything() -> None:
+    """Of five episodes one is clean; in the others a person touches, is late, or the policy fails."""
     path = torch.stack((straight(points=5), straight(points=5, start=(0.0, 2.0)))).expand(5, 2, 6, 2)
-    nobody = torch.zeros(5, 2, 5, dtype=torch.bool)
-    agents, walls = nobody.clone(), nobody.clone()
+    none = torch.zeros(5, 2, 5, dtype=torch.bool)
+    agents, walls = none.clone(), none.clone()
     agents[1, 0, 2] = walls[2, 1, 0] = True
     overdue, failed = torch.zeros(5, 2, dtype=torch.bool), torch.zeros(5, dtype=torch.bool)
     overdue[3, 1] = failed[4] = True
@@ -167,9 +167,9 @@ def test_clean_are_episodes_in_which_all_arrive_and_nobody_touches_anything() ->
         overdue=overdue,
         failed=failed,
     )
-    found = metrics(walked)
-    assert found["clean"] == pytest.approx(1 / 5) and found["contact_free"] == pytest.approx(3 / 5)
-    assert found["episode_success"] == pytest.approx(3 / 5)
+    result = metrics(walked)
+    assert result["clean"] == pytest.approx(1 / 5) and result["contact_free"] == pytest.approx(3 / 5)
+    assert result["episode_success"] == pytest.approx(3 / 5)
     # who is played back may touch: only people whom the policy moves are scored
     played = replace(walked, controlled=walked.controlled & torch.tensor([[False], [True]]))
     assert metrics(played)["contact_free"] == pytest.approx(4 / 5)
@@ -179,25 +179,25 @@ def test_median_time_is_of_those_who_arrive_and_its_interval_is_over_episodes() 
     walked = busy()
     value, known = time_ratios(walked)
     arrived = sorted(value[known].tolist())
-    found = row("somebody", walked)
-    middle = found["metrics"]["time_ratio_median"]
+    result = row("policy", walked)
+    middle = result["metrics"]["time_ratio_median"]
     assert middle == pytest.approx(arrived[(len(arrived) - 1) // 2]) and 0 < len(arrived) < 15
-    low, high = found["ci95"]["time_ratio_median"]
+    low, high = result["ci95"]["time_ratio_median"]
     assert low <= middle <= high and low in arrived and high in arrived
-    nobody = replace(walked, overdue=~walked.overdue)
-    assert "time_ratio_median" not in row("nobody", nobody)["metrics"]
+    in_time = replace(walked, overdue=~walked.overdue)
+    assert "time_ratio_median" not in row("policy", in_time)["metrics"]
 
 
-def test_nobody_who_fails_at_once_has_rates() -> None:
+def test_no_person_who_fails_at_once_has_rates() -> None:
     walked = two_episodes()
-    nobody = torch.zeros_like(walked.present)
+    none = torch.zeros_like(walked.present)
     walked = replace(
         walked,
-        present=nobody,
-        controlled=nobody,
+        present=none,
+        controlled=none,
         failed=torch.tensor([True, True]),
-        agent_contact=nobody,
-        wall_contact=nobody,
+        agent_contact=none,
+        wall_contact=none,
         reached=torch.zeros(2, 2, 5).long(),
     )
     metrics = row("broken", walked)["metrics"]
@@ -224,8 +224,8 @@ def test_neither_the_warm_start_counts_nor_anything_after_the_end_of_an_episode(
     after = ~walked.present.unsqueeze(-1)
     noise = torch.randn(walked.trace.shape, generator=torch.Generator().manual_seed(1)).double()
     elsewhere = torch.where(after, noise, walked.trace)
-    found = replace(walked, trace=elsewhere, wall_contact=walked.wall_contact | after[..., 0])
-    assert metrics(found) == pytest.approx(metrics(walked), rel=1e-12)
+    result = replace(walked, trace=elsewhere, wall_contact=walked.wall_contact | after[..., 0])
+    assert metrics(result) == pytest.approx(metrics(walked), rel=1e-12)
     warm_start = torch.cat((noise[:, :, :28], walked.past[:, :, 28:]), dim=2)
     assert metrics(replace(walked, past=warm_start)) == pytest.approx(metrics(walked), rel=1e-12)
     longer = joined([walked, two_episodes_with_door()]).episodes(slice(5))
@@ -253,9 +253,9 @@ def hasty() -> Rollout:
 def test_ratios_of_times_and_ways_are_ratios_of_sums() -> None:
     """By hand: 3 s and 0.1 s for 2 s and 4 ms; 4.5 m and 0.1 m for 3 m and 4 mm."""
     walked = hasty()
-    found = metrics(walked)
-    assert found["time_ratio"] == pytest.approx(3.1 / 2.004)
-    assert found["path_ratio"] == pytest.approx(4.6 / 3.004)
+    result = metrics(walked)
+    assert result["time_ratio"] == pytest.approx(3.1 / 2.004)
+    assert result["path_ratio"] == pytest.approx(4.6 / 3.004)
     ratios = closed_loop(joined([walked, walked]))
     assert ratios["time_ratio"].above.tolist() == pytest.approx([3.1, 3.1])
     assert ratios["time_ratio"].below.tolist() == pytest.approx([2.004, 2.004])
@@ -281,11 +281,11 @@ def test_the_way_ratio_of_a_replay_is_a_ratio_of_sums() -> None:
 
 def test_a_frozen_crowd_is_deadlocked_and_gets_nowhere() -> None:
     frozen = two_episodes_with_door()
-    found = metrics(replace(frozen, goal=frozen.goal + 5.0, overdue=~frozen.overdue))
-    assert found["deadlock"] == 1.0 and found["success"] == found["spl"] == found["stl"] == 0.0
-    assert found["speed_m_per_s"] == 0.0 and found["symmetry_index"] == pytest.approx(0.0)
+    result = metrics(replace(frozen, goal=frozen.goal + 5.0, overdue=~frozen.overdue))
+    assert result["deadlock"] == 1.0 and result["success"] == result["spl"] == result["stl"] == 0.0
+    assert result["speed_m_per_s"] == 0.0 and result["symmetry_index"] == pytest.approx(0.0)
     undefined = {"path_ratio", "time_ratio", "yield_delay_s", "path_irregularity_rad_per_m"}
-    assert not undefined & set(found)
+    assert not undefined & set(result)
 
 
 def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_as_one() -> None:
@@ -306,19 +306,19 @@ def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_
         gate=torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]]),
     )
     assert walked.replayed and not busy().replayed
-    found = metrics(walked)
+    result = metrics(walked)
     # the second's first 0.1 s has no point before it, so that the first of their windows is not whole
     assert walked.scored.sum() == 79
-    assert found["speed_m_per_s"] == pytest.approx((10 * 1.0 + 9 * 1.5) / 19)
-    assert found["acceleration_m_per_s2"] == pytest.approx(0.0, abs=1e-6)
-    assert found["personal_space"] == pytest.approx(39 / 79)
-    assert found["wall_contacts_per_episode"] == 2.0  # not those of who is played back
-    assert found["least_distance_m"] == pytest.approx(0.4)
+    assert result["speed_m_per_s"] == pytest.approx((10 * 1.0 + 9 * 1.5) / 19)
+    assert result["acceleration_m_per_s2"] == pytest.approx(0.0, abs=1e-6)
+    assert result["personal_space"] == pytest.approx(39 / 79)
+    assert result["wall_contacts_per_episode"] == 2.0  # not those of who is played back
+    assert result["least_distance_m"] == pytest.approx(0.4)
     # the first person arrives after 3.9 m, one point before the end of the decision; the second never does
     assert walked.underway.sum() == 79 and not walked.underway[0, 0, 39]
-    assert found["success"] == 0.5 and found["failed"] == found["deadlock"] == 0.0
-    assert found["path_ratio"] == pytest.approx(3.9 / 3.2) and found["spl"] == pytest.approx(3.2 / 3.9 / 2)
-    assert not {"time_ratio", "goals_per_person", "symmetry_index", "personal_space_igibson"} & set(found)
+    assert result["success"] == 0.5 and result["failed"] == result["deadlock"] == 0.0
+    assert result["path_ratio"] == pytest.approx(3.9 / 3.2) and result["spl"] == pytest.approx(3.2 / 3.9 / 2)
+    assert not {"time_ratio", "goals_per_person", "symmetry_index", "personal_space_igibson"} & set(result)
 
 
 def test_runs_are_told_apart_by_gaps() -> None:
@@ -351,15 +351,15 @@ def test_score_of_two_rollouts_is_that_of_both_together_in_one_process_or_two() 
 def test_score_has_only_what_some_episode_says_something_about() -> None:
     score = ClosedLoopScore()
     score.update(made(straight()[None, None]))
-    found = score.compute()
-    assert found["success"] == 0.0 and found["speed_m_per_s"] == pytest.approx(1.3)
-    assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(found)
+    result = score.compute()
+    assert result["success"] == 0.0 and result["speed_m_per_s"] == pytest.approx(1.3)
+    assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(result)
 
 
 def test_an_episode_may_be_shorter_than_a_window() -> None:
-    found = metrics(made(torch.stack((straight(1.0, 3), straight(1.0, 3, (0.0, 1.0)))).unsqueeze(0)))
-    assert found["least_distance_m"] == pytest.approx(1.0) and found["personal_space"] == 1.0
-    assert not {"speed_m_per_s", "jerk_m_per_s3", "time_to_collision_s"} & set(found)
+    result = metrics(made(torch.stack((straight(1.0, 3), straight(1.0, 3, (0.0, 1.0)))).unsqueeze(0)))
+    assert result["least_distance_m"] == pytest.approx(1.0) and result["personal_space"] == 1.0
+    assert not {"speed_m_per_s", "jerk_m_per_s3", "time_to_collision_s"} & set(result)
 
 
 def test_shares_have_intervals_of_as_many_trials_as_there_are() -> None:

@@ -172,8 +172,8 @@ def test_score_keeps_mode_samples_and_best_apart() -> None:
     assert score.compute() == pytest.approx(expected)
     score.reset()
     score.update(ConstantVelocity(), scene([(0.0, 1.0), (0.0, 2.0)]))
-    found = score.compute()
-    assert (found["ade_m"], found["min_ade_2_scene_m"], found["sample_distance_m"]) == (1.5, 1.5, 0.0)
+    result = score.compute()
+    assert (result["ade_m"], result["min_ade_2_scene_m"], result["sample_distance_m"]) == (1.5, 1.5, 0.0)
     alone = ForecastScore(0)
     alone.update(TwoWays(), scene([(0.0, 1.0)]))
     assert alone.compute() == {"ade_m": 1.0, "fde_m": 1.0, "next_step_m": 1.0}
@@ -203,7 +203,7 @@ PUBLISHED = {
 
 @pytest.mark.parametrize(("fold", "pred_len"), list(PUBLISHED))
 def test_baselines_equal_the_published_tables(shared: Path, fold: str, pred_len: int) -> None:
-    found = []
+    result = []
     for goal, models in {
         "window_end": [ConstantVelocity(), StraightLine("window_end"), BentLine("window_end")],
         "destination": [StraightLine("destination")],
@@ -215,11 +215,11 @@ def test_baselines_equal_the_published_tables(shared: Path, fold: str, pred_len:
             for batch in batches:
                 score.update(model, batch)
             metrics = score.compute()
-            found += [metrics["ade_m"], metrics["fde_m"]]
+            result += [metrics["ade_m"], metrics["fde_m"]]
             assert metrics["min_ade_1_scene_m"] == pytest.approx(metrics["ade_m"])
     wrong = [
         (name, here, there)
-        for name, here, there in zip(ROWS, found, PUBLISHED[fold, pred_len], strict=True)
+        for name, here, there in zip(ROWS, result, PUBLISHED[fold, pred_len], strict=True)
         if abs(here - there) > 0.00051
     ]
     assert not wrong

@@ -115,15 +115,15 @@ def test_specific_flow_is_persons_per_width_and_time_between_first_and_last() ->
     assert through.tolist() == [3, 0, 0] and room.tolist() == pytest.approx([0.8 * 2.5, 0.0, 0.0])
 
 
-def test_metrics_of_somebody_who_yields() -> None:
+def test_metrics_of_a_person_who_yields() -> None:
     quick = walk((-2.5, 0.0, 0.0), (2.5, 0.0, 4.0), (2.5, 0.0, 8.0))
     slow = walk((2.6, 0.3, 0.0), (1.0, 0.3, 2.0), (1.0, 0.3, 4.0), (-2.2, 0.3, 8.0))
     path = torch.stack((slow, quick)).unsqueeze(0)
-    found = metrics(made(path, gate=GATE, pref_speed=torch.tensor([[0.9, 1.3]])))
-    assert found["yield_delay_s"] == pytest.approx(5.25 - 2.0)
-    assert found["faster_first"] == 1.0
-    assert found["yielder_speed_m_per_s"] == pytest.approx(0.0, abs=1e-6)
-    assert found["specific_flow_per_m_s"] == pytest.approx(2 / (0.85 * 3.25))
+    result = metrics(made(path, gate=GATE, pref_speed=torch.tensor([[0.9, 1.3]])))
+    assert result["yield_delay_s"] == pytest.approx(5.25 - 2.0)
+    assert result["faster_first"] == 1.0
+    assert result["yielder_speed_m_per_s"] == pytest.approx(0.0, abs=1e-6)
+    assert result["specific_flow_per_m_s"] == pytest.approx(2 / (0.85 * 3.25))
     alone = metrics(made(path[:, :1], gate=GATE))
     assert not {"symmetry_index", "yield_delay_s", "faster_first", "specific_flow_per_m_s"} & set(alone)
     assert "symmetry_index" not in metrics(made(path))
@@ -133,21 +133,21 @@ def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
     """The sum of both grows by 0.1 m at each point; the second arrives at the 21st."""
     path = torch.stack((walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))))
     reached = (torch.arange(50) >= 20).long() * torch.tensor([[[0], [1]]])
-    found = metrics(made(path.unsqueeze(0), gate=GATE, reached=reached))
-    assert found["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
-    assert found["symmetry_index"] == pytest.approx(2.55 / 2.5)
+    result = metrics(made(path.unsqueeze(0), gate=GATE, reached=reached))
+    assert result["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
+    assert result["symmetry_index"] == pytest.approx(2.55 / 2.5)
 
 
-def test_nobody_yields_where_orca_walks_in_mirror_images() -> None:
+def test_no_person_yields_where_orca_walks_in_mirror_images() -> None:
     policy, alike = "orca:radius=0.1,jitter=0,dt=0.4", "door:speed_std=0,jitter=0"
     walked, _ = rollout(policy, alike, "compiled", 1)
-    found = metrics(walked)
-    assert found["success"] == 1.0
-    assert found["symmetry_index"] < 1e-3 and found["yield_delay_s"] < 1e-3 and found["symmetry_m"] < 1e-3
-    assert "faster_first" not in found  # they like to walk as fast as each other
+    result = metrics(walked)
+    assert result["success"] == 1.0
+    assert result["symmetry_index"] < 1e-3 and result["yield_delay_s"] < 1e-3 and result["symmetry_m"] < 1e-3
+    assert "faster_first" not in result  # they like to walk as fast as each other
     yields, _ = rollout(policy, f"{alike},speed_ratio=0.6", "compiled", 1)
-    found = metrics(yields)
-    assert found["faster_first"] == 1.0 and found["symmetry_index"] > 0.1 and found["yield_delay_s"] > 1.0
+    result = metrics(yields)
+    assert result["faster_first"] == 1.0 and result["symmetry_index"] > 0.1 and result["yield_delay_s"] > 1.0
 
 
 @pytest.mark.parametrize("name", ["door", "room_exit"])

@@ -26,8 +26,8 @@ def test_success_needs_all_goals_in_time_and_an_episode_that_did_not_fail() -> N
     reached = torch.tensor([[[1, 2], [1, 1], [2, 2], [2, 2]], [[2, 2], [2, 2], [2, 2], [2, 2]]])
     late = torch.tensor([[False, False, True, False]]).expand(2, 4)
     mask = torch.tensor([[True, True, True, False]]).expand(2, 4)
-    found = arrived_in_time(reached, 2, late, torch.tensor([False, True]), mask)
-    assert found.tolist() == [[True, False, False, False], [False] * 4]
+    result = arrived_in_time(reached, 2, late, torch.tensor([False, True]), mask)
+    assert result.tolist() == [[True, False, False, False], [False] * 4]
 
 
 def test_people_finish_at_the_point_at_which_the_last_goal_counts() -> None:

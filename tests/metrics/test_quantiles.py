@@ -16,9 +16,9 @@ AT = (0.05, 0.5, 0.95, 1.0)
 def test_quantiles_by_hand() -> None:
     value, group = torch.tensor([3.0, 1.0, 2.0, 4.0]), torch.tensor([0, 0, 1, 1])
     weights = torch.tensor([[1.0, 1.0], [1.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
-    found = quantiles(value, group, weights, (0.5, 0.75))
-    assert found[:3].tolist() == [[2.0, 3.0], [1.0, 3.0], [2.0, 4.0]]
-    assert found[3].isnan().all()
+    result = quantiles(value, group, weights, (0.5, 0.75))
+    assert result[:3].tolist() == [[2.0, 3.0], [1.0, 3.0], [2.0, 4.0]]
+    assert result[3].isnan().all()
     assert quantiles(value[:0], group[:0], weights, (0.5,)).isnan().all()
 
 
@@ -28,9 +28,9 @@ def test_quantiles_of_resamples_are_those_of_the_repeated_values(monkeypatch: py
     value = torch.randn(300, generator=generator, dtype=torch.float64)
     group = torch.randint(20, (300,), generator=generator)
     weights = drawn_people(20, resamples=7)
-    for mine, found in zip(weights, quantiles(value, group, weights, AT), strict=True):
+    for mine, result in zip(weights, quantiles(value, group, weights, AT), strict=True):
         repeated = value.repeat_interleave(mine[group].long())
-        assert found.tolist() == np.quantile(repeated.numpy(), AT, method="inverted_cdf").tolist()
+        assert result.tolist() == np.quantile(repeated.numpy(), AT, method="inverted_cdf").tolist()
 
 
 def test_interval_of_a_median_shrinks_with_episodes_and_holds_it() -> None:

@@ -124,7 +124,7 @@ def test_resamples_are_within_the_bound_of_the_exact_distance(shape: str, size: 
         assert bound == 0.0
 
 
-def test_the_same_people_are_drawn_on_both_sides_and_nobody_is_lost() -> None:
+def test_the_same_people_are_drawn_on_both_sides_and_no_person_is_lost() -> None:
     drawn, split = drawn_people(7, 50), halves(7, 50)
     assert (drawn.sum(1) == 7).all() and (drawn.std(0) > 0).all()
     assert set(split.unique().tolist()) == {0.0, 1.0} and (split.sum(1) == 3).all()
@@ -144,21 +144,21 @@ def test_values_beyond_the_grid_are_refused() -> None:
 
 def test_features_of_a_corner() -> None:
     walk = line((0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.4), (0.8, 0.42))[None, None]
-    nobody = torch.zeros(1, 1, 5).long()
+    neighbours = torch.zeros(1, 1, 5).long()
     # the policy takes over after the first step
     controlled = torch.tensor([[[False, True, True, True, True]]])
-    found = found_features(a_rollout(walk, nobody, controlled), line((0.4, 0)), line((3.4, 0)))
-    assert found["speed"] == pytest.approx([0.0, 0.05, 1.0, 1.0])
+    result = found_features(a_rollout(walk, neighbours, controlled), line((0.4, 0)), line((3.4, 0)))
+    assert result["speed"] == pytest.approx([0.0, 0.05, 1.0, 1.0])
     # straight on, a corner, a stop, a creep
-    assert found["acceleration"] == pytest.approx([0.0, 0.125, 2.5, 2.5 * 2**0.5], abs=1e-5)
-    assert found["heading_rate"] == pytest.approx([0.0, torch.pi / 2 / 0.4], abs=1e-5)
-    assert found["lateral_deviation"] == pytest.approx([0.0, 0.4, 0.4, 0.42], abs=1e-6)
-    assert found["nearest_distance"] == found["time_to_collision"] == []  # alone
+    assert result["acceleration"] == pytest.approx([0.0, 0.125, 2.5, 2.5 * 2**0.5], abs=1e-5)
+    assert result["heading_rate"] == pytest.approx([0.0, torch.pi / 2 / 0.4], abs=1e-5)
+    assert result["lateral_deviation"] == pytest.approx([0.0, 0.4, 0.4, 0.42], abs=1e-6)
+    assert result["nearest_distance"] == result["time_to_collision"] == []  # alone
 
 
 def test_who_is_played_back_is_met_and_not_scored_and_slots_are_not_people() -> None:
     one = line((0, 0), (0.4, 0), (0.8, 0), (1.2, 0))
-    # comes the other way, leaves after the first step; its slot is taken by somebody far away
+    # comes the other way, leaves after the first step; its slot is taken by a person far away
     other = line((4, 0), (3.6, 0), (9, 9), (9, 8.6))
     person = torch.tensor([[[0, 0, 0], [1, 2, 2]]])
     controlled = torch.tensor([[[True, True, True], [False, True, True]]])
@@ -223,13 +223,13 @@ def test_speeds_by_density() -> None:
     positions[0, 1, :, 1] += torch.tensor([0.0, 0.08, 0.16])
     person = torch.arange(4).view(1, 4, 1).expand(1, 4, 2)
     rollout = a_rollout(positions, person, person >= 0)
-    found = crowd(rollout, every_step(rollout), 0, 1, place, place)
-    speed, steps = density_speed(found, torch.ones(1, 4).double())
+    result = crowd(rollout, every_step(rollout), 0, 1, place, place)
+    speed, steps = density_speed(result, torch.ones(1, 4).double())
     assert steps[0, :4].tolist() == [2, 4, 2, 0]
     assert speed[0, :3].tolist() == pytest.approx([1.0, 0.0, 0.2], abs=1e-5)
     assert densities()[:2].tolist() == pytest.approx([0.0796, 0.1592], abs=1e-4)
-    assert found.minutes.tolist() == pytest.approx([0.8 / 60] * 4)
-    both = together([found, crowd(rollout, every_step(rollout), 1, 1, place, place)])
+    assert result.minutes.tolist() == pytest.approx([0.8 / 60] * 4)
+    both = together([result, crowd(rollout, every_step(rollout), 1, 1, place, place)])
     assert both.minutes.tolist() == pytest.approx([1.6 / 60] * 4) and both.round.unique().tolist() == [0, 1]
     some = only(both, torch.tensor([True, False, True, True]))
     assert set(some.samples["speed"].person.tolist()) == {0, 2, 3} and len(some.round) == 12
@@ -238,15 +238,15 @@ def test_speeds_by_density() -> None:
 def test_error_over_the_common_duration() -> None:
     true = torch.zeros(2, 3, 2)
     walk = torch.tensor([1.0, 2.0, 3.0, 9.0]).view(1, 4, 1) * torch.tensor([0.6, 0.8])
-    found = closed_loop_error(walk.expand(2, 4, 2), true, torch.tensor([3, 0]))
-    assert found[0] == pytest.approx(2.0) and found[1].isnan()
+    result = closed_loop_error(walk.expand(2, 4, 2), true, torch.tensor([3, 0]))
+    assert result[0] == pytest.approx(2.0) and result[1].isnan()
 
 
 def test_walks_are_put_together_from_alternating_positions() -> None:
     xy = torch.arange(10.0).view(5, 2)
-    found, length = padded(xy, torch.tensor([1, 0, 1, 1, 0]), 3)
+    result, length = padded(xy, torch.tensor([1, 0, 1, 1, 0]), 3)
     assert length.tolist() == [2, 3, 0]
-    assert found[..., 0].tolist() == [[2, 8, 0], [0, 4, 6], [0, 0, 0]]
+    assert result[..., 0].tolist() == [[2, 8, 0], [0, 4, 6], [0, 0, 0]]
 
 
 def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,10 +264,10 @@ def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
         return cost[-1, -1] / (len(a) + len(b)) if len(a) and len(b) else NAN
 
     expected = [plain(first[i, : points[i]].numpy(), second[i, : others[i]].numpy()) for i in range(25)]
-    found = dtw(first, points, second, others)
-    assert found.tolist() == pytest.approx(expected, abs=1e-5, nan_ok=True)
+    result = dtw(first, points, second, others)
+    assert result.tolist() == pytest.approx(expected, abs=1e-5, nan_ok=True)
     monkeypatch.setattr("pedzoo.metrics.realism.paths._AT_ONCE", 500)
-    assert torch.equal(dtw(first, points, second, others).nan_to_num(), found.nan_to_num())
+    assert torch.equal(dtw(first, points, second, others).nan_to_num(), result.nan_to_num())
 
 
 def test_dtw_forgives_the_pace_and_not_the_place() -> None:
@@ -299,11 +299,11 @@ def test_walks_of_two_rounds() -> None:
     # the step in which they arrive is no sample
     assert tracks.scene.tolist() == [0, 1, -1] and tracks.points.tolist() == [3, 4, 0]
     assert tracks.seconds.tolist() == pytest.approx([1.4, 1.9, NAN], nan_ok=True)
-    found = walks_of(rollout, every_step(rollout), 4, 2, tracks)
-    assert found.episode.tolist() == [4, 5, 6] and found.person.tolist() == [0, 1, 0]
-    assert found.seconds.tolist() == pytest.approx([NAN, 1.9, 1.4], nan_ok=True)
-    assert found.ade.tolist() == pytest.approx([(0.4 + 0.6 + 0.8) / 3, 0.0, 0.0])
-    assert found.dtw.tolist()[1:] == [0.0, 0.0] and found.dtw[0] > 0.1
+    result = walks_of(rollout, every_step(rollout), 4, 2, tracks)
+    assert result.episode.tolist() == [4, 5, 6] and result.person.tolist() == [0, 1, 0]
+    assert result.seconds.tolist() == pytest.approx([NAN, 1.9, 1.4], nan_ok=True)
+    assert result.ade.tolist() == pytest.approx([(0.4 + 0.6 + 0.8) / 3, 0.0, 0.0])
+    assert result.dtw.tolist()[1:] == [0.0, 0.0] and result.dtw[0] > 0.1
     rounds = walks_of(rollout, every_step(rollout), 0, 2, tracks)
     table = rounds.by_person(rounds.ade, 2, 3)
     assert table.tolist()[1] == pytest.approx([0.0, NAN, NAN], nan_ok=True) and len(table) == 2
@@ -315,16 +315,16 @@ def test_numbers_of_people_are_weighted() -> None:
     ade = torch.tensor([[1.0, 2.0, NAN, 8.0], [3.0, 1.0, NAN, NAN]]).double()
     tables = Tables(success, success, seconds, ade, ade, torch.tensor([2.0, 2.0, 2.0, 2.0]).double())
     weights = torch.tensor([[1.0, 1.0, 1.0, 1.0], [3.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0]]).double()
-    found = {key: value.tolist() for key, value in of_people(tables, weights).items()}
+    result = {key: value.tolist() for key, value in of_people(tables, weights).items()}
     # ratios are 1 and 2 (the lower is taken), 3, none, 4.5
-    assert found["time_ratio_median"][:2] == [3.0, 1.0] and np.isnan(found["time_ratio_median"][2])
-    assert found["success"] == pytest.approx([5 / 7, 7 / 9, 0.0])
-    assert found["closed_loop_ade_m"][:2] == pytest.approx([(2 + 1.5 + 8) / 3, (6 + 8) / 4])
-    assert found["closed_loop_min_ade_2_m"][0] == pytest.approx((1 + 1 + 8) / 3)
+    assert result["time_ratio_median"][:2] == [3.0, 1.0] and np.isnan(result["time_ratio_median"][2])
+    assert result["success"] == pytest.approx([5 / 7, 7 / 9, 0.0])
+    assert result["closed_loop_ade_m"][:2] == pytest.approx([(2 + 1.5 + 8) / 3, (6 + 8) / 4])
+    assert result["closed_loop_min_ade_2_m"][0] == pytest.approx((1 + 1 + 8) / 3)
 
 
 class Frozen(GoToGoal):
-    """Nobody ever moves."""
+    """No person ever moves."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Stand."""
@@ -333,7 +333,7 @@ class Frozen(GoToGoal):
 
 
 class Drunk(GoToGoal):
-    """Everybody goes to their goal, swaying by 60 degrees to either side."""
+    """Every person goes to their goal, swaying by 60 degrees to either side."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sway."""
@@ -350,8 +350,8 @@ Rows = dict[str, dict[str, Any]]
 def walked(policy: GoToGoal | str, replay: PreparedReplay, rounds: int = 1) -> Rollout:
     """Return what a policy does in some rounds of a replay."""
     name = policy if isinstance(policy, str) else "go_to_goal"
-    found, env = prepare(name, replay, "compiled", replay.scenes * rounds)
-    chosen = found if isinstance(policy, str) else policy
+    result, env = prepare(name, replay, "compiled", replay.scenes * rounds)
+    chosen = result if isinstance(policy, str) else policy
     return joined(list(walk(chosen, env, replay.scenes * rounds)))
 
 
@@ -360,7 +360,7 @@ BASELINES = ("go_to_goal", "orca:dt=0.4")
 
 @pytest.fixture(scope="module")
 def plaza() -> PreparedReplay:
-    """Everybody on the embedded plaza."""
+    """Every person on the embedded plaza."""
     replay = Replay(fold="embedded").prepare(0.25)
     return replay
 
@@ -368,8 +368,8 @@ def plaza() -> PreparedReplay:
 @pytest.fixture(scope="module")
 def rows(plaza: PreparedReplay) -> Rows:
     """Rows of the plaza: the real crowd, its halves, and baselines."""
-    found = {row["name"]: row for row in reference_rows(plaza)}
-    return found | {name: replay_row(name, walked(name, plaza), plaza, 0.4) for name in BASELINES}
+    result = {row["name"]: row for row in reference_rows(plaza)}
+    return result | {name: replay_row(name, walked(name, plaza), plaza, 0.4) for name in BASELINES}
 
 
 @pytest.fixture(scope="module")
@@ -410,7 +410,7 @@ def test_bad_policies_are_caught(few: tuple[PreparedReplay, Rollout, dict[str, f
     for key in ("w1_speed", "density_speed_rmse_m_per_s", "closed_loop_ade_m"):
         assert frozen[key] > 3 * sober[key]
     assert frozen["success"] == 0.0 and frozen["deadlock"] > 0.5 and frozen["speed_std_m_per_s"] == 0.0
-    # nobody arrives, nobody has a heading
+    # no person arrives, no person has a heading
     assert "time_ratio_median" not in frozen and "w1_heading_rate" not in frozen
     for key in ("w1_heading_rate", "w1_acceleration", "realism"):
         assert drunk[key] > 3 * sober[key]
@@ -420,12 +420,12 @@ def test_bad_policies_are_caught(few: tuple[PreparedReplay, Rollout, dict[str, f
 def test_teleporting_is_caught(few: tuple[PreparedReplay, Rollout, dict[str, float]]) -> None:
     replay, _, walking = few
     real = replay.real()
-    # everybody is where they really were, except that they jump by 3 m and back every 2 s
+    # every person is where they really were, except that they jump by 3 m and back every 2 s
     away = (torch.arange(real.trace.shape[2]) // 20 % 2).view(1, 1, -1, 1) * torch.tensor([3.0, 0.0])
     jumps = replace(real, trace=real.trace + away * real.controlled.unsqueeze(-1))
-    found = replay_row("teleporting", jumps, replay, 0.4)["metrics"]
-    assert found["w1_acceleration"] > 3 * walking["w1_acceleration"]
-    assert found["w1_speed"] > 3 * walking["w1_speed"]
+    result = replay_row("teleporting", jumps, replay, 0.4)["metrics"]
+    assert result["w1_acceleration"] > 3 * walking["w1_acceleration"]
+    assert result["w1_speed"] > 3 * walking["w1_speed"]
 
 
 def test_a_row_says_who_did_what_and_how_sure_it_is(rows: Rows) -> None:
@@ -460,11 +460,11 @@ def test_rounds_and_the_first_scenes_alone(few: tuple[PreparedReplay, Rollout, d
 
 def test_one_person_among_recorded_ones() -> None:
     replay = Replay(fold="embedded", simulated="one", share=0.1).prepare(0.25)
-    found = {row["name"]: row["metrics"] for row in reference_rows(replay)}
+    result = {row["name"]: row["metrics"] for row in reference_rows(replay)}
     rollout = walked("go_to_goal", replay)
     row = replay_row("go_to_goal", rollout, replay, 0.4)
     assert row["n"] == replay.scenes and row["metrics"]["success"] > 0.9
-    assert found["real"]["realism"] == 0.0 and row["metrics"]["realism"] > 0
+    assert result["real"]["realism"] == 0.0 and row["metrics"]["realism"] > 0
     parts = (rollout.episodes(slice(i, i + 3)) for i in range(0, replay.scenes, 3))
     assert replay_row("go_to_goal", parts, replay, 0.4)["metrics"] == pytest.approx(row["metrics"])
     # the scenes that were run are those that count

@@ -237,8 +237,8 @@ def test_who_changes_more_until_the_closest_approach_yields() -> None:
         result = values_of(robots_of(rollout_of(paths)))
         assert result["encounters_per_min"] == pytest.approx(10.0)  # one in 6 s
         assert result["person_yields"] == share
-    nobody = values_of(robots_of(rollout_of([person, robot])))
-    assert "person_yields" not in nobody and nobody["encounters_per_min"] == pytest.approx(10.0)
+    alone = values_of(robots_of(rollout_of([person, robot])))
+    assert "person_yields" not in alone and alone["encounters_per_min"] == pytest.approx(10.0)
     apart = values_of(robots_of(rollout_of([straight((4, 2), (-1, 0), 60), robot])))
     assert apart["encounters_per_min"] == 0
 

@@ -27,7 +27,7 @@ def test_a_touch_that_lasts_is_one_event() -> None:
     assert contact_events(bits("0110100", "1111111", "0000000")).tolist() == [[2, 1, 0]]
 
 
-def test_minutes_are_those_in_which_somebody_is_there() -> None:
+def test_minutes_are_those_in_which_a_person_is_there() -> None:
     scored = torch.zeros(1, 2, 1000, dtype=torch.bool)
     scored[0, 0, :600] = scored[0, 1, :30] = True
     assert person_minutes(scored)[0].tolist() == pytest.approx([1.0, 0.05])
@@ -41,12 +41,12 @@ def test_nearest_is_the_least_distance_to_anybody_else_who_is_there(
     generator = torch.Generator().manual_seed(0)
     trace = 5 * torch.rand(3, 4, 50, 2, generator=generator)
     present = torch.rand(3, 4, 50, generator=generator) > 0.4
-    found = nearest(trace, present)
+    result = nearest(trace, present)
     for e, a, t in torch.cartesian_prod(torch.arange(3), torch.arange(4), torch.arange(50)).tolist():
         others = [b for b in range(4) if b != a and present[e, b, t]]
         apart = [float((trace[e, a, t] - trace[e, b, t]).norm()) for b in others]
         expected = min(apart, default=INF) if present[e, a, t] else INF
-        assert float(found[e, a, t]) == pytest.approx(expected)
+        assert float(result[e, a, t]) == pytest.approx(expected)
 
 
 def test_who_is_scored_may_come_near_anybody_who_is_there() -> None:
@@ -72,9 +72,9 @@ def test_time_to_collision_of_simple_encounters() -> None:
     def seconds(apart: tuple[float, float], velocity: tuple[float, float]) -> float:
         position = torch.tensor([(1.0, 2.0), (1.0 + apart[0], 2.0 + apart[1])]).view(1, 2, 1, 2)
         speeds = torch.tensor([(0.3, -0.4), (0.3 + velocity[0], -0.4 + velocity[1])]).view(1, 2, 1, 2)
-        found = time_to_collision(position, speeds, torch.ones(1, 2, 1, dtype=torch.bool))
-        assert float(found[0, 0]) == pytest.approx(float(found[0, 1]))
-        return float(found[0, 0])
+        result = time_to_collision(position, speeds, torch.ones(1, 2, 1, dtype=torch.bool))
+        assert float(result[0, 0]) == pytest.approx(float(result[0, 1]))
+        return float(result[0, 0])
 
     assert seconds((4.0, 0.0), (-2.0, 0.0)) == pytest.approx(3.7 / 2)
     assert seconds((3.0, 4.0), (-0.6, -0.8)) == pytest.approx(4.7)
@@ -95,7 +95,7 @@ def test_time_to_collision_is_when_discs_that_walk_on_first_touch(
     position = 3 * torch.randn(2, 5, 20, 2, generator=generator)
     velocity = torch.randn(2, 5, 20, 2, generator=generator)
     there = torch.rand(2, 5, 20, generator=generator) > 0.2
-    found = time_to_collision(position, velocity, there)
+    result = time_to_collision(position, velocity, there)
     times = torch.linspace(0, 10, 5001)
     walked = position.unsqueeze(3) + velocity.unsqueeze(3) * times.unsqueeze(1)  # (E, A, S, N, 2)
     touches = (walked.unsqueeze(1) - walked.unsqueeze(2)).norm(dim=-1) < 0.3
@@ -103,8 +103,8 @@ def test_time_to_collision_is_when_discs_that_walk_on_first_touch(
     touches &= ~torch.eye(5, dtype=torch.bool).view(1, 5, 5, 1, 1)
     first = torch.where(touches.any(-1), times[touches.int().argmax(-1)], 10.0).amin(2)
     meets = there & (there.sum(1, keepdim=True) > 1)
-    assert (found[~meets] == INF).all() and (found[meets] < 9.9).sum() > 20
-    torch.testing.assert_close(found[meets], first[meets], atol=0.02, rtol=0)
+    assert (result[~meets] == INF).all() and (result[meets] < 9.9).sum() > 20
+    torch.testing.assert_close(result[meets], first[meets], atol=0.02, rtol=0)
 
 
 def test_wide_bodies_touch_earlier() -> None:
@@ -112,7 +112,7 @@ def test_wide_bodies_touch_earlier() -> None:
     position = torch.tensor([[[[0.0, 0.0]], [[2.0, 0.0]]]])
     velocity = torch.tensor([[[[1.0, 0.0]], [[-1.0, 0.0]]]])
     there = torch.ones(1, 2, 1, dtype=torch.bool)
-    found = time_to_collision(position, velocity, there, torch.tensor([[0.15, 0.5]]))
-    assert found.flatten().tolist() == pytest.approx([0.675, 0.675])
+    result = time_to_collision(position, velocity, there, torch.tensor([[0.15, 0.5]]))
+    assert result.flatten().tolist() == pytest.approx([0.675, 0.675])
     people = time_to_collision(position, velocity, there)
     assert people.flatten().tolist() == pytest.approx([0.85, 0.85])

@@ -89,11 +89,11 @@ def test_a_teleporting_trace_scores_visibly_badly() -> None:
     walking = scores(straight())
     assert walking["acceleration_m_per_s2"] < 0.01 and walking["jerk_m_per_s3"] < 0.05
     jumping = straight()[::20].repeat_interleave(20, dim=0)[:201]  # stands, and jumps 2.6 m every 2 s
-    found = scores(jumping)
+    result = scores(jumping)
     # each fifth window has 2.6 m: 6.5 m/s, twice a change of that, three times one of its change
-    assert found["speed_m_per_s"] == pytest.approx(1.3, abs=0.05)
-    assert found["acceleration_m_per_s2"] == pytest.approx(6.5, rel=0.05)
-    assert found["jerk_m_per_s3"] == pytest.approx(32.5, rel=0.05)
+    assert result["speed_m_per_s"] == pytest.approx(1.3, abs=0.05)
+    assert result["acceleration_m_per_s2"] == pytest.approx(6.5, rel=0.05)
+    assert result["jerk_m_per_s3"] == pytest.approx(32.5, rel=0.05)
     once = straight()
     once[100:] += torch.tensor([0.0, 4.0])
     assert scores(once)["acceleration_m_per_s2"] > 0.5 and scores(once)["jerk_m_per_s3"] > 1.5

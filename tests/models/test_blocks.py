@@ -115,7 +115,7 @@ def test_networks_in_pieces_are_the_whole(monkeypatch: pytest.MonkeyPatch) -> No
     torch.testing.assert_close(decoder(hidden, first, 3), decoded)
 
 
-def test_nobody_has_no_future() -> None:
+def test_no_people_have_no_future() -> None:
     assert DisplacementEncoder(6, 7)(torch.zeros(0, 8, 2)).shape == (0, 7)
     for steps in (1, 3):
         assert DisplacementDecoder(6, 7)(torch.zeros(0, 7), torch.zeros(0, 2), steps).shape == (0, steps, 2)
@@ -191,7 +191,7 @@ def test_pooling_far_from_the_origin() -> None:
     torch.testing.assert_close(pool(hidden, position + 2**20, crowd), pool(hidden, position, crowd))
 
 
-def test_pooling_of_nobody_is_empty() -> None:
+def test_pooling_of_no_people_is_empty() -> None:
     crowd = Crowd.of(torch.zeros(2, 3, dtype=torch.bool))
     pool = SocialPooling(5)
     assert pool(torch.zeros(0, 5), torch.zeros(0, 2), crowd).shape == (0, 8)

@@ -18,9 +18,9 @@ KINDS = pytest.mark.parametrize("kind", ["local", "global"])
 def made(kind: Literal["local", "global"]) -> Discriminator:
     """Return a discriminator whose scores are not cut off at zero for most people."""
     torch.manual_seed(0)
-    found = Discriminator(kind, 4, 5, 6).double()
-    torch.nn.init.constant_(found.classifier.get_submodule("2").get_parameter("bias"), 2.0)
-    return found
+    result = Discriminator(kind, 4, 5, 6).double()
+    torch.nn.init.constant_(result.classifier.get_submodule("2").get_parameter("bias"), 2.0)
+    return result
 
 
 @KINDS

@@ -49,12 +49,12 @@ def walking(people: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 def seen_by_the_first(away: tuple[float, float], velocity: tuple[float, float]) -> list[float]:
-    """Return what someone who walks along x at 1 m/s is told of somebody else."""
+    """Return what a person who walks along x at 1 m/s sees of another person."""
     position = torch.tensor([[0.0, 0.0], away])
     moved = 0.4 * torch.tensor([[1.0, 0.0], velocity])
     heading = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
-    found = transparent()(position, moved, heading, torch.zeros(2, 3), crowd_of(2))
-    return (found[0, :8] - found[0, 8:]).tolist()
+    result = transparent()(position, moved, heading, torch.zeros(2, 3), crowd_of(2))
+    return (result[0, :8] - result[0, 8:]).tolist()
 
 
 def test_closest_approach_of_two_who_meet() -> None:
@@ -65,41 +65,41 @@ def test_closest_approach_of_two_who_meet() -> None:
     assert seen_by_the_first((4.0, 1.0), (-1.0, 0.0)) == pytest.approx(wanted, abs=3e-3)
 
 
-def test_whoever_goes_away_is_closest_now() -> None:
-    found = seen_by_the_first((-4.0, 0.0), (-1.0, 0.0))
-    assert found[4:6] == pytest.approx([2 / 6 * -4 / 2, 0.0], abs=1e-4)
-    assert found[7] == pytest.approx((2 / 6) ** 2, abs=1e-4)  # now: nothing is taken off for the time
+def test_who_goes_away_is_closest_now() -> None:
+    result = seen_by_the_first((-4.0, 0.0), (-1.0, 0.0))
+    assert result[4:6] == pytest.approx([2 / 6 * -4 / 2, 0.0], abs=1e-4)
+    assert result[7] == pytest.approx((2 / 6) ** 2, abs=1e-4)  # now: nothing is taken off for the time
 
 
 def test_what_lies_far_ahead_in_time_is_taken_after_four_seconds() -> None:
     """100 m ahead and 10 m/s: after 4 s there are 60 m left."""
-    found = seen_by_the_first((100.0, 0.0), (-9.0, 0.0))
-    assert found[4] == pytest.approx(2 / 102 * 60 / 2, rel=1e-3)
+    result = seen_by_the_first((100.0, 0.0), (-9.0, 0.0))
+    assert result[4] == pytest.approx(2 / 102 * 60 / 2, rel=1e-3)
 
 
 def test_turning_and_shifting_the_scene_changes_nothing() -> None:
     pool, crowd = ApproachPooling(3, 6), crowd_of(5, 1, 3, 5)
     position, moved, heading, state = walking(14)
-    found = pool(position, moved, heading, state, crowd)
+    result = pool(position, moved, heading, state, crowd)
     turn = torch.tensor([math.cos(2.0), math.sin(2.0)]).expand(14, 2)
     turned = [geometry.rotate(vector, turn) for vector in (position, moved, heading)]
     turned[0] = turned[0] + torch.tensor([30.0, -7.0])
-    assert float(found.detach().abs().max()) > 0.05
-    torch.testing.assert_close(pool(*turned, state, crowd), found, atol=2e-5, rtol=0)
+    assert float(result.detach().abs().max()) > 0.05
+    torch.testing.assert_close(pool(*turned, state, crowd), result, atol=2e-5, rtol=0)
 
 
 def test_people_have_no_order_and_other_scenes_no_part() -> None:
     pool = ApproachPooling(3, 6)
     everything = walking(9)
-    found = pool(*everything, crowd_of(4, 5))
+    result = pool(*everything, crowd_of(4, 5))
     order = torch.tensor([2, 0, 3, 1, 8, 7, 6, 5, 4])
-    torch.testing.assert_close(pool(*(x[order] for x in everything), crowd_of(4, 5)), found[order])
-    torch.testing.assert_close(pool(*(x[4:] for x in everything), crowd_of(5)), found[4:])
+    torch.testing.assert_close(pool(*(x[order] for x in everything), crowd_of(4, 5)), result[order])
+    torch.testing.assert_close(pool(*(x[4:] for x in everything), crowd_of(5)), result[4:])
 
 
-def test_whoever_is_alone_sees_nobody() -> None:
-    found = ApproachPooling(3, 6)(*walking(5), crowd_of(1, 3, 1))
-    assert not found[0].any() and not found[4].any() and bool(found[1:4].any(1).all())
+def test_a_person_alone_sees_no_others() -> None:
+    result = ApproachPooling(3, 6)(*walking(5), crowd_of(1, 3, 1))
+    assert not result[0].any() and not result[4].any() and bool(result[1:4].any(1).all())
 
 
 @pytest.mark.parametrize("case", ["same spot", "standing", "both", "side by side"])
@@ -138,8 +138,8 @@ def test_rings_have_the_distances_of_the_bank_turned_to_the_heading() -> None:
     pose = torch.tensor([[0.7, -1.0, 2.0, 1.0]]).repeat(6, 1)
     map_id = torch.full((6,), grid.map_id)
     scene, ahead = geometry.move_to_scene(position, pose), geometry.turn_to_scene(heading, pose)
-    found = encoder.distances(bank, scene, ahead, map_id, pose)
-    assert found.shape == (6, 1 + len(RADII) * RAYS)
+    result = encoder.distances(bank, scene, ahead, map_id, pose)
+    assert result.shape == (6, 1 + len(RADII) * RAYS)
     for person in range(6):
         towards = math.atan2(float(ahead[person, 1]), float(ahead[person, 0]))
         where = [scene[person].tolist()]
@@ -150,8 +150,8 @@ def test_rings_have_the_distances_of_the_bank_turned_to_the_heading() -> None:
                 where.append([x + radius * math.cos(turned), y + radius * math.sin(turned)])
         points = torch.tensor([where])
         wanted = bank.signed_distance(points, map_id[:1], pose[:1])[0].clamp(-CLIP, CLIP)
-        torch.testing.assert_close(found[person], wanted, atol=1e-4, rtol=0)
-    assert float(found.min()) < 0 < float(found.max())
+        torch.testing.assert_close(result[person], wanted, atol=1e-4, rtol=0)
+    assert float(result.min()) < 0 < float(result.max())
     assert encoder(bank, scene, ahead, map_id, pose).shape == (6, 4)
 
 
@@ -207,9 +207,9 @@ def test_what_is_new_says_nothing_before_training_and_can_be_learnt() -> None:
     model, batch = grown(plain), on_plan(make_batch((3, 1, 4)), MapBank([room()]))
     noise = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(0))
     wanted = plain.next_steps(batch, noise, 8, 8)
-    found = model.next_steps(batch, noise, 8, 8)
-    torch.testing.assert_close(found, wanted, atol=1e-6, rtol=0)
-    found.square().sum().backward()
+    result = model.next_steps(batch, noise, 8, 8)
+    torch.testing.assert_close(result, wanted, atol=1e-6, rtol=0)
+    result.square().sum().backward()
     first = cast("nn.Linear", model.to_decoder[0])
     assert first.weight.grad is not None and bool(first.weight.grad[:, -11:].any(1).any())
     assert model.trait is not None
@@ -228,11 +228,11 @@ def test_turning_the_scene_turns_what_people_with_everything_do(frame: Any) -> N
     old = {key: cast("Tensor", agents_of(batch)[key]) for key in keys}
     turned = {key: geometry.rotate(value, turn.expand_as(value)) for key, value in old.items()}
     with torch.no_grad():
-        found = model.next_steps(batch, noise, 8, 8)
+        result = model.next_steps(batch, noise, 8, 8)
         again = model.next_steps(changed(batch, **turned), noise, 8, 8)
-    assert float(found.abs().max()) > 0.1
+    assert float(result.abs().max()) > 0.1
     # the small vector that gives people who stand a direction is the world's
-    torch.testing.assert_close(again, geometry.rotate(found, turn.expand_as(found)), atol=2e-3, rtol=0)
+    torch.testing.assert_close(again, geometry.rotate(result, turn.expand_as(result)), atol=2e-3, rtol=0)
 
 
 def test_the_way_needs_a_goal() -> None:

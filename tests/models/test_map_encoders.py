@@ -148,10 +148,10 @@ def test_features_are_read_exactly_at_a_persons_place(
     places = local @ torch.tensor([[cos, sin], [-sin, cos]]) + torch.tensor(origin[:2])
     pose = torch.tensor([[0.5, -1.0, 7.0, 1.0]]).repeat(4, 1)
     ids = torch.full((4,), grids[0].map_id)
-    found = encoder.features(bank, move_to_scene(places, pose), ids, pose)[:, :2]
+    result = encoder.features(bank, move_to_scene(places, pose), ids, pose)[:, :2]
     pixel = torch.tensor([width / math.ceil(width * 40 - 1e-6), height / math.ceil(height * 40 - 1e-6)])
     assert (pixel <= 0.4 / 16 + 1e-6).all()
-    torch.testing.assert_close(found, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
+    torch.testing.assert_close(result, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
 
 
 def test_alexnet_features_tell_walls_from_floor_and_stay_out_of_checkpoints(weights: Path) -> None:

@@ -117,18 +117,18 @@ def expected(written: Written, batch: TensorDict, noise: torch.Tensor | None) ->
 def test_a_graph_answers_as_torch_for_any_crowd_on_any_plan(written: Written, sizes: tuple[int, ...]) -> None:
     batch = make_batch(sizes, padding=0.0)
     noise = torch.randn(len(sizes), max(sizes), 8, generator=torch.Generator().manual_seed(1))
-    found = answered(written, batch, noise)
-    assert found.shape == (len(sizes), max(sizes), STEPS, 2)
-    assert np.abs(found - expected(written, batch, noise)).max() < 5e-5
-    assert np.abs(found).max() > 0.1
+    result = answered(written, batch, noise)
+    assert result.shape == (len(sizes), max(sizes), STEPS, 2)
+    assert np.abs(result - expected(written, batch, noise)).max() < 5e-5
+    assert np.abs(result).max() > 0.1
     absent = ~cast("torch.Tensor", agents_of(batch)["mask"])
-    assert not found[absent.numpy()].any()
+    assert not result[absent.numpy()].any()
 
 
 def test_noise_zero_is_the_most_likely_future(written: Written) -> None:
     batch = make_batch((3, 2), padding=0.0)
-    found = answered(written, batch, torch.zeros(2, 3, 8))
-    assert np.abs(found - expected(written, batch, None)).max() < 5e-5
+    result = answered(written, batch, torch.zeros(2, 3, 8))
+    assert np.abs(result - expected(written, batch, None)).max() < 5e-5
 
 
 def test_padding_anywhere_and_of_any_value_changes_nothing(written: Written) -> None:
@@ -140,13 +140,13 @@ def test_padding_anywhere_and_of_any_value_changes_nothing(written: Written) -> 
         of_wide = cast("torch.Tensor", agents_of(wide)[key])
         of_wide.fill_(float("nan") if of_wide.is_floating_point() else 0.0)
         of_wide[:, there[0]] = value
-    found = answered(written, wide, torch.ones(1, 5, 8))
-    assert np.abs(found[:, there[0].numpy()] - alone).max() < 1e-6
-    assert not found[:, ~there[0].numpy()].any()
+    result = answered(written, wide, torch.ones(1, 5, 8))
+    assert np.abs(result[:, there[0].numpy()] - alone).max() < 1e-6
+    assert not result[:, ~there[0].numpy()].any()
 
 
 def test_far_from_the_origin_padding_costs_no_digits(written: Written) -> None:
-    """Pooling takes differences of positions, from the scene's first slot: nobody may stand there at zero."""
+    """Pooling takes differences of positions, from the scene's first slot: it must not be at zero."""
     batch = make_batch((4,), seed=2)
     for key in ("history", "goal"):
         agents_of(batch)[key] += 5000
@@ -244,7 +244,7 @@ def test_a_plan_as_input_is_seen_as_one_of_a_bank(kind: Any, alexnet: Path) -> N
     inputs: dict[str, Any] = {"history": agents["history"], "mask": agents["mask"], "noise": noise}
     inputs |= {key: torch.from_numpy(value) for key, value in plan_inputs(model, bank, grid).items()}
     with torch.no_grad():
-        (found,) = graph(inputs)
-        assert torch.allclose(found, model.next_steps(batch, noise, 8, 8), atol=1e-6)
+        (result,) = graph(inputs)
+        assert torch.allclose(result, model.next_steps(batch, noise, 8, 8), atol=1e-6)
         inputs["map_image"] = torch.zeros_like(inputs["map_image"])
-        assert not torch.allclose(found, graph(inputs)[0], atol=1e-3)
+        assert not torch.allclose(result, graph(inputs)[0], atol=1e-3)

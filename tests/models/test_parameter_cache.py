@@ -172,10 +172,10 @@ def test_functional_calls_do_not_leave_their_parameters() -> None:
 
 def test_a_value_is_made_once() -> None:
     calls = []
-    kept, module = ParameterCache(lambda m: calls.append(m) or len(calls), 0), nn.Linear(2, 2)
-    assert kept(module) == 0
+    stored, module = ParameterCache(lambda m: calls.append(m) or len(calls), 0), nn.Linear(2, 2)
+    assert stored(module) == 0
     with torch.no_grad():
-        assert [kept(module), kept(module)] == [1, 1]
+        assert [stored(module), stored(module)] == [1, 1]
         module.bias.add_(1)
-        assert [kept(module), kept(module)] == [2, 2]
-        assert kept(nn.Linear(2, 2)) == 3
+        assert [stored(module), stored(module)] == [2, 2]
+        assert stored(nn.Linear(2, 2)) == 3

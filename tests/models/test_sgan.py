@@ -166,7 +166,7 @@ def test_loss_and_gradient_are_those_of_all_samples(options: dict[str, Any], par
 
 
 def test_the_winner_is_chosen_for_a_scene_together() -> None:
-    """The loss would be smaller if everybody chose their own sample; the test above uses such batches."""
+    """The loss would be smaller if each person chose their own sample; the test above uses such batches."""
     model, batch = small(best_k=6).requires_grad_(False), make_batch((3, 4), dtype=torch.float64)
     z, scene_of = plain_noise(model, batch, 5), agents_of(batch)["mask"].nonzero()[:, 0]
     apart = 0.0
@@ -199,7 +199,7 @@ def test_samples_are_the_plain_ones(residual: str, steps: int) -> None:
     )
 
 
-def test_noise_is_shared_by_a_scene_or_drawn_for_everybody() -> None:
+def test_noise_is_shared_by_a_scene_or_drawn_for_all_people() -> None:
     batch = make_batch((3, 2), dtype=torch.float64)
     for noise in ("scene", "agent"):
         model = small(noise=noise)
@@ -295,7 +295,7 @@ def test_turning_the_scene_turns_the_answer(residual: str, map: str | None) -> N
     keys = ("history", "future", "goal", "velocity", "desired_velocity")
     turned = changed(batch, **{key: geometry.rotate(agents[key], turn) for key in keys})
     before, after = model.sample(batch, 3, 8, seeded()), model.sample(turned, 3, 8, seeded())
-    # somebody who stands has to face somewhere: a ten-thousandth of world x is in everybody's heading
+    # a person who stands has to face somewhere: a ten-thousandth of world x is in every person's heading
     torch.testing.assert_close(after, geometry.rotate(before, turn), atol=2e-3, rtol=0)
     fixed = of_kind({**GOAL})
     world = fixed.sample(turned, 3, 8, seeded()) - geometry.rotate(fixed.sample(batch, 3, 8, seeded()), turn)
@@ -344,8 +344,8 @@ def test_unknown_steps_change_nothing() -> None:
         model = cast("SGAN", random_weights(SGAN.of(error=error, mode_weight=1.0)))  # type: ignore[arg-type]
         losses = [model.loss(data, seeded()) for data in (batch, elsewhere)]
         assert losses[0].isfinite() and torch.equal(losses[0], losses[1])
-        nobody = changed(batch, future_valid=torch.zeros_like(agents["future_valid"]))
-        assert model.loss(nobody, seeded()).item() == 0.0
+        without_future = changed(batch, future_valid=torch.zeros_like(agents["future_valid"]))
+        assert model.loss(without_future, seeded()).item() == 0.0
 
 
 def test_a_scene_without_anybody_is_answered() -> None:
@@ -391,12 +391,12 @@ def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], me
 @pytest.fixture(scope="module")
 def training_batches() -> dict[str, TensorDict]:
     """Two dozen embedded scenes without and with a goal."""
-    found = {}
+    result = {}
     for goal in ("none", "window_end"):
         data = TrajectoryDataModule(goal=goal, loading=Loading(batch_size=24))
         data.setup("fit")
-        found[goal] = next(iter(data.train_dataloader()))
-    return found
+        result[goal] = next(iter(data.train_dataloader()))
+    return result
 
 
 @pytest.mark.parametrize("name", VARIANTS)

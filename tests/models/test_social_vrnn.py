@@ -90,9 +90,9 @@ def test_mixture_by_hand() -> None:
     logits = torch.tensor([0.0, math.log(3.0)])
     mean = torch.tensor([[[0.0, 0.0]], [[1.0, 0.0]]])
     scale = torch.tensor([[[1.0, 1.0]], [[2.0, 2.0]]])
-    found = FutureMixture(logits, mean, scale).log_prob(torch.zeros(1, 2), torch.ones(1, dtype=torch.bool))
+    result = FutureMixture(logits, mean, scale).log_prob(torch.zeros(1, 2), torch.ones(1, dtype=torch.bool))
     density = 0.25 / (2 * math.pi) + 0.75 * math.exp(-0.125) / (8 * math.pi)
-    assert float(found) == pytest.approx(math.log(density), rel=1e-6)
+    assert float(result) == pytest.approx(math.log(density), rel=1e-6)
 
 
 def test_mixture_is_that_of_torch_distributions_and_leaves_unknown_steps_out() -> None:
@@ -104,9 +104,9 @@ def test_mixture_is_that_of_torch_distributions_and_leaves_unknown_steps_out() -
     )
     torch.testing.assert_close(mixture.log_prob(path, everything), oracle.log_prob(path))
     some = torch.tensor([True, False, True, True, False]).expand(4, 5)
-    kept = FutureMixture(mixture.logits, mixture.mean[:, :, some[0]], mixture.scale[:, :, some[0]])
+    stored = FutureMixture(mixture.logits, mixture.mean[:, :, some[0]], mixture.scale[:, :, some[0]])
     torch.testing.assert_close(
-        mixture.log_prob(path, some), kept.log_prob(path[:, some[0]], some[:, :3] | True)
+        mixture.log_prob(path, some), stored.log_prob(path[:, some[0]], some[:, :3] | True)
     )
     assert (mixture.log_prob(path, ~everything).abs() < 1e-12).all()
 
@@ -234,7 +234,7 @@ def test_moving_turning_and_permuting_people(map: Any) -> None:
     moved = on_plan(moved, bank, pose=pose)
     turn = torch.tensor([math.cos(2.1), math.sin(2.1)])
     for answer in (lambda b: model.mode(b, 8), lambda b: model.sample(b, 3, 8, seeded())):
-        # a ten-thousandth of world x is in everybody's heading
+        # a ten-thousandth of world x is in every person's heading
         torch.testing.assert_close(answer(moved), geometry.rotate(answer(batch), turn), atol=3e-3, rtol=0)
     nats = model.log_likelihood(batch, seeded())
     torch.testing.assert_close(model.log_likelihood(moved, seeded()), nats, atol=0.05, rtol=1e-3)
@@ -275,7 +275,7 @@ def test_what_is_not_known_of_the_future_does_not_matter() -> None:
     model, batch = small(mode_weight=2.0), batch_of(partly=True)
     future, known = agents_of(batch)["future"], agents_of(batch)["future_valid"]
     other = changed(batch, future=torch.where(known[..., None], future, future + 3))
-    # whoever comes back has a known place, but not a known displacement
+    # a person who comes back has a known place, but not a known displacement
     assert (known & ~known_displacements(batch)).any()
     assert loss_of(model, batch) == pytest.approx(loss_of(model, other))
     nats = model.log_likelihood(batch, seeded())
@@ -334,7 +334,7 @@ def test_it_learns() -> None:
 
 
 def test_likelihood_per_step_by_hand() -> None:
-    """Of 12 and 3 nats over 4 and 2 steps: 15 nats in 6 steps. Nobody else counts."""
+    """Of 12 and 3 nats over 4 and 2 steps: 15 nats in 6 steps. No other person counts."""
     metric = NegativeLogLikelihood()
     known = torch.tensor([[[True] * 4, [True, True, False, False], [False] * 4]])
     metric.update(torch.tensor([[-12.0, -3.0, -99.0]]), known)

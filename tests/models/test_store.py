@@ -212,8 +212,8 @@ def test_what_else_lies_in_the_cache_is_no_model(
 def test_damaged_weights_are_fetched_anew(model: Forecaster, site: Site, tmp_path: Path) -> None:
     made(model, tmp_path / "zoo")
     serve(site, tmp_path / "zoo", "zoo")
-    kept = obtain(f"{site.url}/zoo/{NAME}")
-    kept.write_bytes(kept.read_bytes()[:100])
+    stored = obtain(f"{site.url}/zoo/{NAME}")
+    stored.write_bytes(stored.read_bytes()[:100])
     assert same(load(NAME), model)
 
 
@@ -458,7 +458,7 @@ def test_every_shipped_card_is_that_of_its_weights() -> None:
         entry = find(name)
         assert entry
         built: Any = (load_robot_policy if name in robots() else load)(name)
-        told, built = entry.card.config["init"], built.config
+        stored, built = entry.card.config["init"], built.config
         # options that came later are off in older weights
-        assert told.items() <= built.items() and not any(built[key] for key in built.keys() - told.keys())
+        assert stored.items() <= built.items() and not any(built[key] for key in built.keys() - stored.keys())
         assert entry.card.data["terms"] and entry.card.training["seed"] is not None

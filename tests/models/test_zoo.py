@@ -78,7 +78,7 @@ def checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
-    """Somebody's file with models of their own."""
+    """A user's file with models of their own."""
     path = tmp_path / "own.py"
     path.write_text(OWN_MODEL)
     return path
@@ -254,9 +254,9 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model: Forecaster
 def test_really_shipped_weights_load_and_answer() -> None:
     batch = make_batch((3, 2))
     for name in list_models():
-        found = load(name)
-        assert found.sample(batch, 2, 8).isfinite().all()
-        assert zoo.architecture_of(found) in zoo.MODELS.names()
+        result = load(name)
+        assert result.sample(batch, 2, 8).isfinite().all()
+        assert zoo.architecture_of(result) in zoo.MODELS.names()
 
 
 def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ class Straight(Policy):
         self.seen: list[Any] = []
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write everybody's velocity."""
+        """Write every person's velocity."""
         self.seen.append(tensordict.clone())
         tensordict["agents", "action"] = tensordict["agents", "desired_velocity"] * self.factor
         return tensordict
@@ -82,16 +82,16 @@ def test_it_walks_as_the_same_policy_does_in_the_environment(env, name: str, det
         seed=5,
         deterministic=deterministic,
     )
-    goals, found = dict(enumerate(state.goal_point[0])), {}
+    goals, result = dict(enumerate(state.goal_point[0])), {}
     for moment in range(state.past.shape[2]):
-        found = controller.step(dict(enumerate(state.past[0, :, moment])), goals)
-    torch.testing.assert_close(torch.from_numpy(arrays(found)).float(), expected, atol=1e-5, rtol=0)
+        result = controller.step(dict(enumerate(state.past[0, :, moment])), goals)
+    torch.testing.assert_close(torch.from_numpy(arrays(result)).float(), expected, atol=1e-5, rtol=0)
 
 
 def test_a_plain_simulator_of_thirty_lines(model):
     dt = 0.1
     controller = model.controller(ROOMS, dt=dt, pref_speed={"quick": 1.7})
-    entries = [  # when somebody comes, who, from where to where: most through the door, both ways
+    entries = [  # when people come, who, from where to where: most through the door, both ways
         (0.0, "anna", (1.0, 3.0), (9.0, 2.0)),
         (0.0, "bert", (9.0, 4.5), (1.0, 1.0)),
         (1.5, "quick", (1.0, 5.0), (9.0, 5.0)),
@@ -132,7 +132,7 @@ def test_the_order_of_the_people_does_not_matter(model):
         people = {who: xy + 0.4 * forth[who] for who, xy in people.items()}
 
 
-def test_noise_goes_by_seed_and_id_whoever_else_is_there():
+def test_noise_goes_by_seed_and_id_who_else_is_there():
     model = pedzoo.load("sgan_goal.zara1")
     far = {"anna": (0.0, 0.0), "bert": (900.0, 0.0)}
     goals = {"anna": (10.0, 0.0), "bert": (900.0, 10.0)}
@@ -229,14 +229,14 @@ def test_between_two_decisions_velocities_blend(dt: float, shares: list[float]):
     for _ in range(calls):
         place = place + dt * controller.step({0: place}, {0: goal})[0]
     turn = place
-    found = []
+    result = []
     for _ in range(calls):
         velocity = controller.step({0: place}, {0: (turn[0], 100.0)})[0]
         place = place + dt * velocity
-        found.append(velocity)
+        result.append(velocity)
     expected = [(1.3 * (1 - share), 1.3 * share) for share in shares]
     # no faster than 1.3 times the preferred speed
-    np.testing.assert_allclose(found, expected, atol=2e-5)
+    np.testing.assert_allclose(result, expected, atol=2e-5)
     np.testing.assert_allclose(place - turn, (0.0, 0.52), atol=2e-5)
 
 
@@ -273,7 +273,7 @@ def test_two_hundred_people_with_goals_of_their_own(model):
     assert list(few) == [5, 150]
 
 
-def test_goals_that_nobody_has_any_more_are_forgotten():
+def test_goals_that_no_person_has_any_more_are_forgotten():
     policy = Straight()
     controller = Controller(policy, rectangles(room((0, 0), (5, 5), 0.1), resolution=0.1))
     cells = np.stack(np.meshgrid(np.arange(1, 4, 0.2), np.arange(1, 4, 0.2)), -1).reshape(-1, 2)
@@ -359,13 +359,13 @@ def row_of(batch: Any, radius: float) -> int:
 def test_a_person_without_a_further_goal_stands_for_a_minute_and_walks_on_with_another(name: str, goal: Any):
     controller = pedzoo.load(name).controller(room_of_ten(), dt=0.1)
     place, passer = np.array([0.0, 0.0]), np.array([-4.0, 0.3])
-    told: dict[Any, Any] = {"stands": goal, "passes": (4.0, 0.3)}
+    goals: dict[Any, Any] = {"stands": goal, "passes": (4.0, 0.3)}
     path = []
     for _ in range(700):
-        found = controller.step({"stands": place, "passes": passer}, told)
-        place, passer = place + 0.1 * found["stands"], passer + 0.1 * found["passes"]
+        result = controller.step({"stands": place, "passes": passer}, goals)
+        place, passer = place + 0.1 * result["stands"], passer + 0.1 * result["passes"]
         path.append(place)
-        told = {"stands": goal}  # the same goal again is no other goal
+        goals = {"stands": goal}  # the same goal again is no other goal
     assert np.linalg.norm(place - (goal or (0.0, 0.0))) <= GOAL_RADIUS
     last_minute = np.stack(path[-600:])
     assert np.linalg.norm(last_minute - last_minute[0], axis=1).max() < 0.2
@@ -391,8 +391,8 @@ def test_a_goal_counts_as_reached_between_two_calls_and_once():
     assert agents["kind"].unique().tolist() == [PERSON] and agents["mask"].all()
     assert agents["desired_velocity"][0, a].tolist() == [0, 0]
     assert controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)})["a"].tolist() == [0, 0]  # carried away
-    found = controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": (1.0, 0.3)})["a"]
-    assert found[0] > 1.2
+    result = controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": (1.0, 0.3)})["a"]
+    assert result[0] > 1.2
     assert controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": None})["a"].tolist() == [0, 0]
 
 
@@ -400,14 +400,14 @@ def test_others_are_seen_and_not_returned():
     policy = Straight()
     controller = Controller(policy)
     for tick in range(10):
-        found = controller.step(
+        result = controller.step(
             {"anna": (0.0, 0.0)},
             {"anna": (9.0, 0.0)},
             others={"husky": (5.0 - 0.4 * tick, 1.0), 7: [3.0, 3.0]},
             radius={"husky": 0.5, "anna": 0.2},
             velocities={"husky": (-1.0, 0.0)},
         )
-        assert list(found) == ["anna"]
+        assert list(result) == ["anna"]
     for batch, tick in ((policy.seen[0], 0), (policy.seen[-1], 9)):
         agents = agents_of(batch)
         husky, anna, usual = (row_of(batch, radius) for radius in (0.5, 0.2, 0.3))
@@ -449,13 +449,13 @@ def test_neither_the_order_of_others_nor_their_names_matter(model):
     for named in ({"r": "r", "s": "s"}, {"s": "s", "r": "r"}, {"r": 3, "s": ("x", 1)}):
         controller = model.controller()
         for _ in range(3):
-            found = controller.step(
+            result = controller.step(
                 people,
                 goals,
                 others={named[one]: others[one] for one in named},
                 radius={named[one]: radius[one] for one in named},
             )
-        answers.append(arrays(found))
+        answers.append(arrays(result))
     assert (answers[0] == answers[1]).all()
     np.testing.assert_allclose(answers[2], answers[0], atol=1e-5)
 
@@ -492,8 +492,8 @@ def test_people_walk_alike_by_a_clock_that_jitters(name: str):
         controller = Controller(policy, dt=0.1, deterministic=True)
         times, place = 5.0 + 0.1 * np.arange(61) + shift, {0: np.zeros(2)}
         for time, after in pairwise(times):
-            found = controller.step(place, {0: (50.0, 20.0)}, time=float(time))
-            place = {0: place[0] + (after - time) * found[0]}
+            result = controller.step(place, {0: (50.0, 20.0)}, time=float(time))
+            place = {0: place[0] + (after - time) * result[0]}
         paths.append(place[0])
     counted, place = Controller(load_policy(name), dt=0.1, deterministic=True), {0: np.zeros(2)}
     for _ in range(60):
@@ -543,8 +543,8 @@ def test_time_at_some_calls_only_is_refused():
 def test_a_model_on_a_gpu_walks_as_on_the_cpu():
     people, goals = {"a": (1.0, 3.0), "b": (9.0, 2.0)}, {"a": (9.0, 3.0), "b": (1.0, 2.0)}
     here, there = pedzoo.load("sgan_goal_map.zara1"), pedzoo.load("sgan_goal_map.zara1").cuda()
-    expected, found = (arrays(m.controller(ROOMS).step(people, goals)) for m in (here, there))
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    expected, result = (arrays(m.controller(ROOMS).step(people, goals)) for m in (here, there))
+    np.testing.assert_allclose(result, expected, atol=1e-4)
 
 
 def test_positions_too_far_away_to_be_exact() -> None:

@@ -33,25 +33,25 @@ DESIRED = torch.tensor([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 0.5], [0.0, 0.
 def test_a_goal_is_at_least_as_far_as_the_desired_velocity_leads() -> None:
     """A near one is moved out, a far and a fitting one stay; on it people go on; who wants to stand stays."""
     given = scene(GOAL, DESIRED, HERE)
-    found = extend_goals(given)["agents", "goal"][0]
+    result = extend_goals(given)["agents", "goal"][0]
     expected = torch.tensor([[4.2, 1.0], [5.0, 0.0], [3.2, 0.0], [2.0, 1.6], [0.0, 0.5]])
-    torch.testing.assert_close(found, expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(result, expected, atol=1e-5, rtol=0)
     assert torch.equal(given["agents", "goal"][0], GOAL)  # the scene is another one
 
 
 def test_goals_are_moved_out_along_the_line_to_them() -> None:
     """To the left of where the next waypoint is: it stays to the left."""
     goal, desired = torch.tensor([[1.0, 1.0]]), torch.tensor([[1.0, 0.0]])
-    found = extend_goals(scene(goal, desired, torch.zeros(1, 2)))["agents", "goal"][0, 0]
-    assert float(found.norm()) == pytest.approx(3.2, abs=0.01)
-    assert math.atan2(found[1], found[0]) == pytest.approx(math.pi / 4, abs=0.06)
+    result = extend_goals(scene(goal, desired, torch.zeros(1, 2)))["agents", "goal"][0, 0]
+    assert float(result.norm()) == pytest.approx(3.2, abs=0.01)
+    assert math.atan2(result[1], result[0]) == pytest.approx(math.pi / 4, abs=0.06)
 
 
 def test_turning_the_scene_turns_the_goals() -> None:
     axis = torch.tensor([math.cos(2.0), math.sin(2.0)]).expand(len(GOAL), 2)
     turned = extend_goals(scene(*(rotate(of, axis) for of in (GOAL, DESIRED, HERE))))["agents", "goal"][0]
-    found = extend_goals(scene(GOAL, DESIRED, HERE))["agents", "goal"][0]
-    torch.testing.assert_close(turned, rotate(found, axis), atol=1e-5, rtol=0)
+    result = extend_goals(scene(GOAL, DESIRED, HERE))["agents", "goal"][0]
+    torch.testing.assert_close(turned, rotate(result, axis), atol=1e-5, rtol=0)
 
 
 def test_scenes_without_goals_stay_as_they_are() -> None:

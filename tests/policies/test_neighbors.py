@@ -56,12 +56,12 @@ def distance2(a: Tensor, b: Tensor) -> Tensor:
 def oracle(position: Tensor, mask: Tensor, reach: float, most: int | None) -> list[list[int]]:
     """Return the neighbours of each of the B * A people."""
     agents = mask.shape[1]
-    found: list[list[int]] = []
+    result: list[list[int]] = []
     for b, a in torch.cartesian_prod(torch.arange(len(mask)), torch.arange(agents)).tolist():
         others = [c for c in range(agents) if c != a and mask[b, a] and mask[b, c]]
         gaps = [(float(distance2(position[b, a], position[b, c])), c) for c in others]
-        found.append([b * agents + c for gap, c in sorted(gaps)[:most] if gap < reach * reach])
-    return found
+        result.append([b * agents + c for gap, c in sorted(gaps)[:most] if gap < reach * reach])
+    return result
 
 
 @WAYS
@@ -93,7 +93,7 @@ def test_cells_are_as_wide_as_the_reach(all_pairs: int, axis: int) -> None:
 
 @WAYS
 @pytest.mark.parametrize("shape", [(0, 3), (3, 0), (2, 1)])
-def test_nobody_has_no_neighbours(all_pairs: int, shape: tuple[int, int]) -> None:
+def test_no_people_have_no_neighbours(all_pairs: int, shape: tuple[int, int]) -> None:
     position, mask = torch.rand(*shape, 2), torch.ones(shape, dtype=torch.bool)
     index, near = nearest(position, mask, 5.0, None)
     assert index.shape == (0, shape[0] * shape[1])
@@ -121,11 +121,11 @@ def test_a_network_sorts_small_scenes_in_the_same_order(
     position, mask = scene(kind, 150, agents)
     assert agents <= neighbors.NETWORK
     for rows in (None, mask.flatten().nonzero()[:, 0]):
-        found = []
+        result = []
         for least in (1, 10**9):
             monkeypatch.setattr(neighbors, "NETWORK_PEOPLE", least)
-            found.append(nearest(position, mask, 5.0, 4, rows))
-        network, sort = found
+            result.append(nearest(position, mask, 5.0, 4, rows))
+        network, sort = result
         assert torch.equal(network.index, sort.index)
         assert (network.near is None) == (sort.near is None)
         if network.near is not None and sort.near is not None:
@@ -144,7 +144,7 @@ def test_double_precision(all_pairs: int) -> None:
 
 
 def test_a_crowd_is_searched_in_little_memory() -> None:
-    """Nobody among 20,000 people is compared with all others: 400 million pairs would be 1.6 GB."""
+    """People among 20,000 are not compared with all others: 400 million pairs would be 1.6 GB."""
     position = 400 * torch.rand(1, 20_000, 2, generator=torch.Generator().manual_seed(0))
     mask = torch.ones(1, 20_000, dtype=torch.bool)
     near = nearest(position, mask, 3.0, 10).near
@@ -162,13 +162,13 @@ def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pyt
     people = Bodies(position, mask, torch.full((1, 1), -1), identity_pose(1))
     steps = torch.arange(1, 9).view(2, 4, 1) / 20
     path = position[:, :, None, None] + velocity[:, :, None, None] * steps
-    found = []
+    result = []
     for all_pairs in (10_000, 0):
         monkeypatch.setattr(neighbors, "ALL_PAIRS", all_pairs)
         for most in (10, None):
             settings = OrcaSettings(max_neighbors=most or 500)
-            found.append(orca_velocity(position, velocity, wish, speed, mask, settings))
-        found.append(Compiled(MapBank()).contacts(path, people).agent)
-    for one, other in zip(found[:3], found[3:], strict=True):
+            result.append(orca_velocity(position, velocity, wish, speed, mask, settings))
+        result.append(Compiled(MapBank()).contacts(path, people).agent)
+    for one, other in zip(result[:3], result[3:], strict=True):
         assert torch.equal(one, other)
-    assert 50 < found[2].any(-1).sum() < 450
+    assert 50 < result[2].any(-1).sum() < 450

@@ -109,7 +109,7 @@ def test_alone_people_walk_as_they_like_up_to_their_top_speed() -> None:
     assert chosen.flatten().tolist() == pytest.approx([1, 0.5, 1.2, 1.6])
 
 
-def test_everybody_on_a_circle_does_the_same() -> None:
+def test_all_on_a_circle_do_the_same() -> None:
     angle = torch.arange(6) * math.pi / 3
     place = 3 * torch.stack((angle.cos(), angle.sin()), dim=-1)[None]
     position, velocity = place, torch.zeros_like(place)
@@ -141,9 +141,9 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
         torch.cat((part, torch.full((30, 2, 2), math.nan)), 1) for part in (position, velocity, preferred)
     ]
     mask = torch.arange(8) < 6
-    found = walk(padded[0], padded[1], padded[2], mask=mask.expand(30, 8))
-    assert torch.equal(found[:, :6], whole)
-    assert (found[:, 6:] == 0).all()
+    result = walk(padded[0], padded[1], padded[2], mask=mask.expand(30, 8))
+    assert torch.equal(result[:, :6], whole)
+    assert (result[:, 6:] == 0).all()
 
 
 def test_double_precision_agrees() -> None:
@@ -157,11 +157,11 @@ def test_double_precision_agrees() -> None:
 def test_passive_people_keep_their_velocity_and_are_avoided() -> None:
     position, velocity, preferred = crowd(30, 6, 3.0)
     passive = torch.rand(30, 6) < 0.4
-    found = walk(position, velocity, preferred, passive=passive)
-    assert torch.equal(found[passive], velocity[passive])
-    nobody = walk(position, velocity, preferred, passive=torch.zeros_like(passive))
-    assert torch.equal(nobody, walk(position, velocity, preferred))
-    assert not torch.equal(found[~passive], nobody[~passive])
+    result = walk(position, velocity, preferred, passive=passive)
+    assert torch.equal(result[passive], velocity[passive])
+    free = walk(position, velocity, preferred, passive=torch.zeros_like(passive))
+    assert torch.equal(free, walk(position, velocity, preferred))
+    assert not torch.equal(result[~passive], free[~passive])
 
 
 def test_nearest_neighbours_only() -> None:
@@ -174,8 +174,8 @@ def test_nearest_neighbours_only() -> None:
         )
         alone = walk(position.gather(1, pair), velocity.gather(1, pair), preferred.gather(1, pair))
         assert torch.equal(walk(position, velocity, preferred, nearest)[:, agent], alone[:, 0])
-    nobody = walk(position, velocity, preferred, replace(SETTINGS, max_neighbors=0), top_speed=9.0)
-    assert torch.equal(nobody, preferred)
+    free = walk(position, velocity, preferred, replace(SETTINGS, max_neighbors=0), top_speed=9.0)
+    assert torch.equal(free, preferred)
     far = walk(position, velocity, preferred, replace(SETTINGS, neighbor_dist=1e-4), top_speed=9.0)
     assert torch.equal(far, preferred)
 
@@ -193,11 +193,11 @@ def test_people_at_the_same_place_give_numbers() -> None:
 def test_gradients_are_not_needed_and_do_not_disturb() -> None:
     position, velocity, preferred = crowd(4, 6, 2.0)
     preferred.requires_grad_()
-    found = walk(position, velocity, preferred)
-    assert not found.requires_grad
+    result = walk(position, velocity, preferred)
+    assert not result.requires_grad
     weight = torch.ones((), requires_grad=True)
-    (weight * found).sum().backward()  # what is chosen can be part of a loss
-    assert weight.grad is not None and torch.allclose(weight.grad, found.sum())
+    (weight * result).sum().backward()  # what is chosen can be part of a loss
+    assert weight.grad is not None and torch.allclose(weight.grad, result.sum())
 
 
 def best_of_disk(lines: Tensor, walls: int, max_speed: float) -> Tensor:
@@ -306,8 +306,8 @@ def test_compiled_loops_give_the_lines_that_torch_gives() -> None:
     expected = wall_lines(exact, velocity.double(), radius.double(), settings)
     differ = 0
     for i in range(600):
-        found, wanted = (part[:, :, i][:, part[2:, :, i].any(0)] for part in (lines, expected))
-        same = found.shape == wanted.shape and bool((found - wanted).abs().lt(1e-4).all())
+        result, wanted = (part[:, :, i][:, part[2:, :, i].any(0)] for part in (lines, expected))
+        same = result.shape == wanted.shape and bool((result - wanted).abs().lt(1e-4).all())
         differ += not same
     assert expected[2:].any(0).sum() > 1500
     assert differ <= 3  # conditions that rounding decides
@@ -324,12 +324,12 @@ def test_compiled_programs_choose_what_torch_chooses() -> None:
     lines = torch.cat((point, direction))
     for walls in (0, 2):
         exact = solve(lines.double(), walls, preferred.double(), speed.double())
-        found = solve(lines, walls, preferred, speed).double()
-        differ = (found - exact).abs().amax(0) > 1e-3
+        result = solve(lines, walls, preferred, speed).double()
+        differ = (result - exact).abs().amax(0) > 1e-3
         assert differ.sum() <= 4  # conditions that rounding decides
         if walls:
-            assert violation(lines[:, :2], found.float()).max() < 1e-3
-    violated = violation(lines, found.float()).amax(0) > 1e-3
+            assert violation(lines[:, :2], result.float()).max() < 1e-3
+    violated = violation(lines, result.float()).amax(0) > 1e-3
     assert 200 < violated.sum() < 700
 
 
@@ -403,7 +403,7 @@ def test_few_people_and_few_walls(shape: tuple[int, int], obstacles: int) -> Non
     near = walls.near(position.flatten(0, 1), ids.expand(people), identity_pose(people), 3.6)
     settings = replace(SETTINGS, max_obstacles=obstacles)
     for mask in (present(position), ~present(position)):
-        found = walk(position, torch.zeros_like(position), position, settings, walls=near, mask=mask)
-        assert found.shape == position.shape
-        assert found.isfinite().all()
-        assert mask.any() or not found.any()
+        result = walk(position, torch.zeros_like(position), position, settings, walls=near, mask=mask)
+        assert result.shape == position.shape
+        assert result.isfinite().all()
+        assert mask.any() or not result.any()

@@ -59,8 +59,8 @@ def test_every_robot_answers_within_its_top_speed_and_ignores_absent_people(name
     garbage = torch.where(mask[..., None], seen.position, torch.nan)
     absent = seen._replace(position=garbage, velocity=torch.where(mask[..., None], seen.velocity, torch.nan))
     assert torch.equal(load_local_planner(name, STEP)(robot, absent), chosen)
-    nobody = People(*(part[:, :0] for part in seen))
-    assert load_local_planner(name, STEP)(robot, nobody).shape == (16, 2)
+    no_people = People(*(part[:, :0] for part in seen))
+    assert load_local_planner(name, STEP)(robot, no_people).shape == (16, 2)
 
 
 def test_orca_and_social_forces_by_hand() -> None:

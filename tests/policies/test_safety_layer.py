@@ -1,4 +1,4 @@
-"""The safety layer: what it leaves alone, who gives way, that nobody touches anything, invariances."""
+"""The safety layer: what it leaves alone, who gives way, that contacts are avoided, invariances."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def nearest(position: Tensor, step: Tensor) -> float:
     return float(apart.min())
 
 
-def test_steps_that_touch_nobody_stay_as_they_are() -> None:
+def test_steps_that_touch_no_person_stay_as_they_are() -> None:
     """Two who pass each other 0.33 m beside, which is a margin more than two bodies."""
     asked = steps([[0.0, 0.0], [1.0, 0.33]], [[0.5, 0.0], [-0.5, 0.0]])
     assert torch.equal(kept_clear(asked), asked.step)
@@ -58,36 +58,36 @@ def test_steps_that_touch_nobody_stay_as_they_are() -> None:
 
 def test_two_who_meet_head_on_share_the_correction() -> None:
     """From 0.6 m apart each goes half of the way that is left, and none the other way."""
-    found = kept_clear(steps([[-0.3, 0.0], [0.3, 0.0]], [[0.5, 0.0], [-0.5, 0.0]]))[0]
-    assert found[0, 0] == pytest.approx((0.6 - 0.3 - MARGIN) / 2, abs=2e-3)
-    assert found[1].tolist() == pytest.approx((-found[0]).tolist(), abs=1e-5)
+    result = kept_clear(steps([[-0.3, 0.0], [0.3, 0.0]], [[0.5, 0.0], [-0.5, 0.0]]))[0]
+    assert result[0, 0] == pytest.approx((0.6 - 0.3 - MARGIN) / 2, abs=2e-3)
+    assert result[1].tolist() == pytest.approx((-result[0]).tolist(), abs=1e-5)
 
 
-def test_somebody_who_is_brushed_past_is_given_a_little_room() -> None:
+def test_a_person_who_is_brushed_past_is_given_a_little_room() -> None:
     """What is less, a step aside or one back: 0.29 m beside each other it is 3 cm to the side, shared."""
     asked = steps([[0.0, 0.0], [0.4, 0.29]], [[0.4, 0.0], [-0.4, 0.0]])
-    found = kept_clear(asked)
-    assert (found - asked.step).norm(dim=-1).max() < 0.035
-    assert nearest(asked.position, found) >= 2 * BODY_RADIUS
+    result = kept_clear(asked)
+    assert (result - asked.step).norm(dim=-1).max() < 0.035
+    assert nearest(asked.position, result) >= 2 * BODY_RADIUS
 
 
-def test_whoever_the_policy_does_not_move_takes_no_part() -> None:
+def test_who_the_policy_does_not_move_takes_no_part() -> None:
     """A person who stands there: the other one stops before them alone."""
     moved = torch.tensor([[True, False]])
-    found = kept_clear(steps([[-0.5, 0.0], [0.0, 0.0]], [[0.6, 0.0], [0.0, 0.0]], moved=moved))[0]
-    assert found[0].tolist() == pytest.approx([0.2 - MARGIN, 0.0], abs=2e-3) and found[1].eq(0).all()
+    result = kept_clear(steps([[-0.5, 0.0], [0.0, 0.0]], [[0.6, 0.0], [0.0, 0.0]], moved=moved))[0]
+    assert result[0].tolist() == pytest.approx([0.2 - MARGIN, 0.0], abs=2e-3) and result[1].eq(0).all()
 
 
-def test_who_stands_gives_way_to_somebody_whom_the_policy_does_not_move() -> None:
+def test_who_stands_gives_way_to_a_person_whom_the_policy_does_not_move() -> None:
     """Run into from behind: they are pushed on alone, and the other comes as they would."""
     moved = torch.tensor([[False, True]])
     asked = steps([[-0.4, 0.0], [0.0, 0.0]], [[0.5, 0.0], [0.0, 0.0]], moved=moved)
-    found = kept_clear(asked)
-    assert torch.equal(found[0, 0], asked.step[0, 0])
-    assert found[0, 1].tolist() == pytest.approx([0.4 + MARGIN, 0.0], abs=5e-3)
+    result = kept_clear(asked)
+    assert torch.equal(result[0, 0], asked.step[0, 0])
+    assert result[0, 1].tolist() == pytest.approx([0.4 + MARGIN, 0.0], abs=5e-3)
 
 
-def test_absent_people_are_in_nobodys_way() -> None:
+def test_absent_people_are_in_no_persons_way() -> None:
     """Whatever their slots hold."""
     present = torch.tensor([[True, False]])
     asked = steps([[0.0, 0.0], [0.2, 0.0]], [[0.4, 0.0], [0.0, 0.0]], present=present)
@@ -102,7 +102,7 @@ def test_who_touches_already_may_part_and_not_come_closer() -> None:
     assert nearest(closer.position, kept_clear(closer)) > 0.2 - 2e-3
 
 
-def test_nobody_goes_faster_than_they_can() -> None:
+def test_no_person_goes_faster_than_they_can() -> None:
     """Also not to get out of the way."""
     asked = steps(
         torch.randn(8, 10, 2, generator=torch.Generator().manual_seed(0)), torch.ones(8, 10, 2), 0.5
@@ -111,7 +111,7 @@ def test_nobody_goes_faster_than_they_can() -> None:
 
 
 @pytest.mark.parametrize("people", [2, 6, 20])
-def test_in_a_crowd_that_runs_into_each_other_nobody_touches(people: int) -> None:
+def test_in_a_crowd_that_runs_into_each_other_no_person_touches(people: int) -> None:
     """All towards the middle from places that do not overlap, 64 scenes."""
     random = torch.Generator().manual_seed(people)
     side = math.ceil(math.sqrt(people))
@@ -132,10 +132,10 @@ def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
     """From 0.35 m before the wall's face, straight on and at 45 degrees."""
     bank = MapBank([ROOM])
     asked = steps([[-0.4, 1.5], [-0.4, -1.5]], [[0.5, 0.0], [0.4, 0.4]])
-    found = kept_clear(asked, around(bank, 1))[0]
+    result = kept_clear(asked, around(bank, 1))[0]
     room_left = 0.35 - BODY_RADIUS - MARGIN
-    assert found[0].tolist() == pytest.approx([room_left, 0.0], abs=5e-3)
-    assert found[1].tolist() == pytest.approx([room_left, 0.4], abs=5e-3)
+    assert result[0].tolist() == pytest.approx([room_left, 0.0], abs=5e-3)
+    assert result[1].tolist() == pytest.approx([room_left, 0.4], abs=5e-3)
 
 
 def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
@@ -153,17 +153,17 @@ def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
 
 
 def test_two_who_wait_for_each_other_in_a_narrow_place_turn_a_shoulder() -> None:
-    """Both have to wait: who has only just come keeps the room, and so does who meets somebody that walks."""
+    """Both have to wait: who has only just come keeps the room, and so does who meets a person that walks."""
     bank = MapBank([ROOM])
     place = torch.tensor([[[-0.4, -0.1], [0.4, 0.1]]])
     move = torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]])
     body = 2 * BODY_RADIUS + MARGIN
     for waits, room_left in (((True, True), body), ((True, False), SHOULDERS), ((False, False), SHOULDERS)):
-        found = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(bank, 1))
-        assert nearest(place, found) == pytest.approx(room_left, abs=0.01)
+        result = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(bank, 1))
+        assert nearest(place, result) == pytest.approx(room_left, abs=0.01)
 
 
-def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
+def test_who_hardly_moved_in_the_observed_steps_waits() -> None:
     """Two face to face in a door: after standing there they are let closer than after walking up to it."""
     env = make_env("door:width=0.8,jitter=0,speed_std=0", 1, "compiled")
     seen = env.reset(seed=0)
@@ -173,11 +173,11 @@ def test_whoever_hardly_moved_in_the_observed_steps_waits() -> None:
     for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN), (0.3, SHOULDERS)):
         agents["history"] = (place.unsqueeze(1) + walked * ago * ahead.unsqueeze(1)).unsqueeze(0)
         agents["velocity"] = ahead.unsqueeze(0) / STEP_SECONDS
-        found = safe(seen, ahead.unsqueeze(0))
-        assert nearest(place.unsqueeze(0), found) == pytest.approx(room_left, abs=0.03)
+        result = safe(seen, ahead.unsqueeze(0))
+        assert nearest(place.unsqueeze(0), result) == pytest.approx(room_left, abs=0.03)
 
 
-def test_in_a_room_nobody_touches_walls_or_others() -> None:
+def test_in_a_room_no_person_touches_walls_or_others() -> None:
     """Random steps of 10 people around a door, places in the free."""
     bank, random = MapBank([ROOM]), torch.Generator().manual_seed(1)
     place = torch.rand(4000, 2, generator=random) * 3 - 1.5
@@ -189,10 +189,10 @@ def test_in_a_room_nobody_touches_walls_or_others() -> None:
     assert len(position) >= 5
     asked = steps(position, 0.4 * torch.randn(position.shape, generator=random))
     walls = around(bank, len(position))
-    found = kept_clear(asked, walls)
-    path = position.unsqueeze(2) + torch.linspace(0, 1, 21).view(-1, 1) * found.unsqueeze(2)
+    result = kept_clear(asked, walls)
+    path = position.unsqueeze(2) + torch.linspace(0, 1, 21).view(-1, 1) * result.unsqueeze(2)
     gap, _ = walls.select(torch.arange(len(path)).repeat_interleave(10)).closest(path.flatten(0, 1))
-    assert gap.min() > BODY_RADIUS - 1e-3 and nearest(position, found) > 2 * BODY_RADIUS - 1e-3
+    assert gap.min() > BODY_RADIUS - 1e-3 and nearest(position, result) > 2 * BODY_RADIUS - 1e-3
 
 
 @pytest.mark.parametrize("walled", [False, True])
@@ -206,16 +206,16 @@ def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(wa
 
     random = torch.Generator().manual_seed(3)
     asked = steps(0.8 * torch.randn(4, 6, 2, generator=random), 0.4 * torch.randn(4, 6, 2, generator=random))
-    found = kept_clear(asked, walls(identity_pose(4)))
-    assert (found - asked.step).abs().max() > 0.1
-    assert walled != torch.allclose(found, kept_clear(asked), atol=1e-2)
+    result = kept_clear(asked, walls(identity_pose(4)))
+    assert (result - asked.step).abs().max() > 0.1
+    assert walled != torch.allclose(result, kept_clear(asked), atol=1e-2)
     angle, order = torch.tensor(0.7), torch.randperm(6, generator=random)
     turn = torch.stack((angle.cos(), -angle.sin(), angle.sin(), angle.cos())).view(2, 2)
     moved = steps(asked.position @ turn.T + 5, asked.step @ turn.T)
     turned = kept_clear(moved, walls(torch.tensor([[0.7, 1.0, 5.0, 5.0]]).expand(4, -1)))
-    assert torch.allclose(turned, found @ turn.T, atol=1e-4)
+    assert torch.allclose(turned, result @ turn.T, atol=1e-4)
     swapped = kept_clear(ProposedSteps(*(values[:, order] for values in asked[:8])), walls(identity_pose(4)))
-    assert torch.allclose(swapped, found[:, order], atol=1e-5)
+    assert torch.allclose(swapped, result[:, order], atol=1e-5)
 
 
 def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:
@@ -238,16 +238,16 @@ def test_gradients_are_finite_and_those_of_free_steps_are_one() -> None:
 
 
 def test_going_to_the_goal_with_it_is_a_baseline() -> None:
-    """Nobody touches anything, and it decides when learned models do."""
-    kept, free = (load_policy(f"go_to_goal:safety={on}") for on in ("true", "false"))
-    found = [contacts(policy, "door:people=4,width=0.8") for policy in (kept, free)]
-    assert found[0] == (0, 0) and found[1][0] > 10
+    """There are no contacts, and it decides when learned models do."""
+    stored, free = (load_policy(f"go_to_goal:safety={on}") for on in ("true", "false"))
+    result = [contacts(policy, "door:people=4,width=0.8") for policy in (stored, free)]
+    assert result[0] == (0, 0) and result[1][0] > 10
     with pytest.raises(UserError, match="leave out dt or safety"):
         load_policy("go_to_goal:safety=true,dt=0.2")
 
 
 class Dash(Forecaster):
-    """Runs at its goal, whoever is in the way; and at the walls."""
+    """Runs straight to its goal, through people and walls."""
 
     needs = frozenset({"goal"})
     stochastic = False
@@ -280,7 +280,7 @@ def contacts(policy: Walker | Policy, scenario: str, decisions: int = 20) -> tup
 
 
 def test_a_crowd_before_a_door_does_not_jam() -> None:
-    """Of 20 who press towards it those in front get away, though everybody else runs into them."""
+    """Of 20 who press towards it those in front get away, though all others run into them."""
     env = make_env("room_exit:people=20,entering=0,width=0.9", 4, "compiled")
     policy = load_policy("go_to_goal:safety=true")
     seen: TensorDictBase = env.reset(seed=5)
@@ -293,14 +293,14 @@ def test_a_crowd_before_a_door_does_not_jam() -> None:
 @pytest.mark.parametrize(
     "scenario", ["door:people=4,width=0.8", "room_exit:people=12,entering=0", "standing"]
 )
-def test_whoever_walks_with_it_touches_nobody_and_nothing(scenario: str) -> None:
+def test_a_policy_with_it_touches_no_person_and_no_wall(scenario: str) -> None:
     """A policy that does both without."""
     assert sum(contacts(Walker(Dash(False)), scenario)) > 10
     assert contacts(Walker(Dash(True)), scenario) == (0, 0)
 
 
 def test_the_walker_says_what_was_asked_for_and_can_do_without() -> None:
-    """As the model says, unless somebody says otherwise."""
+    """As the model says, unless the user says otherwise."""
     env = make_env("door:width=0.8", 4, "compiled")
     seen = env.reset(seed=0)
     for walker, held in ((Walker(Dash(True)), True), (Walker(Dash(True), safety=False), False)):

@@ -40,15 +40,15 @@ def test_a_walk_is_what_the_simulation_makes_of_a_step() -> None:
     """After 0.1, 0.3 and 0.4 s; agents that the policy does not move go straight."""
     asked = crowd(6)
     step = limit_speed(asked.step, asked.longest)
-    found = asked.integrate(step).movedim(1, -1)
-    assert torch.allclose(asked.position + found, path_of(asked, step)[[9, 29, 39]], atol=1e-5)
+    result = asked.integrate(step).movedim(1, -1)
+    assert torch.allclose(asked.position + result, path_of(asked, step)[[9, 29, 39]], atol=1e-5)
     still = asked._replace(moved=torch.zeros_like(asked.moved)).integrate(step).movedim(1, -1)
     assert torch.allclose(still, torch.stack((step / 4, 3 * step / 4, step)))
     assert torch.equal(asked._replace(velocity=None).integrate(step).movedim(1, -1), still)
 
 
 @pytest.mark.parametrize("people", [2, 6, 20])
-def test_on_blended_paths_nobody_touches_anybody(people: int) -> None:
+def test_on_blended_paths_people_do_not_touch(people: int) -> None:
     """However they come: they stop, where nothing else helps."""
     asked = crowd(people)
     for steps, bound in ((asked.step, 0.15), (kept_clear(asked), 2 * BODY_RADIUS - 1e-3)):
@@ -58,7 +58,7 @@ def test_on_blended_paths_nobody_touches_anybody(people: int) -> None:
         assert bool(touching.any()) == (bound < 0.2)
 
 
-def test_on_blended_paths_nobody_touches_a_wall() -> None:
+def test_on_blended_paths_no_person_touches_a_wall() -> None:
     """People who run at a wall and are told to turn along it: the old velocity still leads into it."""
     bank = MapBank([ROOM])
     asked = crowd(1, scenes=512)
@@ -82,14 +82,14 @@ def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: b
     asked, walls = mixed_crowd(people, walled)
     random = torch.Generator().manual_seed(people)
     weight = torch.randn(asked.step.shape, generator=random) * asked.present.unsqueeze(-1)
-    found = []
+    result = []
     for answer in (kept_clear, kept_clear_in_torch):
         inputs: list[Any] = [asked.position, asked.step, *([asked.velocity] if blends else [])]
         inputs = [part.clone().requires_grad_() for part in inputs]
         velocity = inputs[2] if blends else None
-        kept = answer(asked._replace(position=inputs[0], step=inputs[1], velocity=velocity), walls)
-        found.append((kept.detach(), torch.autograd.grad((kept * weight).sum(), inputs)))
-    (compiled, slopes), (in_torch, expected) = found
+        stored = answer(asked._replace(position=inputs[0], step=inputs[1], velocity=velocity), walls)
+        result.append((stored.detach(), torch.autograd.grad((stored * weight).sum(), inputs)))
+    (compiled, slopes), (in_torch, expected) = result
     alike = ((compiled - in_torch).norm(dim=-1).where(asked.present, 0.0) < 1e-4).all(1)
     assert alike.float().mean() >= (0.95 if walled else 0.99)
     for slope, other in zip(slopes, expected, strict=True):
@@ -106,8 +106,8 @@ def mixed_crowd(people: int, walled: bool) -> tuple[ProposedSteps, LocalWalls | 
     if not walled:
         return asked, None
     walls = around(MapBank([ROOM]), 200)
-    everybody = walls.select(torch.arange(200).repeat_interleave(people))
-    free = (everybody.closest(asked.position.flatten(0, 1))[0] > 0).view(asked.present.shape)
+    selected = walls.select(torch.arange(200).repeat_interleave(people))
+    free = (selected.closest(asked.position.flatten(0, 1))[0] > 0).view(asked.present.shape)
     return asked._replace(present=asked.present & free, moved=asked.moved & free), walls
 
 
@@ -122,9 +122,9 @@ def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
     step = torch.tensor([[[0.1, 0.2]], [[0.3, 0.2]]], requires_grad=True)
     one = torch.ones(2, 1, dtype=torch.bool)
     size = torch.full((2, 1), BODY_RADIUS)
-    kept = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one), walls)
-    across = torch.autograd.grad(kept[..., 0].sum(), (place, step), retain_graph=True)
-    along = torch.autograd.grad(kept[..., 1].sum(), (place, step))
+    stored = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one), walls)
+    across = torch.autograd.grad(stored[..., 0].sum(), (place, step), retain_graph=True)
+    along = torch.autograd.grad(stored[..., 1].sum(), (place, step))
     close: dict[str, Any] = {"atol": 1e-4, "rtol": 0}
     torch.testing.assert_close(across[0], torch.tensor([[[0.0, 0.0]], [[-1.0, 0.0]]]), **close)
     torch.testing.assert_close(across[1], torch.zeros(2, 1, 2), **close)
@@ -136,8 +136,8 @@ def test_top_speeds_have_gradients() -> None:
     """Torch has them: a step that is too long is as long as the top speed allows."""
     asked = crowd(1, scenes=4)
     longest = asked.longest.clone().requires_grad_()
-    kept = kept_clear(asked._replace(longest=longest, step=9 * asked.step))
-    kept.norm(dim=-1).sum().backward()
+    stored = kept_clear(asked._replace(longest=longest, step=9 * asked.step))
+    stored.norm(dim=-1).sum().backward()
     assert longest.grad is not None and torch.allclose(longest.grad, torch.ones(4, 1))
 
 
@@ -169,7 +169,7 @@ def test_the_torch_path_reads_nothing_back_to_the_host() -> None:
 
 @pytest.mark.parametrize("pair", [((0.0, 0.5), (PART, PART)), ((0.5, 0.0), (0.0, 1.0))])
 def test_in_the_open_an_old_velocity_changes_nothing(pair: tuple[tuple[float, float], ...]) -> None:
-    """Somebody alone may turn as they like."""
+    """A person alone may turn as they like."""
     step, velocity = torch.tensor(pair).view(2, 1, 1, 2)
     one = torch.ones(1, 1, dtype=torch.bool)
     size = torch.full((1, 1), BODY_RADIUS)

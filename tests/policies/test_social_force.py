@@ -46,7 +46,7 @@ def accelerate(
     seconds: float = 0.01,
     **options: Any,
 ) -> Tensor:
-    """Return everybody's acceleration (B, A, 2); top speeds are out of the way."""
+    """Return every person's acceleration (B, A, 2); top speeds are out of the way."""
     shape = position.shape[:2]
     settings = replace(settings, top_speed_ratio=1e9)
     mask = options.pop("mask", torch.ones(shape, dtype=torch.bool))
@@ -76,14 +76,14 @@ def observation(
     maps: MapBank | None = None,
 ) -> TensorDict:
     scenes, agents = position.shape[:2]
-    everybody = torch.ones(scenes, agents, dtype=torch.bool)
+    mask = torch.ones(scenes, agents, dtype=torch.bool)
     return scene_batch(
         maps=MapBank() if maps is None else maps,
         map_id=torch.full((scenes, 1), map_id),
         pose=identity_pose(scenes) if pose is None else pose,
         history=position.unsqueeze(2).expand(-1, -1, 8, -1),
-        valid=everybody.unsqueeze(-1).expand(-1, -1, 8),
-        mask=everybody,
+        valid=mask.unsqueeze(-1).expand(-1, -1, 8),
+        mask=mask,
         velocity=velocity,
         pref_speed=desired.norm(dim=-1, keepdim=True),
         goal=position,
@@ -94,12 +94,12 @@ def observation(
 
 
 def test_the_papers_parameters_are_the_default() -> None:
-    found = SocialForceSettings(preset="1995")
-    assert found == PAPER == SocialForce().settings
-    assert (found.tau, found.strength, found.sigma, found.step_time) == (0.5, 2.1, 0.3, 2.0)
-    assert (found.wall_strength, found.wall_range) == (10.0, 0.2)
-    assert (found.view_angle, found.out_of_view, found.top_speed_ratio) == (100.0, 0.5, 1.3)
-    assert found.wall_reach == pytest.approx(0.2 * math.log(5000))
+    result = SocialForceSettings(preset="1995")
+    assert result == PAPER == SocialForce().settings
+    assert (result.tau, result.strength, result.sigma, result.step_time) == (0.5, 2.1, 0.3, 2.0)
+    assert (result.wall_strength, result.wall_range) == (10.0, 0.2)
+    assert (result.view_angle, result.out_of_view, result.top_speed_ratio) == (100.0, 0.5, 1.3)
+    assert result.wall_reach == pytest.approx(0.2 * math.log(5000))
     indoor = SocialForceSettings(preset="indoor", tau=0.4)
     assert (indoor.wall_strength, indoor.wall_range, indoor.tau) == (
         pytest.approx(2.2408, abs=1e-4),
@@ -109,7 +109,7 @@ def test_the_papers_parameters_are_the_default() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ("tau=0", r"tau 0\.0: expected a number above 0"),
         ("sigma=-0.3", r"sigma -0\.3: expected a number above 0"),
@@ -126,8 +126,8 @@ def test_the_papers_parameters_are_the_default() -> None:
         ("taw=1", "did you mean 'tau'"),
     ],
 )
-def test_settings_that_cannot_be(settings: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_settings_that_cannot_be(settings: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         load_policy(f"social_force:{settings}")
 
 
@@ -156,7 +156,7 @@ def test_repulsion_by_hand() -> None:
     expected = [7 * 0.243117 * 0.318198, 7 * 0.243117 * 0.954594]
     assert (force * away).flatten().tolist() == pytest.approx(expected, rel=1e-5)
     assert away.norm() == pytest.approx(1)
-    # somebody who stands: V0 / sigma exp(-distance / sigma) straight away
+    # a person who stands: V0 / sigma exp(-distance / sigma) straight away
     force, away = repulsion(torch.tensor([[[0.0]], [[-0.6]]]), torch.zeros(2, 1, 1), 2.1, 0.3)
     assert (force * away).flatten().tolist() == pytest.approx([0, -7 * math.exp(-2)], rel=1e-6)
 
@@ -186,7 +186,7 @@ def test_forces_stay_finite_where_the_potentials_gradient_does_not() -> None:
         for side in (0.0, 1e-9, -1e-4):
             force, away = repulsion(torch.tensor([[[place]], [[side]]]), step, 2.1, 0.3)
             assert float(force) < 60 and away.isfinite().all()
-    # exactly in front of somebody who comes there is no side to go to
+    # exactly in front of a person who comes there is no side to go to
     force, away = repulsion(torch.tensor([[[1.3]], [[0.0]]]), step, 2.1, 0.3)
     assert float(away.norm()) < 1e-6
 
@@ -197,9 +197,9 @@ def test_perception_by_hand() -> None:
     towards = torch.stack((angles.cos(), angles.sin())).unsqueeze(2)  # to whom the force comes from
     assert view_weight(-towards, heading, 100, 0.5).flatten().tolist() == [1, 1, 1, 0.5, 0.5]
     expected = [1, 0.75 + 0.25 * 0.75, 0.75 + 0.25 * (1 + math.cos(math.radians(99))) / 2]
-    found = smooth_weight(-3 * towards, heading, 0.75).flatten().tolist()
-    assert found[:3] == pytest.approx(expected)
-    assert found[4] == pytest.approx(0.75)
+    result = smooth_weight(-3 * towards, heading, 0.75).flatten().tolist()
+    assert result[:3] == pytest.approx(expected)
+    assert result[4] == pytest.approx(0.75)
     assert view_weight(-towards, 0 * heading, 100, 0.5).flatten().tolist() == [1] * 5
 
 
@@ -207,10 +207,10 @@ def test_perception_by_hand() -> None:
 def test_who_is_behind_counts_less(anisotropy: Any, weight: float) -> None:
     position = torch.tensor([[[0.0, 0.0], [0.6, 0.0]]])
     desired = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
-    found = accelerate(position, torch.zeros(1, 2, 2), desired, replace(PAPER, anisotropy=anisotropy))
+    result = accelerate(position, torch.zeros(1, 2, 2), desired, replace(PAPER, anisotropy=anisotropy))
     pushed = 7 * math.exp(-2)
     driven = 1 / 0.5
-    assert found[0, :, 0].tolist() == pytest.approx([driven - pushed, driven + weight * pushed], abs=1e-3)
+    assert result[0, :, 0].tolist() == pytest.approx([driven - pushed, driven + weight * pushed], abs=1e-3)
 
 
 def test_top_speed_by_hand() -> None:
@@ -245,25 +245,25 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
     assert torch.equal(mixed, whole[:, order])
     assert torch.equal(accelerate(position[7:8], velocity[7:8], desired[7:8]), whole[7:8])
 
-    # two slots of nobody, who are anywhere
+    # two empty slots, at any place
     place, speed, wish = (
         torch.cat((part, torch.full((30, 2, 2), math.nan)), 1) for part in (position, velocity, desired)
     )
     mask, identity = (torch.arange(27) < 25).expand(30, 27), torch.arange(27).expand(30, 27)
     liked = wish.norm(dim=-1)
-    found = social_force_velocity(place, speed, wish, liked, mask, PAPER, 0.1, identity)
+    result = social_force_velocity(place, speed, wish, liked, mask, PAPER, 0.1, identity)
     liked, mask, identity = liked[:, :25], mask[:, :25], identity[:, :25]
     alone = social_force_velocity(position, velocity, desired, liked, mask, PAPER, 0.1, identity)
-    assert torch.equal(found[:, :25], alone)
-    assert (found[:, 25:] == 0).all()
+    assert torch.equal(result[:, :25], alone)
+    assert (result[:, 25:] == 0).all()
 
 
 def test_people_whom_the_policy_does_not_move_act_on_the_others() -> None:
     policy = SocialForce()
     seen = observation(*crowd(5, 4, 2.0))
-    everybody = policy(seen)["agents", "action"]
+    expected = policy(seen)["agents", "action"]
     seen["agents", "controlled"] = torch.tensor([True, False, False, True]).expand(5, 4)
-    assert torch.equal(policy(seen)["agents", "action"], everybody)
+    assert torch.equal(policy(seen)["agents", "action"], expected)
 
 
 def reference(position: Tensor, velocity: Tensor, desired: Tensor, settings: SocialForceSettings) -> Tensor:
@@ -287,10 +287,10 @@ def reference(position: Tensor, velocity: Tensor, desired: Tensor, settings: Soc
 def test_a_crowd_of_150_is_what_all_pairs_give() -> None:
     position, velocity, desired = crowd(2, 150, 16.0)
     settings = replace(PAPER, neighbor_dist=3.0)
-    found = accelerate(position.double(), velocity.double(), desired.double(), settings)
+    result = accelerate(position.double(), velocity.double(), desired.double(), settings)
     for scene in range(2):
         expected = reference(position[scene], velocity[scene], desired[scene], settings)
-        gap = (found[scene] - expected).norm(dim=1)
+        gap = (result[scene] - expected).norm(dim=1)
         # whose angle is 100 degrees to the last bit may be on the other side
         assert (gap < 1e-4).float().mean() > 0.98
     alone = accelerate(position, velocity, desired, replace(settings, max_neighbors=0))
@@ -311,15 +311,15 @@ def test_people_at_the_same_place_part() -> None:
     place = torch.tensor([[[1.0, 1.0], [1.0, 1.0], [9.0, 9.0]]])
     desired = torch.full((1, 3, 2), 1e-6)
     settings = replace(PAPER, anisotropy="none")
-    found = accelerate(place, still, desired, settings)
-    assert found.isfinite().all()
-    assert torch.allclose(found[0, 0], -found[0, 1], atol=1e-4)
-    assert float(found[0, 0].norm()) == pytest.approx(7 * math.exp(-0.01 / 0.3), rel=1e-3)
+    result = accelerate(place, still, desired, settings)
+    assert result.isfinite().all()
+    assert torch.allclose(result[0, 0], -result[0, 1], atol=1e-4)
+    assert float(result[0, 0].norm()) == pytest.approx(7 * math.exp(-0.01 / 0.3), rel=1e-3)
     # by who they are, not by where they are in the batch
     swapped = accelerate(place, still, desired, settings, identity=torch.tensor([[1, 0, 2]]))
-    assert torch.allclose(swapped[0, :2], found[0, [1, 0]], atol=1e-4)
+    assert torch.allclose(swapped[0, :2], result[0, [1, 0]], atol=1e-4)
     other = accelerate(place, still, desired, settings, identity=torch.tensor([[1, 7, 2]]))
-    assert not torch.allclose(other[0, 0], found[0, 0], atol=0.1)
+    assert not torch.allclose(other[0, 0], result[0, 0], atol=0.1)
 
 
 def test_a_long_decision_is_integrated_in_steps_of_a_tenth_of_a_second() -> None:
@@ -390,30 +390,32 @@ def test_a_wall_across_the_cells_is_one_wall() -> None:
     walls = block(0.37 * x - y > 20)  # a staircase
     along, away = torch.tensor([[1.0, 0.37], [-0.37, 1.0]]) / math.hypot(0.37, 1)
     at = torch.tensor([7.5, 1.775]) + torch.arange(-1.5, 1.5, 0.01)[:, None] * along + 0.4 * away
-    found = push(walls, at)
+    result = push(walls, at)
     # as strong as one straight wall within a cell and a half of where it is, and as steady
-    apparent = -0.2 * (found.norm(dim=1) / NEAREST).log()
+    apparent = -0.2 * (result.norm(dim=1) / NEAREST).log()
     assert (apparent - 0.4).abs().max() < 0.075
-    assert (found @ along / (found @ away)).abs().max() < 0.2
-    assert (found[1:] - found[:-1]).norm(dim=1).max() < 0.05 * plain(0.4)  # of a straight way to a wall
+    assert (result @ along / (result @ away)).abs().max() < 0.2
+    assert (result[1:] - result[:-1]).norm(dim=1).max() < 0.05 * plain(0.4)  # of a straight way to a wall
 
 
 def test_opposite_walls_cancel_in_the_middle() -> None:
     cells = np.zeros((40, 200), bool)
     cells[:8] = cells[-8:] = True  # a corridor of 1.2 m
-    found = push(block(cells), torch.tensor([[5.0, 1.0], [5.0, 0.7], [5.0, 1.3]]))
-    assert found[0].norm() < 1e-4
-    assert found[1].tolist() == pytest.approx([0, plain(0.3) - plain(0.9)], abs=1e-3)
-    assert torch.allclose(found[1], -found[2], atol=1e-3)
+    result = push(block(cells), torch.tensor([[5.0, 1.0], [5.0, 0.7], [5.0, 1.3]]))
+    assert result[0].norm() < 1e-4
+    assert result[1].tolist() == pytest.approx([0, plain(0.3) - plain(0.9)], abs=1e-3)
+    assert torch.allclose(result[1], -result[2], atol=1e-3)
 
 
 def test_a_convex_corner_counts_once() -> None:
     cells = np.zeros((80, 80), bool)
     cells[:40, :40] = True  # its corner is at (2, 2)
-    found = push(block(cells), torch.tensor([[2.3, 2.4], [2.3, 2.0], [2.3, 1.999], [2.0, 2.3], [1.999, 2.3]]))
-    assert found[0].tolist() == pytest.approx([0.6 * plain(0.5), 0.8 * plain(0.5)], abs=1e-4)
+    result = push(
+        block(cells), torch.tensor([[2.3, 2.4], [2.3, 2.0], [2.3, 1.999], [2.0, 2.3], [1.999, 2.3]])
+    )
+    assert result[0].tolist() == pytest.approx([0.6 * plain(0.5), 0.8 * plain(0.5)], abs=1e-4)
     for wanted, one in zip(
-        ([plain(0.3), 0], [plain(0.3), 0], [0, plain(0.3)], [0, plain(0.3)]), found[1:], strict=True
+        ([plain(0.3), 0], [plain(0.3), 0], [0, plain(0.3)], [0, plain(0.3)]), result[1:], strict=True
     ):
         assert one.tolist() == pytest.approx(wanted, abs=1e-3)
 
@@ -421,8 +423,8 @@ def test_a_convex_corner_counts_once() -> None:
 def test_both_walls_of_a_rooms_corner_count() -> None:
     cells = np.zeros((80, 80), bool)
     cells[:20] = cells[:, :20] = True
-    found = push(block(cells), torch.tensor([[1.3, 1.5], [1.2, 1.2]]))
-    assert found.flatten().tolist() == pytest.approx(
+    result = push(block(cells), torch.tensor([[1.3, 1.5], [1.2, 1.2]]))
+    assert result.flatten().tolist() == pytest.approx(
         [plain(0.3), plain(0.5), plain(0.2), plain(0.2)], abs=1e-3
     )
 
@@ -438,10 +440,10 @@ def test_where_a_wall_bends_a_little_the_force_neither_doubles_nor_jumps(
             (torch.linspace(4.5, 5.5, 1001), 2 + height + torch.linspace(-0.1, 0.1, 1001).abs()), 1
         )
         distance = height * 100 / math.hypot(100, 20)
-        found = push(walls, at)
-        assert (found[1:] - found[:-1]).norm(dim=1).max() < 0.01 * plain(distance)
-        assert found.norm(dim=1).max() < 1.05 * plain(distance)
-        assert found.norm(dim=1).min() > 0.9 * plain(distance)
+        result = push(walls, at)
+        assert (result[1:] - result[:-1]).norm(dim=1).max() < 0.01 * plain(distance)
+        assert result.norm(dim=1).max() < 1.05 * plain(distance)
+        assert result.norm(dim=1).min() > 0.9 * plain(distance)
 
 
 def test_a_doorway_is_symmetric_and_smooth() -> None:
@@ -452,12 +454,12 @@ def test_a_doorway_is_symmetric_and_smooth() -> None:
     centre = torch.tensor([3.075, 3.025])
     across = torch.linspace(-0.27, 0.27, 541)
     for x in (0.0, 0.05, -0.3):
-        found = push(walls, centre + torch.stack((torch.full((541,), x), across), 1))
-        assert torch.allclose(found[:, 1], -found[:, 1].flip(0), atol=1e-2)
-        assert torch.allclose(found[:, 0], found[:, 0].flip(0), atol=1e-2)
-        assert (found[1:] - found[:-1]).norm(dim=1).max() < 0.2
+        result = push(walls, centre + torch.stack((torch.full((541,), x), across), 1))
+        assert torch.allclose(result[:, 1], -result[:, 1].flip(0), atol=1e-2)
+        assert torch.allclose(result[:, 0], result[:, 0].flip(0), atol=1e-2)
+        assert (result[1:] - result[:-1]).norm(dim=1).max() < 0.2
         # away from the nearer jamb, all the way
-        assert (found[:270, 1] > 0).all() and (found[271:, 1] < 0).all()
+        assert (result[:270, 1] > 0).all() and (result[271:, 1] < 0).all()
     inside = push(walls, centre[None] + torch.tensor([[0.0, 0.2]]))
     assert inside[0].tolist() == pytest.approx([0, plain(0.625) - plain(0.225)], abs=1e-3)
 
@@ -466,7 +468,7 @@ def test_hollows_in_walls_do_not_push() -> None:
     solid = np.zeros((60, 60), bool)
     solid[20:30] = True
     hollow = solid.copy()
-    hollow[22:26, 3:50] = False  # 0.2 m wide: nobody stands in there
+    hollow[22:26, 3:50] = False  # 0.2 m wide: no person stands in there
     at = torch.tensor([[1.5, 1.8], [1.2, 0.6]])
     assert torch.equal(push(block(hollow), at), push(block(solid), at))
     wide = solid.copy()
@@ -486,11 +488,11 @@ def test_in_clutter_the_force_changes_no_faster_than_that_of_a_few_walls() -> No
     start = torch.from_numpy(random.random((300, 2)) * 7 + 0.5).float()
     angle = torch.from_numpy(random.random(300) * 7).float()
     line = torch.arange(120)[:, None, None] * 0.005 * torch.stack((angle.cos(), angle.sin()), 1) + start
-    found = push(walls, line.view(-1, 2)).view(line.shape)
+    result = push(walls, line.view(-1, 2)).view(line.shape)
     ids = torch.full((300,), walls.grids[0].map_id)
     field = walls.signed_distance(line.transpose(0, 1), ids, identity_pose(300)).T
     fair = (field[1:] > 0.2) & (field[:-1] > 0.2) & (field[1:] < 1)
-    change = (found[1:] - found[:-1]).norm(dim=2)
+    change = (result[1:] - result[:-1]).norm(dim=2)
     one_wall = 0.005 / 0.2 * NEAREST * (-field[1:] / 0.2).exp()
     assert fair.sum() > 10_000
     assert (change / one_wall)[fair].max() < 5
@@ -504,7 +506,7 @@ def test_people_look_at_the_segments_within_reach() -> None:
     place = torch.from_numpy(random.random((2, 400))) * torch.tensor([[22.0], [16.0]]) - 2
     row = torch.from_numpy(random.integers(-1, 2, 400))
     number, valid = table.nearest(place, row, torch.full((400,), 1.1, dtype=torch.float64))
-    found = torch.zeros(400, table.segments.shape[1]).index_put_(
+    result = torch.zeros(400, table.segments.shape[1]).index_put_(
         (torch.arange(400), number), valid.float(), accumulate=True
     )[:, :-1]
     start, along, length = table.segments[:5, None, :-1].split((2, 2, 1))
@@ -513,7 +515,7 @@ def test_people_look_at_the_segments_within_reach() -> None:
     near = (off - t * along).norm(dim=0) < 1.1
     outside = along[0] * off[1] - along[1] * off[0] < 0
     own = torch.tensor([0] * len(segments[0]) + [1] * len(segments[1])) == row[:, None]
-    assert torch.equal(found, (near & outside & own).float())
+    assert torch.equal(result, (near & outside & own).float())
 
 
 def test_walls_turn_with_map_and_scene() -> None:

@@ -99,7 +99,7 @@ def answer(crowd: Any, batch: TensorDictBase) -> Tensor:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "result"),
     [
         ("orca", ["orca"]),
         ("orca:share=0.5+go_to_goal", ["orca:share=0.5", "go_to_goal"]),
@@ -118,10 +118,10 @@ def answer(crowd: Any, batch: TensorDictBase) -> Tensor:
     ],
 )
 def test_a_plus_joins_policies_outside_brackets_numbers_paths_and_addresses(
-    text: str, found: list[str]
+    text: str, result: list[str]
 ) -> None:
-    assert parts(text) == found
-    assert is_crowd(text) == (len(found) > 1 or "share" in text)
+    assert parts(text) == result
+    assert is_crowd(text) == (len(result) > 1 or "share" in text)
 
 
 def test_a_plus_in_the_name_of_a_file_that_exists_is_part_of_it(
@@ -155,7 +155,7 @@ def test_teams_without_a_share_have_equal_parts_of_the_rest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("crowd", "told"),
+    ("crowd", "message"),
     [
         ("orca:share=0.8+go_to_goal:share=0.5", "the shares sum to 1.3: expected at most 1"),
         ("orca:share=0.3+go_to_goal:share=0.5", "sum to 0.8, and the rest has no policy: leave out one"),
@@ -172,8 +172,8 @@ def test_teams_without_a_share_have_equal_parts_of_the_rest() -> None:
         ("orca+sgan_goal.zara1:execute_steps=2", "execute_steps 2: a team decides anew"),
     ],
 )
-def test_what_cannot_be_is_refused(crowd: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_what_cannot_be_is_refused(crowd: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         load_policy(crowd)
 
 
@@ -249,25 +249,25 @@ def test_people_who_come_or_are_taken_over_decide_at_once_and_then_with_their_te
     crowd = teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1))
     slow, person = policies(crowd)[0], torch.tensor([[0, 1, 2]])
     some = torch.tensor([[True, True, False]])
-    told = {}
+    velocities = {}
     for step in range(5):
         time = 0.1 * step
         more = {"controlled": some | (step >= 2), "id": torch.where(person == 0, 5 * (step >= 3), person)}
-        told[step] = answer(crowd, scene(time=time, keys=[7], people=3, **more))[0, :, 0]
+        velocities[step] = answer(crowd, scene(time=time, keys=[7], people=3, **more))[0, :, 0]
     assert [calls[0] for calls in slow.calls] == [0.0, 0.2, 0.3, 0.4]
 
     def walked(decided: float, step: int) -> float:
         plan = blended(torch.tensor([0.8, 0.0]), torch.tensor([1 + decided, 0.0]), 4)
         return plan[0, step].item()
 
-    assert told[2].tolist() == pytest.approx([walked(0.0, 2), walked(0.0, 2), walked(0.2, 0)])
-    assert told[3].tolist() == pytest.approx([walked(0.3, 0), walked(0.0, 3), walked(0.2, 1)]), (
+    assert velocities[2].tolist() == pytest.approx([walked(0.0, 2), walked(0.0, 2), walked(0.2, 0)])
+    assert velocities[3].tolist() == pytest.approx([walked(0.3, 0), walked(0.0, 3), walked(0.2, 1)]), (
         "another person"
     )
-    assert told[4].tolist() == pytest.approx([walked(0.4, 0)] * 3)
+    assert velocities[4].tolist() == pytest.approx([walked(0.4, 0)] * 3)
 
 
-def test_scenes_in_which_nobody_decides_are_not_asked_about() -> None:
+def test_scenes_in_which_no_person_decides_are_not_asked_about() -> None:
     crowd = teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
     for step in range(6):
         answer(crowd, scene(time=[0.1 * step, 0.1 * step + 0.2, 0.1 * step + 4.0]))
@@ -286,15 +286,15 @@ def test_other_environments_parts_of_a_batch_and_changed_slots_do_not_mix_plans(
     order = torch.tensor([2, 0, 3, 1])
     for step, time in enumerate(times):
         if step % 3 == 2:
-            found = torch.cat(
+            result = torch.cat(
                 [answer(crowd, scene(time=time, keys=range(low, low + 2))) for low in (4, 0, 2)]
             ).roll(-2, 0)
         elif step % 3 == 1:
-            found = answer(crowd, scene(time=time, keys=range(6), id=order.expand(6, 4)))[:, order.argsort()]
+            result = answer(crowd, scene(time=time, keys=range(6), id=order.expand(6, 4)))[:, order.argsort()]
         else:
-            found = answer(crowd, scene(time=time, keys=range(6)))
+            result = answer(crowd, scene(time=time, keys=range(6)))
         answer(crowd, scene(time=time + 0.1, keys=range(20, 29), people=7))
-        torch.testing.assert_close(found, wanted[step])
+        torch.testing.assert_close(result, wanted[step])
 
 
 def test_a_crowd_asked_twice_says_the_same() -> None:
@@ -310,10 +310,10 @@ def test_blending_leads_where_the_command_leads(fast: float) -> None:
     crowd = teams(people=f"{TOLD}:dt=0.4,x=1.0,y=0.6", robots=Told(fast))
     moved = torch.zeros(2)
     for step in range(round(0.4 / fast)):
-        told = answer(crowd, scene(time=fast * step))[0, 0]
+        velocity = answer(crowd, scene(time=fast * step))[0, 0]
         if step == 0:
-            assert 0.4 < (told - before).norm() / (command - before).norm() < 1
-        moved += fast * told
+            assert 0.4 < (velocity - before).norm() / (command - before).norm() < 1
+        moved += fast * velocity
     torch.testing.assert_close(moved, 0.4 * command)
 
 
@@ -322,8 +322,8 @@ def test_the_commands_of_robots_are_held() -> None:
     crowd = teams(people=Told(0.1), robots=Told(0.4, x=0.5, y=-0.7))
     kind = torch.full((3, 4), ROBOT)
     for step in range(4):
-        told = answer(crowd, scene(time=0.1 * step, kind=kind))
-        assert torch.equal(told, torch.tensor([0.5, -0.7]).expand(3, 4, 2))
+        velocity = answer(crowd, scene(time=0.1 * step, kind=kind))
+        assert torch.equal(velocity, torch.tensor([0.5, -0.7]).expand(3, 4, 2))
 
 
 # --- whole episodes
@@ -427,25 +427,25 @@ def test_recorded_people_stay_with_their_team() -> None:
     """In a replay slots are used again: teams are of persons."""
     env = make_env("replay:fold=embedded", decision_dt=0.1)
     crowd = cast("Teams", load_policy("orca:share=0.5+go_to_goal"))
-    found: dict[int, set[bool]] = {}
+    results: dict[int, set[bool]] = {}
     slots: dict[int, set[int]] = {}
     now = env.reset()
     for _ in range(120):
         team, person, there = crowd.assigned(now)[0][0], ids_of(now)[0], agents_of(now)["mask"][0]
         for slot in there.nonzero()[:, 0].tolist():
-            found.setdefault(int(person[slot]), set()).add(bool(team[slot]))
+            results.setdefault(int(person[slot]), set()).add(bool(team[slot]))
             slots.setdefault(slot, set()).add(int(person[slot]))
         result = env.step(crowd(now))
         now = env.step_mdp(result)
-    assert all(len(teams) == 1 for teams in found.values())
-    assert {team for teams in found.values() for team in teams} == {True, False}
+    assert all(len(teams) == 1 for teams in results.values())
+    assert {team for teams in results.values() for team in teams} == {True, False}
 
 
 def test_a_mixed_crowd_replays_a_recording() -> None:
-    found, env = rollout("orca:share=0.5+sgan_goal.indoor", "replay:fold=embedded", "compiled", episodes=1)
+    result, env = rollout("orca:share=0.5+sgan_goal.indoor", "replay:fold=embedded", "compiled", episodes=1)
     env.physics.close()
-    assert not found.failed.any()
-    assert (found.controlled & (found.reached > 0)).any(), "somebody arrives"
+    assert not result.failed.any()
+    assert (result.controlled & (result.reached > 0)).any(), "a person arrives"
 
 
 def test_a_mixed_crowd_is_a_controller() -> None:

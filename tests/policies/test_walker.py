@@ -24,7 +24,7 @@ class Echo(Forecaster):
     noise_dim = 2
 
     def __init__(self) -> None:
-        """Nobody has asked yet."""
+        """It has not been called yet."""
         super().__init__()
         self.asked = 0
         self.config = {}
@@ -104,8 +104,8 @@ EARLIER = [2.02319288, 0.02603248, -1.06847107, 0.15305239]
 
 def test_noise_is_what_it_was_in_earlier_versions() -> None:
     """Tables and cards rest on it: numbers of 2026-11 for seed 0."""
-    found = drawn(Walker(Echo()), scenes=1, people=2)
-    assert found.flatten().tolist() == pytest.approx(EARLIER, abs=1e-5)
+    result = drawn(Walker(Echo()), scenes=1, people=2)
+    assert result.flatten().tolist() == pytest.approx(EARLIER, abs=1e-5)
 
 
 def test_noise_of_a_scene_is_the_same_for_all_in_it() -> None:
@@ -168,11 +168,11 @@ def test_displacement_over_0_4_s_is_the_velocity() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [({"noise": "epsiode"}, "did you mean 'episode'"), ({"execute_steps": 9}, "expected 1 to 8")],
 )
-def test_wrong_settings(settings: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_wrong_settings(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
         Walker(Echo(), **settings)
 
 

@@ -75,15 +75,15 @@ def test_a_robot_out_of_sight_changes_nothing(policy: str) -> None:
     place, still = torch.cat((steps.position, far), 1), torch.zeros(16, 1, 2)
     velocity = torch.cat((steps.step / 0.4, still), 1)
     moved = torch.cat((steps.moved, torch.zeros(16, 1, dtype=torch.bool)), 1)
-    found = []
+    result = []
     for kind, radius in ((PERSON, 0.15), (ROBOT, 0.5)):
         kinds = torch.full((16, 7), PERSON)
         kinds[:, 6] = kind
         radii = torch.full((16, 7), 0.15)
         radii[:, 6] = radius
         batch = scene(place, velocity, velocity, radii, kinds, moved)
-        found.append(load_policy(policy)(batch)["agents", "action"][:, :6])
-    assert torch.equal(found[0], found[1])
+        result.append(load_policy(policy)(batch)["agents", "action"][:, :6])
+    assert torch.equal(result[0], result[1])
 
 
 def test_steps_lead_past_the_robot_and_no_farther_than_people_can() -> None:
@@ -119,18 +119,18 @@ def test_a_person_slows_down_for_what_leaves_no_room() -> None:
 
 def test_turned_scenes_are_walked_alike_and_others_keep_their_steps() -> None:
     steps = crowds(3, robots=True, scenes=200)
-    found = yielding(steps, None)
-    changed = (found != steps.step).any(-1)
+    result = yielding(steps, None)
+    changed = (result != steps.step).any(-1)
     assert changed.sum() > 10 and not (changed & ~steps.moved).any()
     pose = torch.tensor([[0.9, 1.0, 4.0, -2.0]]).expand(200, 4)
     turned = steps._replace(
         position=move_to_scene(steps.position, pose), step=turn_to_scene(steps.step, pose)
     )
-    apart = (yielding(turned, None) - turn_to_scene(found, pose)).norm(dim=-1)
+    apart = (yielding(turned, None) - turn_to_scene(result, pose)).norm(dim=-1)
     assert (apart < 1e-4).float().mean() > 0.98  # equally good samples may be chosen in another order
     order = torch.tensor([3, 0, 5, 1, 4, 2])
     permuted = ProposedSteps(*(None if part is None else part[:, order] for part in steps))  # type: ignore[arg-type]
-    torch.testing.assert_close(yielding(permuted, None), found[:, order])
+    torch.testing.assert_close(yielding(permuted, None), result[:, order])
 
 
 def test_the_gradient_is_that_of_what_is_asked_for() -> None:
@@ -164,8 +164,8 @@ def test_a_husky_of_three_discs_is_walked_around() -> None:
     place, nearest = torch.zeros(2, dtype=torch.float64), math.inf
     discs = torch.tensor([[2.7, 0.1], [3.0, 0.1], [3.3, 0.1]], dtype=torch.float64)
     for _ in range(80):
-        told = {"others": {"husky": discs}, "radius": {"husky": 0.37}}
-        velocity = controller.step({0: place}, {0: (7.0, 0.0)}, **told)[0]
+        robot = {"others": {"husky": discs}, "radius": {"husky": 0.37}}
+        velocity = controller.step({0: place}, {0: (7.0, 0.0)}, **robot)[0]
         place = place + 0.1 * torch.from_numpy(velocity)
         nearest = min(nearest, float((place - discs).norm(dim=1).min()))
     assert nearest >= 0.52 - 1e-3

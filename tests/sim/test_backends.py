@@ -136,8 +136,8 @@ def test_gradients_of_torch_are_those_of_finite_differences(width: float) -> Non
         shift = torch.zeros_like(velocity)
         shift[..., axis] = 2e-3
         with torch.no_grad():
-            found = (total(velocity + shift) - total(velocity - shift)) / 4e-3
-        error = (found - gradient[..., axis]).abs()
+            result = (total(velocity + shift) - total(velocity - shift)) / 4e-3
+        error = (result - gradient[..., axis]).abs()
         assert (error < 0.02).float().mean() > 0.9  # a corner has two gradients
     free = gradient.abs().sum(-1) > 0
     assert free.float().mean() > 0.95
@@ -163,8 +163,8 @@ def test_agents_touch_at_the_sum_of_their_radii(name: str, first: int, second: i
         places = [[9.0 * slot, -7.0] for slot in range(3)]
         places[first], places[second] = [0.0, 0.0], [0.6 * apart, 0.8 * apart]
         people = people_at(places)
-        found = physics.contacts(people.position[:, :, None, None], people).agent[0, :, 0]
-        assert found.tolist() == [touch and slot in (first, second) for slot in range(3)]
+        result = physics.contacts(people.position[:, :, None, None], people).agent[0, :, 0]
+        assert result.tolist() == [touch and slot in (first, second) for slot in range(3)]
         assert float(physics.distances(people).agent[0, first]) == pytest.approx(apart, abs=1e-4)
     physics.close()
 
@@ -177,10 +177,10 @@ def test_rays_meet_bodies_as_wide_as_they_are(name: str) -> None:
     people = people_at([[0.0, 0.0], [3.0, 0.0], [0.0, 2.0]])
     origin = torch.tensor([[[0.0, 0.0], [0.0, 0.0], [1.5, 0.3], [3.3, 0.0], [3.0, -2.0]]])
     direction = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
-    found = physics.rays(people, origin, direction, 4.0)
+    result = physics.rays(people, origin, direction, 4.0)
     # the wide body ahead, that of 0.25 m to the left, a chord of the wide one, out of it, and from below
     expected = [2.5, 1.75, 1.5 - 0.4, 4.0, 1.5]
-    assert found[0].tolist() == pytest.approx(expected, abs=2e-3)
+    assert result[0].tolist() == pytest.approx(expected, abs=2e-3)
     physics.close()
 
 
@@ -199,8 +199,8 @@ def test_walls_are_touched_at_the_own_radius(name: str, width: float) -> None:
         place, torch.ones(40, 5, dtype=torch.bool), env.state.map_id.unsqueeze(1), env.state.pose,
         torch.full((40, 5), width),
     )  # fmt: skip
-    found = physics.contacts(place[:, :, None, None], people).wall[..., 0]
+    result = physics.contacts(place[:, :, None, None], people).wall[..., 0]
     clear = (gap - width).abs() > 1e-3
-    assert torch.equal(found[clear], (gap < width)[clear])
-    assert 0.1 < found.float().mean() < 0.9
+    assert torch.equal(result[clear], (gap < width)[clear])
+    assert 0.1 < result.float().mean() < 0.9
     physics.close()

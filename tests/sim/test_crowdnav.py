@@ -207,7 +207,7 @@ def test_cases_turn_with_their_frame() -> None:
 # The crowd of 20
 
 
-def test_whoever_arrives_is_replaced_and_all_others_are_not() -> None:
+def test_who_arrives_is_replaced_and_all_others_are_not() -> None:
     drawn = cases(CROWDNAV_PP, [1425])
     goal = drawn.goal.clone()
     goal[0, 3] = drawn.people.position[0, 3]

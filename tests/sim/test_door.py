@@ -64,7 +64,7 @@ def test_both_sides_are_at_the_door_in_time(settings: str) -> None:
     assert abs(float(apart.mean())) < 0.05
     away = made.start[..., 0].abs() - WARM_SECONDS * made.pref_speed
     assert float(away.min()) > 2.499
-    # whoever would be the last at the door starts as far away as anyhow
+    # the last one at the door starts as far away as without
     assert float(away.amin(1).max()) < 4.001
 
 
@@ -112,7 +112,7 @@ def test_goals_are_behind_the_door() -> None:
 
 
 @pytest.mark.parametrize("settings", ["people=6,from_right=0", "people=7,from_right=3,abreast=2"])
-def test_nobody_starts_in_somebody_else(settings: str) -> None:
+def test_no_person_starts_in_another_person(settings: str) -> None:
     door, made = layout(f"{settings},speed_std=0.3")
     apart = torch.cdist(made.start, made.start) + 9 * torch.eye(door.people)
     assert float(apart.min()) > min(SPACING, ABREAST) - 1e-3
@@ -135,7 +135,7 @@ def test_people_who_walk_together() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ("away=0.5", r"away 0\.5: expected a number or \[least,most\], from 1"),
         ("away=[4,2.5]", r"away \(4\.0, 2\.5\): expected a number or \[least,most\]"),
@@ -146,8 +146,8 @@ def test_people_who_walk_together() -> None:
         ("abreast=4", "abreast 4: expected 1 to 3"),
     ],
 )
-def test_doors_that_cannot_be(settings: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_doors_that_cannot_be(settings: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         make_scenario(f"door:{settings}")
 
 

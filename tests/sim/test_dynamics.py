@@ -1,4 +1,4 @@
-"""How people move: speed, walls, and nobody through them."""
+"""How people move: speed, walls, and none goes through them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_an_inner_corner_stops_both_ways() -> None:
 
 
 @pytest.mark.parametrize(("thickness", "top"), [(0.1, 2.5), (0.01, 1.49), (0.01, 2.5), (0.05, 3.1)])
-def test_nobody_tunnels_through_a_thin_wall_at_top_speed(thickness: float, top: float) -> None:
+def test_no_person_tunnels_through_a_thin_wall_at_top_speed(thickness: float, top: float) -> None:
     resolution = min(thickness, 0.05)
     walls = room((0, 0), (4, 3), resolution) + wall((2 + thickness / 2, 0), (2 + thickness / 2, 3), thickness)
     bank = MapBank([rectangles(walls, resolution)], "wall")
@@ -159,7 +159,7 @@ def test_without_floor_plans_nothing_is_in_the_way() -> None:
     assert torch.allclose(path[0, 0, -1], torch.tensor([0.4, 0.4]))
 
 
-def test_nobody_s_way_depends_on_who_else_walks() -> None:
+def test_no_persons_path_depends_on_who_else_walks() -> None:
     generator = torch.Generator().manual_seed(1)
     start = torch.rand(1, 400, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
     velocity = 2 * torch.randn(1, 400, 2, generator=generator)
@@ -170,7 +170,7 @@ def test_nobody_s_way_depends_on_who_else_walks() -> None:
         assert torch.equal(alone[:, 0], together[:, i])
 
 
-def test_nobody_creeps_into_a_wall() -> None:
+def test_no_person_creeps_into_a_wall() -> None:
     """Sliding along at a shallow angle, for two minutes."""
     map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
     position = torch.tensor([[[2.0 - NEAREST, 0.5]]])

@@ -116,7 +116,7 @@ def test_a_scene_is_the_same_in_every_batch_and_another_with_another_seed(
 
 @EVERY
 def test_people_meet_after_the_warm_start(name: str) -> None:
-    """During it those in front have not turned aside for anybody, nor slowed down."""
+    """During it those in front have not turned aside for others, nor slowed down."""
     scenario, state = made(f"{name}:jitter=0,speed_std=0"), begun(f"{name}:jitter=0,speed_std=0", 4).state
     places = scenario.places.of_scenes(scenario.variants.drawn(Draws.for_episodes(0, torch.arange(4))))
     front = places.row == 0
@@ -128,7 +128,7 @@ def test_people_meet_after_the_warm_start(name: str) -> None:
 
 
 @EVERY
-def test_who_avoids_nobody_runs_into_somebody(name: str) -> None:
+def test_who_avoids_no_person_runs_into_a_person(name: str) -> None:
     assert touched(walked(name, 16)) >= 0.7
     assert touched(walked(name, 4, "orca:radius=0.3,dt=0.4")) == 0
 
@@ -182,7 +182,7 @@ def test_the_fast_overtake_the_slow(people: int) -> None:
     assert (seconds.masked_fill(slow, 0).mean(1) < seconds.masked_fill(~slow, 0).mean(1)).all()
 
 
-def test_lanes_keep_their_distance_whoever_is_fast() -> None:
+def test_lanes_keep_their_distance_who_is_fast() -> None:
     scenario = made("overtaking:people=20,jitter=0")
     draws = Draws.for_episodes(0, torch.arange(50))
     start, variant = scenario.prepare(0.25).layout(draws).start, scenario.variants.drawn(draws)
@@ -213,7 +213,7 @@ def test_some_turn_at_the_intersection() -> None:
 
 
 @pytest.mark.parametrize("settings", ["", "width=2.5,people=20", "width=3,speed=0.6"])
-def test_nobody_sees_round_the_blind_corner(settings: str) -> None:
+def test_no_person_sees_round_the_blind_corner(settings: str) -> None:
     spec = f"blind_corner:{settings}" if settings else "blind_corner"
     env, scenario = begun(spec, 12), made(spec)
     position, variants = env.state.position, list(scenario.variants)
@@ -279,7 +279,7 @@ def test_streams_that_cross() -> None:
 
 
 @pytest.mark.parametrize("people", [2, 5, 50])
-def test_on_the_circle_everybody_wants_to_the_other_side(people: int) -> None:
+def test_on_the_circle_all_want_to_the_other_side(people: int) -> None:
     env = begun(f"circle:people={people},jitter=0,aside=0,delay=0")
     state, radius = env.state, env.state.goal_point.norm(dim=-1)
     least = 0.5 / math.sin(math.pi / people)
@@ -291,7 +291,7 @@ def test_on_the_circle_everybody_wants_to_the_other_side(people: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ("hallway:width=1.83", r"width 1\.83 is no multiple of the resolution 0\.05: .* 1\.8 and 1\.85"),
         ("hallway:width=-1", r"hallway: width -1\.0.* expected above 0"),
@@ -313,12 +313,12 @@ def test_on_the_circle_everybody_wants_to_the_other_side(people: int) -> None:
         ("perpendicular:width=2", "known: .*people"),
     ],
 )
-def test_encounters_that_cannot_be(settings: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_encounters_that_cannot_be(settings: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         make_scenario(settings)
 
 
-def test_passages_that_nobody_fits_through() -> None:
+def test_passages_that_no_person_fits_through() -> None:
     for spec in ("hallway:width=0.4", "room_exit:width=0.45", "blind_corner:width=0.4"):
         with pytest.raises(UserError, match=r"no way|in or too near a wall|clearance"):
             begun(spec)

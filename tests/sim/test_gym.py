@@ -150,7 +150,7 @@ def test_a_person_who_is_met_is_a_collision() -> None:
 
 def test_recorded_people_do_not_react_and_crowdnavs_are_as_wide_as_there() -> None:
     """Whatever the robot does, the others walk as they were recorded; it is in the place of one of them."""
-    ways = []
+    paths = []
     for action in ([0.0, 0.0], [1.0, 0.3]):
         env = made("pedzoo/Replay-v0", ends_at="none")
         env.reset(seed=0)
@@ -158,8 +158,8 @@ def test_recorded_people_do_not_react_and_crowdnavs_are_as_wide_as_there() -> No
             env.step(np.array(action))
         state = env.unwrapped.batched.env.state
         assert state.mask[0, -1] and state.kind[0].tolist() == [0] * (state.kind.shape[1] - 1) + [1]
-        ways.append(state.past[0])
-    assert torch.equal(ways[0][:-1], ways[1][:-1]) and not torch.equal(ways[0][-1], ways[1][-1])
+        paths.append(state.past[0])
+    assert torch.equal(paths[0][:-1], paths[1][:-1]) and not torch.equal(paths[0][-1], paths[1][-1])
     seen, _ = made("pedzoo/CrowdNav-v0").reset(seed=0)
     np.testing.assert_allclose(seen["people"][:, 4], 0.3, atol=1e-6)
 

@@ -57,13 +57,13 @@ def test_compiled_loops_and_torch_agree(env: PedestrianEnv) -> None:
             planner.compiled = compiled
             physics = (Compiled if compiled else Torch)(env.bank)
             results.append(kernel.step(state, action, physics, env.rules))
-        (mine, guided, seen), (other, told, met) = results
+        (mine, guided, seen), (other, other_guidance, met) = results
         apart = (seen.trace - met.trace).abs().amax((2, 3))
         worst = max(worst, float(apart.max()))
         for name in ("agent_contact", "wall_contact", "reached"):
             assert torch.equal(getattr(seen, name), getattr(met, name)), name
-        assert torch.allclose(guided.desired_velocity, told.desired_velocity, atol=1e-3)
-        assert torch.allclose(guided.distance, told.distance, atol=1e-3)
+        assert torch.allclose(guided.desired_velocity, other_guidance.desired_velocity, atol=1e-3)
+        assert torch.allclose(guided.distance, other_guidance.distance, atol=1e-3)
         state = other
         del mine
     planner.compiled = True
@@ -119,7 +119,7 @@ def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:
     for _ in range(8):
         state, _, _ = kernel.step(state, 1.6 * drawn(2), env.physics, env.rules)
     action, weight = (1.2 * drawn(2)).requires_grad_(), drawn(4, 2)
-    found = []
+    result = []
     for compiled in (True, False):
         env.prepared.planner.compiled = compiled
         physics = (Compiled if compiled else Torch)(env.bank)
@@ -127,7 +127,7 @@ def test_compiled_loops_have_the_gradients_of_torch(env: PedestrianEnv) -> None:
         again = action + 0.1 * guidance.desired_velocity
         _, seen, then = kernel.step(after, again, physics, env.rules)
         total = ((events.trace + then.trace) * weight).sum() + then.reward.sum() + 0.1 * seen.goal.sum()
-        found.append(torch.autograd.grad(total, action)[0])
+        result.append(torch.autograd.grad(total, action)[0])
     env.prepared.planner.compiled = True
-    assert found[0].norm() > 1
-    torch.testing.assert_close(found[0], found[1], atol=1e-3, rtol=1e-3)
+    assert result[0].norm() > 1
+    torch.testing.assert_close(result[0], result[1], atol=1e-3, rtol=1e-3)

@@ -43,7 +43,7 @@ def walked(env: PedestrianEnv, steps: int, policy: Any = None) -> list[Any]:
 
 
 def positions(results: list[Any]) -> Tensor:
-    """Return everybody's trace (B, A, T, 2)."""
+    """Return every person's trace (B, A, T, 2)."""
     return torch.cat([result["next", "agents", "info", "trace"] for result in results], dim=2)
 
 
@@ -94,7 +94,7 @@ def test_preferred_speeds_and_the_same_draw_for_every_policy() -> None:
     assert torch.equal(one.past, other.past)
 
 
-def test_nobody_is_faster_than_their_top_speed() -> None:
+def test_no_person_is_faster_than_their_top_speed() -> None:
     env = make_env("door", num_envs=3)
     now = env.reset()
     now["agents", "action"] = torch.full((3, 2, 2), 50.0)
@@ -205,11 +205,11 @@ def test_gradients_of_a_return_over_two_decisions() -> None:
     generator = torch.Generator().manual_seed(0)
     action = (0.8 * torch.randn(3, 4, 2, generator=generator)).requires_grad_()
     (gradient,) = torch.autograd.grad(total(action), action)
-    step, found = 3e-3, []
+    step, result = 3e-3, []
     for index in range(action.numel()):
         shift = torch.zeros(action.numel()).index_fill(0, torch.tensor([index]), step).view_as(action)
-        found.append((total(action.detach() + shift) - total(action.detach() - shift)) / (2 * step))
-    error = (torch.stack(found).view_as(action) - gradient).abs()
+        result.append((total(action.detach() + shift) - total(action.detach() - shift)) / (2 * step))
+    error = (torch.stack(result).view_as(action) - gradient).abs()
     assert (error < 0.05).float().mean() > 0.85  # a waypoint that changes in between has no gradient
     assert gradient.abs().amax() > 0.3
 
@@ -227,19 +227,19 @@ def test_rewards_are_finite_wherever_people_get_to(shared: Path) -> None:
         now = step_mdp(result)
 
 
-def test_who_is_finished_draws_goals_until_everybody_is() -> None:
+def test_who_is_finished_draws_goals_until_all_are() -> None:
     result, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "compiled", 6)
     most = (result.reached * result.present).amax(2)
-    assert (most >= 2).all()  # everybody has reached both
+    assert (most >= 2).all()  # every person has reached both
     assert (most > 2).any()  # and some went on
-    assert (result.present.any(1) == result.present.all(1)).all()  # nobody leaves before the end
+    assert (result.present.any(1) == result.present.all(1)).all()  # no person leaves before the end
 
 
 # 6. Warm start
 
 
 @pytest.mark.parametrize("scenario", ["door", "door:people=6,speed_std=0.3", "door:speed_ratio=1.4"])
-def test_everybody_is_2_5_m_from_the_door_after_seven_steps(scenario: str) -> None:
+def test_all_people_are_2_5_m_from_the_door_after_seven_steps(scenario: str) -> None:
     env = make_env(scenario, num_envs=16)
     now = env.reset()
     history = now["agents", "history"]
@@ -364,7 +364,7 @@ def test_noise_belongs_to_the_scene_not_to_the_batch() -> None:
 # 8. Bodies: see test_dynamics.py
 
 
-def test_nobody_leaves_a_closed_building() -> None:
+def test_no_person_leaves_a_closed_building() -> None:
     env = make_env("goals:people=4,pool=6", num_envs=16)
     now = env.reset()
     generator = torch.Generator().manual_seed(0)
@@ -433,9 +433,9 @@ def test_episodes_follow_one_another_in_a_long_rollout() -> None:
     long = env.rollout(60, policy, break_when_any_done=False)
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
     assert all(len(row) > 1 for row in keys)
-    for row, found in enumerate(keys):
-        expected = Draws.for_episodes(5, torch.arange(len(found)) * 3 + row).key
-        assert found == expected.tolist()
+    for row, result in enumerate(keys):
+        expected = Draws.for_episodes(5, torch.arange(len(result)) * 3 + row).key
+        assert result == expected.tolist()
     starts = long["time"][..., 0] == 0
     assert int(starts.sum()) == sum(map(len, keys))
 
@@ -488,8 +488,8 @@ def test_rooms_without_a_door_between_that_people_fit_through() -> None:
 
 
 def test_unknown_names() -> None:
-    for name, told in (("dor", "did you mean 'door'"), ("goals:persons=3", "known: .*people")):
-        with pytest.raises(UserError, match=told):
+    for name, message in (("dor", "did you mean 'door'"), ("goals:persons=3", "known: .*people")):
+        with pytest.raises(UserError, match=message):
             make_env(name)
     with pytest.raises(UserError, match="did you mean 'bullet'"):
         make_env("door", physics="bulet")  # type: ignore[arg-type]

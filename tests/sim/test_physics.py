@@ -84,15 +84,15 @@ def test_bounds_change_no_contact(scenes: int, people: int) -> None:
     position = torch.rand(scenes, people, 2, generator=generator) * 8 - 1
     position = move_to_scene(position + torch.tensor([1.0, -2.0]), pose)
     mask = torch.rand(scenes, people, generator=generator) < 0.8
-    everybody = crowd(position, grid, mask, pose)
+    crowded = crowd(position, grid, mask, pose)
     path = walks(position, seed=1)
-    found = Compiled(bank).contacts(path, everybody)
-    agent, wall = plain_contacts(bank, path, everybody)
-    assert torch.equal(found.agent, agent)
-    assert torch.equal(found.wall, wall)
+    result = Compiled(bank).contacts(path, crowded)
+    agent, wall = plain_contacts(bank, path, crowded)
+    assert torch.equal(result.agent, agent)
+    assert torch.equal(result.wall, wall)
     if people > 1:
-        assert 0 < found.agent.float().mean() < 0.9
-        assert 0 < found.wall.float().mean() < 0.9
+        assert 0 < result.agent.float().mean() < 0.9
+        assert 0 < result.wall.float().mean() < 0.9
 
 
 def test_contacts_by_hand() -> None:
@@ -108,9 +108,9 @@ def test_contacts_by_hand() -> None:
         path[0, 1, 1, :, 0] = torch.tensor([1.61, 1.7])
         path[0, 2, 2, :, 0] = torch.tensor([0.36, 0.36])
         people = crowd(start, grid, torch.tensor([[True, True, True, False]]))
-        found = physics.contacts(path, people)
-        assert found.agent[0].tolist() == [[False, True, False]] * 2 + [[False] * 3] * 2
-        assert found.wall[0].tolist() == [[False] * 3] * 2 + [[True, True, False], [False] * 3]
+        result = physics.contacts(path, people)
+        assert result.agent[0].tolist() == [[False, True, False]] * 2 + [[False] * 3] * 2
+        assert result.wall[0].tolist() == [[False] * 3] * 2 + [[True, True, False], [False] * 3]
 
 
 def test_distances_by_hand() -> None:
@@ -121,14 +121,14 @@ def test_distances_by_hand() -> None:
             grid,
             torch.tensor([[True, True, True, False]]),
         )
-        found = physics.distances(people, reach=1.5)
-        assert found.agent[0].tolist() == pytest.approx([0.5, 0.5, 1.5, 1.5], abs=1e-5)
-        assert found.wall[0].tolist() == pytest.approx([0.5, 0.8, 1.2, 1.5], abs=1e-5)
-        assert found.agent_normal[0].flatten().tolist() == pytest.approx(
+        result = physics.distances(people, reach=1.5)
+        assert result.agent[0].tolist() == pytest.approx([0.5, 0.5, 1.5, 1.5], abs=1e-5)
+        assert result.wall[0].tolist() == pytest.approx([0.5, 0.8, 1.2, 1.5], abs=1e-5)
+        assert result.agent_normal[0].flatten().tolist() == pytest.approx(
             [-0.6, -0.8, 0.6, 0.8] + [0] * 4, abs=1e-5
         )
-        assert found.wall_normal[0, 0].tolist() == pytest.approx([1, 0], abs=1e-5)
-        assert found.wall_normal[0, 3].tolist() == [0, 0]
+        assert result.wall_normal[0, 0].tolist() == pytest.approx([1, 0], abs=1e-5)
+        assert result.wall_normal[0, 3].tolist() == [0, 0]
 
 
 def test_a_corner_is_not_blunt() -> None:
@@ -139,13 +139,13 @@ def test_a_corner_is_not_blunt() -> None:
     for physics in backends(MapBank([grid], "wall")):
         for gap in (0.16, 0.4):
             people = crowd((corner + gap * away)[:, None], grid)
-            found = physics.distances(people)
-            torch.testing.assert_close(found.wall, torch.full_like(found.wall, gap), atol=1e-5, rtol=0)
-            torch.testing.assert_close(found.wall_normal[:, 0], away, atol=1e-4, rtol=0)
+            result = physics.distances(people)
+            torch.testing.assert_close(result.wall, torch.full_like(result.wall, gap), atol=1e-5, rtol=0)
+            torch.testing.assert_close(result.wall_normal[:, 0], away, atol=1e-4, rtol=0)
         for gap, touches in ((0.1501, False), (0.1499, True)):
             position = (corner + gap * away)[:, None]
-            found = physics.contacts(position[:, :, None, None], crowd(position, grid))
-            assert (found.wall == touches).all()
+            result = physics.contacts(position[:, :, None, None], crowd(position, grid))
+            assert (result.wall == touches).all()
 
 
 def agree(bank: MapBank, people: Bodies, seed: int) -> None:
@@ -224,10 +224,10 @@ def test_rays_by_hand() -> None:
         )
         origin = torch.tensor([[[1.0, 3.0], [1.0, 3.0], [0.5, 3.0], [0.1, 3.0], [1.0, 3.0], [math.nan, 3.0]]])
         direction = torch.tensor([[[1.0, 0], [-1, 0], [1, 0], [1, 0], [0, -1], [1, 0]]])
-        found = physics.rays(people, origin, direction, reach=2.5)
+        result = physics.rays(people, origin, direction, reach=2.5)
         # the other's body; the wall, past the own body; the first body from outside; from within a wall;
         # nothing within reach; and no ray at all
-        assert found[0].tolist() == pytest.approx([0.85, 0.8, 0.35, 0.0, 2.5, 2.5], abs=2e-4)
+        assert result[0].tolist() == pytest.approx([0.85, 0.8, 0.35, 0.0, 2.5, 2.5], abs=2e-4)
 
 
 def test_overlapping_bodies_and_rays_from_within_both() -> None:
@@ -235,24 +235,24 @@ def test_overlapping_bodies_and_rays_from_within_both() -> None:
     origin = torch.tensor([[[0.1, 0.0], [0.0, 0.0], [-0.05, 0.0], [1.0, 0.0]]])
     direction = torch.tensor([[[1.0, 0.0], [1, 0], [1, 0], [-1, 0]]])
     for physics in backends(MapBank()):
-        found = physics.rays(people, origin, direction)
-        assert found[0].tolist() == pytest.approx([0.75, 0.05, 0.1, 0.65], abs=2e-4)
+        result = physics.rays(people, origin, direction)
+        assert result[0].tolist() == pytest.approx([0.75, 0.05, 0.1, 0.65], abs=2e-4)
 
 
-def test_open_floor_and_nobody() -> None:
+def test_open_floor_without_people() -> None:
     for physics in backends(MapBank()):
         for count in (0, 1):
             people = crowd(torch.zeros(2, count, 2))
-            found = physics.distances(people)
-            assert (found.agent == 5).all() and (found.wall == 5).all()
-            assert not found.agent_normal.any() and not found.wall_normal.any()
+            result = physics.distances(people)
+            assert (result.agent == 5).all() and (result.wall == 5).all()
+            assert not result.agent_normal.any() and not result.wall_normal.any()
             contacts = physics.contacts(torch.zeros(2, count, 4, 1, 2), people)
             assert contacts.agent.shape == contacts.wall.shape == (2, count, 4)
             assert not contacts.agent.any() and not contacts.wall.any()
             assert physics.rays(people, torch.zeros(2, 0, 2), torch.zeros(2, 0, 2)).shape == (2, 0)
 
 
-def test_the_absent_and_the_lost_disturb_nobody() -> None:
+def test_absent_and_lost_agents_disturb_no_others() -> None:
     grid = hall()
     generator = torch.Generator().manual_seed(5)
     position = torch.rand(3, 6, 2, generator=generator) * torch.tensor([5.0, 3.0]) + 0.5
@@ -287,10 +287,10 @@ def test_distances_of_the_grid_are_differentiable() -> None:
     grid = hall()
     position = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [1.0, 3.0]]], requires_grad=True)
     mask = torch.tensor([[True, True, False]])
-    found = Compiled(MapBank([grid], "wall")).distances(crowd(position, grid, mask))
-    (gradient,) = torch.autograd.grad(found.wall.sum(), position, retain_graph=True)
-    torch.testing.assert_close(gradient, found.wall_normal)
-    (gradient,) = torch.autograd.grad(found.agent[0, 0], position)
+    result = Compiled(MapBank([grid], "wall")).distances(crowd(position, grid, mask))
+    (gradient,) = torch.autograd.grad(result.wall.sum(), position, retain_graph=True)
+    torch.testing.assert_close(gradient, result.wall_normal)
+    (gradient,) = torch.autograd.grad(result.agent[0, 0], position)
     torch.testing.assert_close(gradient[0], torch.tensor([[-0.6, -0.8], [0.6, 0.8], [0.0, 0.0]]))
 
 
@@ -323,19 +323,19 @@ def test_pictures_show_people_and_walls_where_they_are(pose: tuple[float, ...]) 
         picture = physics.image(people, 0, (160, 120), camera)
         assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8
         shown = [color_at(picture, camera, *place) for place in places[0].tolist()]
-        for found, expected in zip(shown, (person_color(0), person_color(1), FLOOR), strict=True):
-            assert np.abs(found - expected).max() < 40
-        found = color_at(picture, camera, *pillar[0].tolist())
-        assert np.abs(found - WALL).max() < 40
+        for result, expected in zip(shown, (person_color(0), person_color(1), FLOOR), strict=True):
+            assert np.abs(result - expected).max() < 40
+        result = color_at(picture, camera, *pillar[0].tolist())
+        assert np.abs(result - WALL).max() < 40
 
 
 def test_pictures_of_everything_by_default() -> None:
     grid = hall()
     people = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid)
     for physics in backends(MapBank([grid], "wall")):
-        for someone in (people, people._replace(map_id=torch.tensor([[-1]]))):
+        for seen in (people, people._replace(map_id=torch.tensor([[-1]]))):
             for camera in (None, Camera("perspective")):
-                picture = physics.image(someone, 0, (200, 150), camera)
+                picture = physics.image(seen, 0, (200, 150), camera)
                 for person in (0, 1):
                     near = np.abs(picture.astype(int) - person_color(person)).max(-1) < 60
                     assert near.sum() > 10

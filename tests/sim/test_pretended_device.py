@@ -69,15 +69,15 @@ def test_the_safety_layer_on_a_device(walled: bool) -> None:
     steps = crowd(6, scenes=20, mixed=True)
     bank = MapBank([ROOM] if walled else [])
     plan, pose = torch.full((20,), ROOM.map_id if walled else -1), identity_pose(20)
-    found = []
+    result = []
     for device in (torch.device("cpu"), DEVICE):
         with pretended():
             asked = ProposedSteps(*(part.to(device) for part in steps if part is not None))
             walls = bank.to(device).walls_around(plan.to(device), pose.to(device))
         with pretended(copies=False):
-            found.append(kept_clear_in_torch(asked._replace(step=yielding(asked, walls)), walls))
-    assert (found[0] - steps.step).abs().max() > 0.1
-    torch.testing.assert_close(values(found[1]), found[0], atol=1e-4, rtol=1e-4)
+            result.append(kept_clear_in_torch(asked._replace(step=yielding(asked, walls)), walls))
+    assert (result[0] - steps.step).abs().max() > 0.1
+    torch.testing.assert_close(values(result[1]), result[0], atol=1e-4, rtol=1e-4)
 
 
 ONES = torch.ones(2)
@@ -98,7 +98,7 @@ FAULTS: dict[str, tuple[Callable[[Tensor], object], type[Exception]]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_in_a_step_raises(fault: str) -> None:
-    """What the tests above would say if somebody put it into the step."""
+    """What the tests above would say if it were in the step."""
     env = make_env("door:people=4", num_envs=2, physics="torch")
     action = env.reset(seed=0)["agents", "desired_velocity"]
     does, error = FAULTS[fault]

@@ -1,4 +1,4 @@
-"""Replay: recorded people come, are taken over and leave exactly when they should, whoever walks them."""
+"""Replay: recorded people come, are taken over and leave exactly when they should, under any policy."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ ALICE, SHORT, STANDS, DEEP, EDGE, BEHIND, LATE = 1, 2, 3, 4, 5, 6, 7
 
 
 def straight(agent: int, first: int, count: int, start: tuple, step: tuple) -> list[tuple[float, ...]]:
-    """Return rows (frame, agent, x, y) of somebody who walks ``step`` metres per frame."""
+    """Return rows (frame, agent, x, y) of a person who walks ``step`` metres per frame."""
     return [(first + i, agent, start[0] + i * step[0], start[1] + i * step[1]) for i in range(count)]
 
 
@@ -52,7 +52,7 @@ ROWS = [
     *straight(DEEP, 4, 21, (3.0, 3.0), (0.3, 0.0)),  # leaves at (9, 3): a metre inside the wall
     *straight(EDGE, 5, 21, (2.1, 4.0), (0.3, 0.0)),  # leaves at (8.1, 4): 0.1 m inside it
     *straight(BEHIND, 6, 21, (1.0, 5.0), (0.5, 0.0)),  # leaves at (11, 5): no way leads there
-    *straight(LATE, 40, 15, (1.0, 1.5), (0.0, 0.2)),  # comes when everybody is gone
+    *straight(LATE, 40, 15, (1.0, 1.5), (0.0, 0.2)),  # comes when all others are gone
 ]
 
 
@@ -104,7 +104,7 @@ class Drunk(GoToGoal):
 
 
 class Truth(GoToGoal):
-    """Walks everybody as they really did."""
+    """Walks people as they really did."""
 
     def __init__(self, env: PedestrianEnv) -> None:
         """Take the environment whose script it knows."""
@@ -123,21 +123,21 @@ class Truth(GoToGoal):
 
 
 def walked(env: PedestrianEnv, policy: Any) -> list[dict[str, Tensor]]:
-    """Return the observations from the reset to the end of the first scene, with everybody's trace."""
-    now, found, done = env.reset(), [], False
+    """Return the observations from the reset to the end of the first scene, with every person's trace."""
+    now, results, done = env.reset(), [], False
     while not done:
         agents: Any = now["agents"]
         keys = ("id", "mask", "controlled", "valid", "history", "pref_speed", "velocity")
-        found.append({key: agents[key][0] for key in keys})
+        results.append({key: agents[key][0] for key in keys})
         result = env.step(policy(now))
-        found[-1]["trace"] = result["next", "agents", "info", "trace"][0]
+        results[-1]["trace"] = result["next", "agents", "info", "trace"][0]
         done, now = bool(result["next", "done"][0]), step_mdp(result)
-        found[-1]["over"] = now["agents", "controlled"][0]
-    return found
+        results[-1]["over"] = now["agents", "controlled"][0]
+    return results
 
 
 def at(track: list[tuple[float, ...]], agent: int, frame: np.ndarray) -> np.ndarray:
-    """Return where somebody is at (fractions of) frames (T,): (T, 2)."""
+    """Return where a person is at (fractions of) frames (T,): (T, 2)."""
     rows = np.array([row for row in track if row[1] == agent])
     return np.column_stack([np.interp(frame, rows[:, 0], rows[:, axis]) for axis in (2, 3)])
 
@@ -147,7 +147,7 @@ def person(scenario: PreparedReplay, agent: int) -> int:
 
 
 def times(result: Rollout, who: Tensor, number: int) -> list[int]:
-    """Return the first and the last trace point, counted from 1, at which somebody is marked in ``who``."""
+    """Return the first and the last trace point, counted from 1, at which a person is marked in ``who``."""
     points = ((result.person == number) & who).any(1).any(0).nonzero()[:, 0] + 1
     return [int(points[0]), int(points[-1])] if len(points) else []
 
@@ -188,7 +188,7 @@ def test_starts_goals_ways_and_times(folder: Path) -> None:
     assert people.exit[edge].tolist() == pytest.approx([8.1, 4])
     assert people.goal[edge].tolist() == pytest.approx([7.75, 4], abs=0.101)
     assert float(people.goal[edge, 0]) <= 7.75 + 1e-6
-    # somebody who stands likes 0.3 m/s all the same
+    # a person who stands likes 0.3 m/s all the same
     assert float(people.pref_speed[person(scenario, STANDS)]) == pytest.approx(0.3)
 
 
@@ -206,7 +206,7 @@ def test_a_share_of_the_time(folder: Path) -> None:
     scenario = replay(folder, share=0.5)
     assert scenario.persons.counts["later"] == 1
     assert scenario.persons.what[person(scenario, LATE)] == REASONS.index("later")
-    assert scenario.scenes == 1  # nobody is simulated in the second half
+    assert scenario.scenes == 1  # no person is simulated in the second half
 
 
 def test_a_hole_in_a_track_makes_two_people(folder: Path, tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def test_without_a_floor_plan(folder: Path) -> None:
 
 @pytest.mark.parametrize("dt", [0.1, 0.2, 0.4])
 @pytest.mark.parametrize("policy", [Stands, Drunk])
-def test_everybody_comes_and_goes_on_time_whoever_walks(folder: Path, dt: float, policy: type) -> None:
+def test_all_come_and_go_on_time_with_any_policy(folder: Path, dt: float, policy: type) -> None:
     scenario = replay(folder)
     env = make_env(scenario, num_envs=1, decision_dt=dt)
     seen = walked(env, policy(dt))
@@ -248,7 +248,7 @@ def test_everybody_comes_and_goes_on_time_whoever_walks(folder: Path, dt: float,
             clock = i * dt
             mine = (now["id"] == number) & now["mask"]
             due = comes - 1e-6 <= clock < goes - 1e-6
-            if policy is Stands or taken is None:  # whom nobody moves never arrives
+            if policy is Stands or taken is None:  # people without a policy never arrive
                 assert bool(mine.any()) == due, (agent, clock)
             expected = due and taken is not None and clock > taken - 1e-6
             if policy is Stands or not expected:
@@ -257,7 +257,7 @@ def test_everybody_comes_and_goes_on_time_whoever_walks(folder: Path, dt: float,
 
 
 def test_people_are_played_back_exactly(folder: Path) -> None:
-    """To the last bit of float32 at frames, and on straight lines between them, whatever anybody does."""
+    """To the last bit of float32 at frames, and on straight lines between them, whatever others do."""
     scenario = replay(folder)
     for dt in (0.1, 0.4):
         result = run(scenario, Drunk(dt), dt)
@@ -310,14 +310,14 @@ def test_newcomers_are_known_as_far_as_they_were_seen(folder: Path) -> None:
             assert now["history"][slot].tolist() == [pytest.approx([1, 2])] * 8
 
 
-def test_the_truth_arrives_with_everybody(folder: Path) -> None:
+def test_the_truth_arrives_with_all_people(folder: Path) -> None:
     for dt in (0.1, 0.4):
         scenario = replay(folder, "first second")
         result = run(scenario, Truth, dt, scenario.scenes)
         real = scenario.real()
         arrived = result.person[result.controlled & (result.reached > 0)].unique()
-        everybody = scenario.persons.controlled.nonzero()[:, 0]
-        assert torch.equal(arrived, everybody)
+        simulated = scenario.persons.controlled.nonzero()[:, 0]
+        assert torch.equal(arrived, simulated)
         both = result.controlled & real.controlled[..., : result.trace.shape[2]]
         assert torch.equal(result.person[both], real.person[..., : both.shape[2]][both])
         apart = (result.trace - real.trace[:, :, : both.shape[2]]).norm(dim=-1)
@@ -330,8 +330,8 @@ def test_the_truth_arrives_with_everybody(folder: Path) -> None:
         length = min(steps.scored.shape[2], true.scored.shape[2])
         assert torch.equal(steps.scored[..., :length], true.scored[..., :length])
         assert int(steps.scored.sum()) == int(true.scored.sum()) > 0
-        found, expected = (replay_row("", r, scenario, dt)["metrics"] for r in (result, real))
-        assert found == pytest.approx(expected, abs=2e-3)
+        results, expected = (replay_row("", r, scenario, dt)["metrics"] for r in (result, real))
+        assert results == pytest.approx(expected, abs=2e-3)
         assert expected["realism"] == expected["closed_loop_ade_m"] == 0.0 and expected["success"] == 1.0
         lines = scenario.persons.start, scenario.persons.goal
         minutes = [crowd(r, every_step(r), 0, scenario.scenes, *lines).minutes for r in (result, real)]
@@ -392,7 +392,7 @@ def test_slots_are_never_shared(plaza: PreparedReplay) -> None:
     assert int(busy.max()) == scenario.people  # no fewer slots would do
 
 
-def test_recordings_are_cut_where_nobody_can_be_left(folder: Path) -> None:
+def test_recordings_are_cut_where_no_person_can_be_left(folder: Path) -> None:
     scenario = replay(folder, "first second")
     # alice and others, the late one (frame 40 and later), and both again in the second recording
     assert scenario.scenes == 4
@@ -408,11 +408,11 @@ def test_a_scene_alone_and_in_a_batch_are_the_same(folder: Path) -> None:
 
     def scenes(count: int, first: int) -> list[Any]:
         env = make_env(scenario, num_envs=count, seed=2, first_episode=first)
-        now, found = env.reset(), []
+        now, result = env.reset(), []
         for _ in range(36):
-            found.append(env.step(policy(now)))
-            now = step_mdp(found[-1])
-        return found
+            result.append(env.step(policy(now)))
+            now = step_mdp(result[-1])
+        return result
 
     whole = scenes(8, 0)
     for i in (0, 3, 6):
@@ -460,8 +460,8 @@ def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
             for of in (whole.scenes.table == table_).nonzero()[:, 0].tolist():
                 there = tick - 4 * int(whole.scenes.origin[of])
                 if 0 <= there < real.trace.shape[2]:
-                    found = (real.person[of, :, there] == number).nonzero()[:, 0]
-                    for place in found.tolist():
+                    results = (real.person[of, :, there] == number).nonzero()[:, 0]
+                    for place in results.tolist():
                         assert torch.equal(result.trace[scene, slot, point], real.trace[of, place, there])
                         same += 1
     assert same > 300
@@ -490,9 +490,9 @@ def test_stays_are_people_and_not_slots(folder: Path) -> None:
     for slot, first, last in real.stays(0):
         (number,) = real.person[0, slot, max(first - 1, 0) : last].unique().tolist()
         came, left = int(scenario.persons.first[number]), int(scenario.persons.last[number])
-        # the clock is 0 in frame 7; whoever comes later has the first point of the trace 0.1 s after that
+        # the clock is 0 in frame 7; later people have the first trace point 0.1 s after that
         assert first == (4 * (came - 7) + 1 if came > 7 else 0)
-        assert last == 4 * (min(left, 25) - 7)  # nobody who is simulated is left after frame 25
+        assert last == 4 * (min(left, 25) - 7)  # no person who is simulated is left after frame 25
     assert len(real.stays(0)) == 6
     assert [stay[0] for stay in rollout("go_to_goal", "door:people=4", "compiled", 1)[0].stays(0)] == [
         0,
@@ -534,29 +534,29 @@ def test_partial_resets_and_auto_reset(folder: Path) -> None:
         assert torch.equal(getattr(after, key)[[0, 2]], getattr(before, key)[[0, 2]])
     long = make_env(scenario, num_envs=3).rollout(120, policy, break_when_any_done=False)
     keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
-    for row, found in enumerate(keys):
-        assert found == Draws.for_episodes(0, torch.arange(len(found)) * 3 + row).key.tolist()
+    for row, results in enumerate(keys):
+        assert results == Draws.for_episodes(0, torch.arange(len(results)) * 3 + row).key.tolist()
     assert all(len(row) > 2 for row in keys)
 
 
 def test_both_worlds_show_the_same_people(folder: Path) -> None:
     scenario = replay(folder, "first second")
     grid, bullet = (make_env(scenario, num_envs=4, physics=physics) for physics in ("compiled", "bullet"))
-    found = []
+    results = []
     for env in (grid, bullet):
         policy, now, steps = load_policy("go_to_goal"), env.reset(), []
         for _ in range(34):
             result = env.step(policy(now))
             steps.append(result["next"])
             now = step_mdp(result)
-        found.append(steps)
+        results.append(steps)
     bullet.physics.close()
     touched = 0
-    for one, other in zip(*found, strict=True):
+    for one, other in zip(*results, strict=True):
         for key in ("trace", "agent_contact", "wall_contact", "reached"):
             assert torch.equal(one["agents", "info", key], other["agents", "info", key]), key
         touched += int(one["agents", "info", "wall_contact"].sum())
-    assert touched  # somebody is played back into the wall
+    assert touched  # a person is played back into the wall
 
 
 def test_many_people_in_bullet(plaza: PreparedReplay) -> None:
@@ -581,7 +581,7 @@ def test_a_replay_begins_as_it_was_recorded(folder: Path) -> None:
 
 def test_only_the_actions_of_the_controlled_matter(folder: Path) -> None:
     class Breaks(Drunk):
-        """Gives no number for everybody in the fifth decision."""
+        """Gives no number for every person in the fifth decision."""
 
         def forward(self, tensordict: Any) -> Any:
             super().forward(tensordict)

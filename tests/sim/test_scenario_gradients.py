@@ -15,7 +15,7 @@ from pedzoo.sim.make import make_env
 STEPS = 25
 
 DISCOUNT = 0.95
-"""Per decision: the plain sum of the way that was made is the same whenever somebody arrives."""
+"""Per decision: the plain sum of the way that was made is the same whenever a person arrives."""
 
 WALK, WANDER, PRESS, STAY = range(4)
 """What people do in each of four scenes: go to their goals; go there and about; all press to the right, where
@@ -31,7 +31,7 @@ class Crowd(nn.Module):
         self.layers = nn.Sequential(nn.Linear(22, 8), nn.Tanh(), nn.Linear(8, 2))
 
     def forward(self, agents: Any) -> Tensor:
-        """Return what it adds to everybody's velocity (B, A, 2), m/s."""
+        """Return what it adds to every person's velocity (B, A, 2), m/s."""
         here, there = agents["history"][:, :, -1], agents["mask"].unsqueeze(-1)
         past = agents["history"] - here.unsqueeze(2)
         others = (here * there).sum(1, keepdim=True) / there.sum(1, keepdim=True).clamp_min(1) - here
@@ -76,14 +76,14 @@ def slopes(name: str) -> Slopes:
 
 
 @pytest.mark.parametrize("name", SCENARIOS.names())
-def test_gradients_are_finite_and_reach_everybody(name: str) -> None:
-    found = slopes(name)
-    actions = (found.reward_by_action, found.way_by_action)
-    weights = (found.reward_by_weights, found.way_by_weights)
+def test_gradients_are_finite_and_reach_all_people(name: str) -> None:
+    result = slopes(name)
+    actions = (result.reward_by_action, result.way_by_action)
+    weights = (result.reward_by_weights, result.way_by_weights)
     assert all(slope.isfinite().all() for slope in (*actions, *weights[0], *weights[1]))
     assert all(slope.abs().sum() > 0 for slope in (*weights[0], *weights[1]))
     for by_action in actions:
-        assert by_action[~found.moved].eq(0).all()
+        assert by_action[~result.moved].eq(0).all()
         felt = by_action.ne(0).any(-1)
         for scene in (WALK, WANDER, STAY):  # of a last decision nothing is seen after arriving
-            assert float(felt[:, scene][found.moved[:, scene]].float().mean()) > 0.75
+            assert float(felt[:, scene][result.moved[:, scene]].float().mean()) > 0.75

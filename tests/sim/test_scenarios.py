@@ -89,7 +89,7 @@ def test_a_scenario_that_returns_nothing_prepared(tmp_path: Path) -> None:
 
 
 @EVERY_SCENARIO
-def test_nobody_starts_on_a_goal(name: str) -> None:
+def test_no_person_starts_on_a_goal(name: str) -> None:
     """Over 300 scenes. Recorded people may: of them those who stay are not controlled."""
     env = make_env(name, num_envs=300, seed=1)
     env.reset()
@@ -115,7 +115,7 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
 
 
 def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> None:
-    """Whoever starts on the only goal there is arrives at once, and the episode begins all the same."""
+    """A person who starts on the only goal there is arrives at once, and the episode begins all the same."""
     (tmp_path / "mine.py").write_text(
         "import torch\nfrom pedzoo.sim.scenarios.goals import Goals\n\n\nclass One(Goals):\n"
         "    def next_goal(self, prepared, draws, agent, number, last):\n"
@@ -204,7 +204,7 @@ def test_door_widths_are_as_they_are_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ("width=0.83", r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85"),
         ("thickness=0", r"thickness 0\.0"),
@@ -213,8 +213,8 @@ def test_door_widths_are_as_they_are_named() -> None:
         ("speed_ratio=0", r"speed_ratio 0\.0"),
     ],
 )
-def test_doors_that_cannot_be(settings: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_doors_that_cannot_be(settings: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         make_env(f"door:{settings}")
 
 

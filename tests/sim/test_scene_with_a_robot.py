@@ -71,9 +71,9 @@ class WithRobot(Scenario):
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    found = tmp_path / "with_robot.py"
-    found.write_text(WITH_ROBOT)
-    return found
+    result = tmp_path / "with_robot.py"
+    result.write_text(WITH_ROBOT)
+    return result
 
 
 def pair(file: Path, scenes: str, x: float) -> tuple[PedestrianEnv, PedestrianEnv]:

@@ -1,4 +1,4 @@
-"""Somebody who stands at a door and then walks on."""
+"""A person who stands at a door and then walks on."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_they_stand_until_their_time_is_up(physics: str) -> None:
     now: Any = env.reset()
     begins = now["agents", "history"][:, 2, 0]
     for step in range(1, 9):
-        # 2.1 s: until the decision at 2.4 s nobody asks the policy
+        # 2.1 s: until the decision at 2.4 s the policy is not asked
         stands = step <= 6
         assert (now["agents", "controlled"][:, 2] == (not stands)).all()
         assert now["agents", "mask"][:, 2].all() and now["agents", "valid"][:, 2].all()
@@ -84,7 +84,7 @@ def test_where_they_stand_is_drawn() -> None:
     assert len(made.goal[:, -1].unique()) == 2 * 4  # the two of every width
 
 
-def test_nobody_stands_in_a_wall() -> None:
+def test_no_person_stands_in_a_wall() -> None:
     env = make_env("standing:width=[0.7,1.2],thickness=[0.1,0.3],at=[-0.3,0.3]", num_envs=60)
     env.reset()
     distance, _ = env.bank.closest_wall(env.state.position, env.state.map_id, env.state.pose)
@@ -113,7 +113,7 @@ def test_batches_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ("people=1", "standing: people 1: expected at least 2"),
         ("at=-1.8", r"at -1\.8, away 2\.5: expected to stand at least 1 m nearer to the wall"),
@@ -121,6 +121,6 @@ def test_batches_do_not_matter() -> None:
         ("width=0.83", r"standing: width 0\.83 is no multiple"),
     ],
 )
-def test_scenes_that_cannot_be(settings: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_scenes_that_cannot_be(settings: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         make_scenario(f"standing:{settings}")

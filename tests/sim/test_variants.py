@@ -147,7 +147,7 @@ def test_who_comes_first_differs_between_seeds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "message"),
     [
         ("hallway:width=[2,1.83]", r"width 1\.83 is no multiple of the resolution 0\.05"),
         ("hallway:width=[]", r"hallway: width \[\]: expected a number, or a list of some"),
@@ -162,6 +162,6 @@ def test_who_comes_first_differs_between_seeds() -> None:
         ("door:width=[0.85,0.83]", r"width 0\.83 is no multiple"),
     ],
 )
-def test_lists_that_cannot_be(spec: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_lists_that_cannot_be(spec: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         make_scenario(spec)

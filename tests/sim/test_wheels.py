@@ -124,16 +124,16 @@ def test_robots_stand_in_the_warm_start_and_face_as_they_are_told(physics: str) 
 
 
 @pytest.mark.parametrize(
-    ("bodies", "told"),
+    ("bodies", "message"),
     [
         ({"radius": [0.05]}, r"radius 0\.05 m of an agent in Yard: expected at least 0\.1"),
         ({"top_speed": [9.0]}, r"top_speed 9 m/s of an agent in Yard: expected at most 3"),
     ],
 )
 def test_bodies_that_sub_steps_are_too_long_for_are_refused(
-    physics: str, bodies: dict[str, Any], told: str
+    physics: str, bodies: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         yard(physics, **bodies).reset()
 
 

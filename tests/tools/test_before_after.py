@@ -48,10 +48,10 @@ def test_both_sides_take_turns_and_peers_follow() -> None:
         ("after", case("env b", 1, 1)),
         ("X", case("a peer", 1, 1, peer="X")),
     ]
-    told: list[str] = []
-    comparison.measure(cases, 2, 0.1, told.append)
+    lines: list[str] = []
+    comparison.measure(cases, 2, 0.1, lines.append)
     order = ["before: env a", "after: env a", "before: env b", "after: env b", "X: a peer"]
-    assert [line.split(", ")[1] for line in told] == order + order[::-1]
+    assert [line.split(", ")[1] for line in lines] == order + order[::-1]
 
 
 def test_every_physics_is_compared_with_the_one_before() -> None:
@@ -93,22 +93,22 @@ def test_a_case_that_fails_is_left_out_and_told(capsys: pytest.CaptureFixture[st
     ]
     timed, failed = comparison.measure(cases, 2, 0.1, lambda line: None)
     assert failed == {"after: env a, 64 x 5": "no such physics"}
-    found = comparison.rows(timed)
-    assert [row.name for row in found] == ["X, bare"]
+    result = comparison.rows(timed)
+    assert [row.name for row in result] == ["X, bare"]
     machine = {"load_before": 0.0, "load_after": 0.0}
     report = {"protocol": {"threads": 1}, "machine": machine, "versions": {}, "skipped": failed}
-    print_bench(report | {"rows": [row.as_json() for row in found]})
+    print_bench(report | {"rows": [row.as_json() for row in result]})
     assert "after: env a, 64 x 5: skipped: no such physics" in capsys.readouterr().out
 
 
 def test_a_side_answers_for_this_checkout() -> None:
     side = Peer(BENCH / "side.py", sys.executable, 1, environment={"PYTHONPATH": str(ROOT)})
     try:
-        (found, *more) = side.cases([Scenes("environment", 1, 5, {}, [], [], [], [], [])])
-        assert (found.name, found.scenes, found.people) == ("env go_to_goal", 1, 5)
-        assert len({one.note for one in (found, *more)}) == 1 + len(more)
+        (result, *more) = side.cases([Scenes("environment", 1, 5, {}, [], [], [], [], [])])
+        assert (result.name, result.scenes, result.people) == ("env go_to_goal", 1, 5)
+        assert len({one.note for one in (result, *more)}) == 1 + len(more)
         assert side.versions["tree"] == str(ROOT)
-        assert found.side(0.01) > 0
+        assert result.side(0.01) > 0
     finally:
         side.close()
 

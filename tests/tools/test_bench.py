@@ -76,9 +76,9 @@ def test_ratios_are_of_the_same_turn() -> None:
     """A burst of load in the second turn slows both sides, and their ratio not at all."""
     assert ratio([10.0, 2.0, 10.0], [5.0, 1.0, 5.0]) == Measured(2.0, 2.0, 2.0, 3)
     assert ratio([1.0, 3.0, 5.0], [6.0]) == Measured(0.5, 0.5, 0.5, 1)
-    found = versus([0.001, 0.002], [0.004, 0.008], "them")
-    assert found["pedzoo_ms"].value == 1.5 and found["them_ms"].value == 6.0
-    assert found["times_them"].value == 4.0
+    result = versus([0.001, 0.002], [0.004, 0.008], "them")
+    assert result["pedzoo_ms"].value == 1.5 and result["them_ms"].value == 6.0
+    assert result["times_them"].value == 4.0
 
 
 def test_bars() -> None:
@@ -215,12 +215,12 @@ def report(*rows: Row, **changes: Any) -> dict[str, Any]:
 
 def test_changes_beyond_noise_are_marked() -> None:
     new = report(made(1.52, 8.0), versions={"pedzoo": "0.2.0", "commit": "b", "torch": "2.13"})
-    found = compare(report(made(1.5, 10.0), made(1.0, name="gone")), new)
-    assert not found.warnings  # another commit is what two runs are for
-    marks = {change.metric: change.mark for change in found.changes}
+    result = compare(report(made(1.5, 10.0), made(1.0, name="gone")), new)
+    assert not result.warnings  # another commit is what two runs are for
+    marks = {change.metric: change.mark for change in result.changes}
     assert marks == {"times_them": "", "step_ms": "faster", "peak_mb": "less"}
-    assert found.changes[1].ratio == 0.8
-    assert found.gone == ["loop: gone (1 x 5)"] and not found.added
+    assert result.changes[1].ratio == 0.8
+    assert result.gone == ["loop: gone (1 x 5)"] and not result.added
     back = compare(new, report(made(1.0, 10.0)))
     assert [change.mark for change in back.changes] == ["slower", "slower", "more"]
 
@@ -238,30 +238,30 @@ def test_wide_quartiles_hide_a_change() -> None:
 def test_only_ratios_are_compared_between_machines(part: str, key: str, value: Any) -> None:
     old, new = report(made(1.5)), report(made(1.0))
     new[part] = new[part] | {key: value}
-    found = compare(old, new)
-    assert [change.metric for change in found.changes] == ["times_them"]
-    assert any(f"another {key}" in warning and str(value) in warning for warning in found.warnings)
-    assert "only ratios" in found.warnings[-1]
+    result = compare(old, new)
+    assert [change.metric for change in result.changes] == ["times_them"]
+    assert any(f"another {key}" in warning and str(value) in warning for warning in result.warnings)
+    assert "only ratios" in result.warnings[-1]
 
 
 def test_other_versions_and_protocols_are_told() -> None:
     new = report(made(1.5), versions={"torch": "2.14", "pyrvo": "0.4.3"})  # a peer that was not there before
     new["protocol"] = new["protocol"] | {"quick": True}
-    found = compare(report(made(1.5)), new)
-    assert found.warnings == [
+    result = compare(report(made(1.5)), new)
+    assert result.warnings == [
         "measured with quick False then, True now",
         "another torch: 2.13 then, 2.14 now",
     ]
-    assert len(found.changes) == 3
+    assert len(result.changes) == 3
 
 
 def test_what_the_machine_did_itself_is_not_marked() -> None:
     """A fixed job took 1.4 times as long: so do all times, and only what is slower than that has changed."""
     old = report(made(1.5, 10.0), made(1.5, 10.0, name="jump"))
     new = report(made(1.5, 14.4), made(1.2, 16.0, name="jump"), yardstick_ms={"loop": 14.0})
-    found = compare(old, new)
-    assert "loop: the machine itself was 1.40 times as slow now" in found.warnings[-1]
-    marks = [change.mark for change in found.changes]
+    result = compare(old, new)
+    assert "loop: the machine itself was 1.40 times as slow now" in result.warnings[-1]
+    marks = [change.mark for change in result.changes]
     assert marks == ["", "", "more", "slower", "slower", "more"]
     assert not compare(report(made(1.5)), report(made(1.5), yardstick_ms={"orca": 99.0})).warnings
 
@@ -414,7 +414,7 @@ def test_an_unfinished_run_tells_what_it_has(tmp_path: Path, capsys: pytest.Capt
     assert content["interrupted"] and len(content["rows"]) == 1
 
 
-def test_what_nobody_asked_for_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_no_person_asked_for_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BENCHMARKS, "names", lambda: ["sgan"])
     run = Run([], Settings())
     run.go(lambda row: None)
@@ -479,4 +479,4 @@ def test_every_section_runs(name: str) -> None:
     assert len({row.key for row in run.rows}) == len(run.rows)
     for row in run.rows:
         assert row.section == name and row.metrics
-        assert all(found.value >= 0 for found in row.metrics.values())
+        assert all(result.value >= 0 for result in row.metrics.values())

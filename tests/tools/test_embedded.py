@@ -57,7 +57,7 @@ def test_people_walk_at_human_speeds_without_holes_or_heavy_overlaps(split: Spli
 
 
 @pytest.mark.parametrize("split", list(PEOPLE))
-def test_nobody_is_inside_a_wall(split: Split) -> None:
+def test_no_person_is_inside_a_wall(split: Split) -> None:
     (recording,) = Embedded().recordings(split)
     assert recording.plan is not None
     grid = read_ros(recording.plan)

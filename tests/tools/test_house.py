@@ -61,10 +61,10 @@ def checkout(folder: Path, **packages: str) -> Path:
 
 
 def test_a_house_is_read_from_a_checkout(tmp_path: Path) -> None:
-    found = house.read_house(checkout(tmp_path, sim="import pedzoo.maps.part, pedzoo.core.part"))
-    assert list(found["packages"])[:3] == ["core", "maps", "data"]
-    assert found["packages"]["sim"] == {"purpose": "About sim.", "files": 2}
-    assert found["arrows"] == [["sim", "core"], ["sim", "maps"]]
+    result = house.read_house(checkout(tmp_path, sim="import pedzoo.maps.part, pedzoo.core.part"))
+    assert list(result["packages"])[:3] == ["core", "maps", "data"]
+    assert result["packages"]["sim"] == {"purpose": "About sim.", "files": 2}
+    assert result["arrows"] == [["sim", "core"], ["sim", "maps"]]
 
 
 def test_imports_that_go_up_and_packages_without_a_floor_are_refused(tmp_path: Path) -> None:

@@ -71,9 +71,9 @@ def test_passing_side_is_seen_from_the_two_and_not_from_the_frame(angle: float) 
 def test_variety_by_hand() -> None:
     """Three of four draws agree in the first scene, all in the second; of the others too little is known."""
     settled = torch.tensor([[1, 1, 0, 1], [0, 0, 0, NAN], [1, NAN, NAN, NAN], [NAN] * 4]).double()
-    found, intervals = summarised(varied(settled))
-    assert found["varied"] == 0.5 and found["settled"] == pytest.approx(8 / 16)
-    assert found["disagreement"] == pytest.approx((3 / 6 + 0) / 2)  # 3 of 6 pairs
+    result, intervals = summarised(varied(settled))
+    assert result["varied"] == 0.5 and result["settled"] == pytest.approx(8 / 16)
+    assert result["disagreement"] == pytest.approx((3 / 6 + 0) / 2)  # 3 of 6 pairs
     assert intervals["varied"][0] < 0.5 < intervals["varied"][1]
     coins = torch.randint(2, (4000, 10), generator=torch.Generator().manual_seed(0)).double()
     assert summarised(varied(coins))[0]["disagreement"] == pytest.approx(0.5, abs=0.01)
@@ -140,13 +140,13 @@ def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.Monk
     suite = LoopNoise("loop_noise")
     case = suite.cases(EvaluationOptions(episodes=4))[1]
     (unit,) = suite.units(case, ["sgan_goal.eth_ucy"], (0,), False)
-    told: list[float] = []
-    (row,) = suite.rows(unit, told.append)
-    assert row["n"] == 4 and row["draws"] == 3 and told[-1] == 1.0
-    found = row["metrics"]
-    assert set(found) == set(suite.columns) and found["settled"] > 0
-    assert 0 <= found["clean"] <= found["contact_free"] <= 1 and (found["varied"] > 0) == (
-        found["disagreement"] > 0
+    shares: list[float] = []
+    (row,) = suite.rows(unit, shares.append)
+    assert row["n"] == 4 and row["draws"] == 3 and shares[-1] == 1.0
+    result = row["metrics"]
+    assert set(result) == set(suite.columns) and result["settled"] > 0
+    assert 0 <= result["clean"] <= result["contact_free"] <= 1 and (result["varied"] > 0) == (
+        result["disagreement"] > 0
     )
     json.dumps(row, allow_nan=False)
 
@@ -188,19 +188,19 @@ def test_forecasts_stand_beside_those_of_the_weights_before(
     )
     reports = [one for one in before.evaluations if one["command"] == "forecast"]
 
-    def told(card: ModelCard, name: str, factor: float, **training: Any) -> None:
+    def write(card: ModelCard, name: str, factor: float, **training: Any) -> None:
         rows = [
             [dict(row, metrics={"ade_m": factor * row["metrics"]["ade_m"]}) for row in one["rows"]]
             for one in reports
         ]
-        found = [one | {"rows": row} for one, row in zip(reports, rows, strict=True)]
+        result = [one | {"rows": row} for one, row in zip(reports, rows, strict=True)]
         known = card.training | training
-        write_card(replace(card, name=name, training=known, evaluations=found), tmp_path / f"{name}.yaml")
+        write_card(replace(card, name=name, training=known, evaluations=result), tmp_path / f"{name}.yaml")
 
-    told(before, "sgan_goal_map.before", 1.0)
-    told(after, "sgan_goal_map.good", 1.1, overrides={"weights": "sgan_goal_map.before"})
-    told(after, "sgan_goal_map.bad", 1.2, overrides={"weights": "sgan_goal_map.before"})
-    told(after, "sgan_goal_map.alone", 1.2)
+    write(before, "sgan_goal_map.before", 1.0)
+    write(after, "sgan_goal_map.good", 1.1, overrides={"weights": "sgan_goal_map.before"})
+    write(after, "sgan_goal_map.bad", 1.2, overrides={"weights": "sgan_goal_map.before"})
+    write(after, "sgan_goal_map.alone", 1.2)
     monkeypatch.setenv("PEDZOO_ZOO", str(tmp_path))
     names = [f"sgan_goal_map.{tag}" for tag in ("before", "good:safety=false", "bad", "alone")]
     page = forecasts([*names, "go_to_goal", "orca:radius=0.3"])

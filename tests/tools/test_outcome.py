@@ -14,7 +14,7 @@ from tools.paper.outcome import OUTCOMES, bearing_sweep, outcome_ratios, outcome
 
 
 def test_time_per_goal_by_hand() -> None:
-    """Two people are finished after 20 s with 3 and 5 goals: 40 s for 8. Nobody is in time in the other."""
+    """Two people are finished after 20 s with 3 and 5 goals: 40 s for 8. In the other none is in time."""
     reached = torch.tensor([[[1, 3], [2, 5]], [[0, 1], [0, 0]]])
     above, below = seconds_per_goal(torch.tensor([20.0, math.inf]), reached, torch.ones(2, 2).bool())
     assert above.tolist() == [40.0, 0.0] and below.tolist() == [8, 0]
@@ -44,10 +44,10 @@ def test_every_episode_has_one_outcome() -> None:
     stuck = torch.tensor([True, False, False, False, False, False])
     least = torch.tensor([1.0, 0.4, 0.1, 0.2, 0.5, nan])
     sweep = torch.deg2rad(torch.tensor([0.0, 170.0, 170.0, 120.0, 60.0, nan]))
-    found = outcomes(arrived, stuck, least, sweep, torch.full((6,), 0.15))
-    names = [next(name for name in OUTCOMES if found[name][i]) for i in range(6)]
+    result = outcomes(arrived, stuck, least, sweep, torch.full((6,), 0.15))
+    names = [next(name for name in OUTCOMES if result[name][i]) for i in range(6)]
     assert names == ["blocked", "lost", "through", "circle", "pass", "pass"]
-    assert torch.stack(list(found.values())).sum(0).tolist() == [1] * 6
+    assert torch.stack(list(result.values())).sum(0).tolist() == [1] * 6
 
 
 @pytest.mark.parametrize(("aside", "expected"), [(0.02, "through"), (0.1, "circle"), (0.4, "pass")])

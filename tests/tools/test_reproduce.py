@@ -85,9 +85,9 @@ def test_mean_over_folds_has_all_folds_and_the_interval_of_a_mean() -> None:
 
 def test_released_models_have_the_printed_means() -> None:
     """As the facts have them: V .48/.96 and VP .53/1.04 for 12 steps, .34/.68 and .37/.71 for 8."""
-    found = [[mean_errors(model.errors[steps]) for steps in (12, 8)] for model in RELEASED]
+    result = [[mean_errors(model.errors[steps]) for steps in (12, 8)] for model in RELEASED]
     printed = [[(0.48, 0.96), (0.34, 0.68)], [(0.53, 1.04), (0.37, 0.71)]]
-    assert [[tuple(round(value, 2) for value in errors) for errors in row] for row in found] == printed
+    assert [[tuple(round(value, 2) for value in errors) for errors in row] for row in result] == printed
 
 
 def test_ratio_of_means_and_seeds_on_the_pages() -> None:
@@ -146,7 +146,7 @@ def test_models_that_are_there_are_scored_and_kept_and_the_rest_is_named(
     recordings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "find", lambda name: None)
-    journal = tmp_path / "kept"
+    journal = tmp_path / "journal"
     table = Table1(["zara1"], root=recordings, journal=journal)
     seen = []
     table.run(progress=seen.append)
@@ -180,11 +180,11 @@ def test_what_cannot_be_loaded_says_why_and_is_tried_again(
 
     monkeypatch.setattr(module, "find", lambda name: None)
     monkeypatch.setattr(module, "load", broken)
-    table = Table1(["zara1"], root=recordings, journal=tmp_path / "kept")
+    table = Table1(["zara1"], root=recordings, journal=tmp_path / "journal")
     table.run()
     report = table.report()
     assert report["rows"] == [] and report["missing"]["bent_line"] == "bent_line: no convolutions"
-    assert Table1(["zara1"], root=recordings, journal=tmp_path / "kept").parts[0] == 0
+    assert Table1(["zara1"], root=recordings, journal=tmp_path / "journal").parts[0] == 0
 
 
 # Table II and Figure 4
@@ -257,9 +257,9 @@ def test_figure_4_writes_page_report_and_picture_and_names_what_is_missing(
         report["command"] == "reproduce" and report["seeds"] == [0] and report["missing"] == ["sgan.nowhere"]
     )
     assert report["paper"]["orca:radius=0.5"] == "blocked"
-    found = {(row["name"], row["case"]["speeds"]): row["metrics"] for row in report["rows"]}
-    assert len(found) == 6 and found["orca:radius=0.1", "equal"]["outcome_circle"] == 1
-    assert found["go_to_goal", "equal"]["outcome_through"] == 1
+    result = {(row["name"], row["case"]["speeds"]): row["metrics"] for row in report["rows"]}
+    assert len(result) == 6 and result["orca:radius=0.1", "equal"]["outcome_circle"] == 1
+    assert result["go_to_goal", "equal"]["outcome_through"] == 1
     page = (folder / "FIGURE4.md").read_text()
     for text in (page, said):
         assert "not here, no such weights: sgan.nowhere" in text and "circular pattern" in text
@@ -288,12 +288,12 @@ def test_what_was_interrupted_goes_on(
     monkeypatch.setattr(Figure4, "draw", lambda self, folder: [])
     assert main(small) == 0
     assert "2 of 3 parts were done before" in capsys.readouterr().out
-    kept = Path("made/FIGURE4.json.partial")
-    assert not kept.exists()
-    kept.write_text('{"unit": "of a larger table", "rows": []}\n')
+    stored = Path("made/FIGURE4.json.partial")
+    assert not stored.exists()
+    stored.write_text('{"unit": "of a larger table", "rows": []}\n')
     assert main(small) == 0
     assert "with 1 parts of another request" in capsys.readouterr().out
-    assert "of a larger table" in kept.read_text()
+    assert "of a larger table" in stored.read_text()
 
 
 @pytest.mark.parametrize(
@@ -399,8 +399,8 @@ def test_cases_are_compared_with_a_published_log_one_by_one() -> None:
 def test_published_logs_are_whole() -> None:
     for log, shares in ((SOCIAL_FORCE_LOG, (0.34, 0.64)), (ORCA_LOG, (0.69, 0.29))):
         assert len(log.outcomes) == 250 and set(log.outcomes) == set("sct")
-        found = tuple(round(log.outcomes.count(letter) / 250, 2) for letter in "sc")
-        assert found == shares
+        result = tuple(round(log.outcomes.count(letter) / 250, 2) for letter in "sc")
+        assert result == shares
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ def tool(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     """Return the script, which walks nowhere and whose checkpoints are in a folder of their own."""
     module = import_module("tools.pages.scenario_table")
     monkeypatch.setattr(module, "walked", lambda options: {})
-    monkeypatch.setattr(module, "picture", lambda found: b"picture")
+    monkeypatch.setattr(module, "picture", lambda result: b"picture")
     monkeypatch.setattr(module, "shipped", lambda folder: tmp_path / folder)
     return module
 

@@ -16,9 +16,9 @@ def make_run(folder: Path, columns: str = "val/ade,rollout/success,rollout/clean
     folder.mkdir(parents=True)
     numbers = [[0.1, 0.9, 0.5, 0.4], [0.12, 1.0, 0.95, 0.8]]
     rows = [f"epoch,step,train/people,{columns}"]
-    for epoch, found in enumerate(numbers):
+    for epoch, result in enumerate(numbers):
         rows += [f"{epoch},{epoch},0.3{',' * (columns.count(',') + 1)}"]
-        rows += [f"{epoch},{epoch},,{','.join(map(str, found[: columns.count(',') + 1]))}"]
+        rows += [f"{epoch},{epoch},,{','.join(map(str, result[: columns.count(',') + 1]))}"]
     (folder / "metrics.csv").write_text("\n".join(rows) + "\n")
     return folder
 

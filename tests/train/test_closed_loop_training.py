@@ -80,17 +80,17 @@ def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere: Path)
     """ADE, FDE and success of an epoch stand together; picture and video are really there."""
     assert main([*FIT, *QUICK, "--wandb", "offline", "--rollout.video", "true", *BEST]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
-    (found,) = measured(run)
-    assert 0 < float(found["val/ade"]) < 1 and float(found["val/fde"]) >= 0 and found["epoch"] == "0"
-    assert {f"rollout/door/{name}" for name in METRICS} <= set(found)
-    assert 0 <= float(found[SUCCESS]) <= 1
+    (result,) = measured(run)
+    assert 0 < float(result["val/ade"]) < 1 and float(result["val/fde"]) >= 0 and result["epoch"] == "0"
+    assert {f"rollout/door/{name}" for name in METRICS} <= set(result)
+    assert 0 <= float(result[SUCCESS]) <= 1
     assert (run / "checkpoints" / "best.ckpt").is_file()
     assert "- door" in (run / "config.yaml").read_text()
 
     logged = list(history(run))
     (together,) = (entry for entry in logged if SUCCESS in entry)
     for name in (SUCCESS, "val/ade", "val/fde"):
-        assert together[name] == pytest.approx(float(found[name]))
+        assert together[name] == pytest.approx(float(result[name]))
     files = next(run.glob("wandb/offline-run-*/files"))
     seen = {key: value for entry in logged for key, value in entry.items() if key.startswith("rollout/door/")}
     assert (files / seen["rollout/door/ways/filenames"][0]).read_bytes().startswith(b"\x89PNG")
@@ -130,8 +130,8 @@ class Noisy(SGAN):
     """Draws from torch's own generator, in validation and while walking."""
 
     def next_steps(self, batch: Any, noise: Any, steps: int, horizon: int) -> Tensor:  # noqa: D102
-        found = super().next_steps(batch, noise, steps, horizon)
-        return found + 1e-3 * torch.randn_like(found)
+        result = super().next_steps(batch, noise, steps, horizon)
+        return result + 1e-3 * torch.randn_like(result)
 
 
 def make_module() -> PlainModule:
@@ -189,7 +189,7 @@ def test_training_does_not_notice(tmp_path: Path) -> None:
 
 
 class Scripted(ClosedLoopValidation):
-    """Nobody walks; the shares of success are given."""
+    """No person walks; the shares of success are given."""
 
     def __init__(self, script: list[float], **options: Any) -> None:
         """Log ``script``, one value per rollout."""
@@ -197,7 +197,7 @@ class Scripted(ClosedLoopValidation):
         self.script = list(script)
 
     def check(self, model: Any, data: Any = None) -> None:
-        """Everybody may walk."""
+        """Every person may walk."""
 
     def _measure(self, *_: Any) -> dict[str, Tensor]:
         return {"success": torch.tensor(self.script.pop(0))}
@@ -240,9 +240,9 @@ def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None
     walk = ValidationScenario.walk
 
     def counted(self: ValidationScenario, walker: Any, deterministic: bool) -> Any:
-        found = walk(self, walker, deterministic)
-        walked.append(len(cast("Any", found).rollout.failed))
-        return found
+        result = walk(self, walker, deterministic)
+        walked.append(len(cast("Any", result).rollout.failed))
+        return result
 
     monkeypatch.setattr(ValidationScenario, "walk", counted)
     assert main([*FIT, "--trainer.fast_dev_run", "true"]) == 0
@@ -273,7 +273,7 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--rollout.scenarios", "dor"], "unknown scenario 'dor': did you mean 'door'?"),
         (["--rollout.scenarios", "door:wide=2"], "unknown setting of scenario door 'wide'"),
@@ -291,11 +291,11 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
     ],
 )
 def test_what_cannot_be_is_told_before_the_training(
-    options: list[str], told: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
 ) -> None:
     assert main([*FIT, *QUICK, "--wandb", "offline", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1
     assert not list(elsewhere.iterdir())
 
 

@@ -59,14 +59,14 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
 def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
     """With these weights on the command line, as releases are made, it is the same training."""
     config = load_config(f"closed_loop/{name}")
-    told = architecture_options(config["weights"], f"closed_loop/{name}")
-    assert told[0] == "--model.generator"
-    generator = json.loads(told[1])
+    options = architecture_options(config["weights"], f"closed_loop/{name}")
+    assert options[0] == "--model.generator"
+    generator = json.loads(options[1])
     written = config["model"]["init_args"]["generator"]
     assert written["class_path"] == generator["class_path"]
     assert merged(grouped(SGAN, SGAN().config), written["init_args"]) == generator["init_args"]
     data = {"keep_people": "complete", "min_people": 2} | config["data"]
-    assert {f"--data.{key}={value}" for key, value in data.items()} >= set(told[2:])
+    assert {f"--data.{key}={value}" for key, value in data.items()} >= set(options[2:])
 
 
 def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path: Path) -> None:

@@ -58,8 +58,8 @@ def two(distance: float, steps: int = 3) -> Segment:
 def test_people_are_as_near_as_between_two_trace_points() -> None:
     """Two who meet head-on at 2 m/s, 0.2 m beside each other, half way between two points of the trace."""
     velocity = torch.tensor([[[[2.0, 0.0], [-2.0, 0.0]]]])
-    found = least_gaps(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
-    assert found.shape == (1, 1, 2) and found[0, 0].tolist() == pytest.approx([-0.1, -0.1], abs=1e-4)
+    result = least_gaps(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
+    assert result.shape == (1, 1, 2) and result[0, 0].tolist() == pytest.approx([-0.1, -0.1], abs=1e-4)
 
 
 def test_people_are_as_near_as_they_ask_to_be_and_others_as_they_are() -> None:
@@ -90,12 +90,14 @@ def test_what_a_safety_layer_changed_costs() -> None:
     segment = two(5.0)
     asked = segment.asked.clone()
     asked[:, :, 0, 0] += 0.5
-    found = LoopLosses(safety_correction=3.0)(segment._replace(asked=asked), MapBank([]))["safety_correction"]
-    assert float(found) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
+    result = LoopLosses(safety_correction=3.0)(segment._replace(asked=asked), MapBank([]))[
+        "safety_correction"
+    ]
+    assert float(result) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
     assert "safety_correction" not in LoopLosses()(segment, MapBank([]))
 
 
-def test_nobody_is_near_who_is_alone_or_gone() -> None:
+def test_no_person_is_near_who_is_alone_or_gone() -> None:
     alone = made(torch.ones(2, 1, 1, 2), torch.zeros(1, 1, 2))
     assert bool((least_gaps(alone) > 100).all())
     segment = two(0.2)
@@ -114,7 +116,7 @@ def test_walls_are_felt_along_the_way_that_was_asked_for() -> None:
 
 
 def test_time_is_lost_by_those_who_stand_and_not_by_those_who_walk() -> None:
-    """The lost time of someone who stands for T steps is 0.4 (1 + ... + T) / T; the mean over two people."""
+    """The lost time of a person who stands for T steps is 0.4 (1 + ... + T) / T; the mean over two people."""
     velocity = torch.zeros(4, 1, 2, 2)
     velocity[:, :, 0, 0] = 1.0
     segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
@@ -164,8 +166,8 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
     moved = stays.moved.clone()
     moved[1:] = False
     left = stays._replace(moved=moved, present=moved)
-    found = [LoopLosses()(one, MapBank([]))["person_distance"] for one in (stays, left)]
-    assert float(found[0]) == pytest.approx(float(found[1]))
+    result = [LoopLosses()(one, MapBank([]))["person_distance"] for one in (stays, left)]
+    assert float(result[0]) == pytest.approx(float(result[1]))
 
 
 def test_the_trait_weighs_ones_own_time() -> None:
@@ -190,8 +192,8 @@ def test_who_comes_from_the_front_should_be_on_the_side_that_one_likes() -> None
     segment = made(velocity, start)
     segment = segment._replace(goal=start + 4 * velocity)
     for like, lacks in ((9.0, 0.7), (-9.0, 0.3), (0.0, 0.0)):
-        found = wrong_side(segment, torch.tensor([[like, like]]))
-        assert found[0, 0].tolist() == pytest.approx([lacks, lacks], abs=1e-4)
+        result = wrong_side(segment, torch.tensor([[like, like]]))
+        assert result[0, 0].tolist() == pytest.approx([lacks, lacks], abs=1e-4)
     behind = segment._replace(goal=start - 4 * velocity)
     assert not bool(wrong_side(behind, torch.ones(1, 2)).any())
 
@@ -272,13 +274,13 @@ COURSES = [Course("door", 3, 1.0), Course("circle:people=3", 2, 3.0)]
 
 def walked(courses: CourseSampler, updates: range, per_epoch: int = 4, keep: int = 2) -> list[Tensor]:
     """Return where people are at the beginning of each update's segment."""
-    found = []
+    result = []
     for update in updates:
         running = courses.at(update, update // per_epoch)
         seen = running.begin(keep)
-        found.append(seen["agents", "history"][:, :, -1])
+        result.append(seen["agents", "history"][:, :, -1])
         running.end(unrolled(running.env, Straight(), seen, 3).done)
-    return found
+    return result
 
 
 def test_a_mixture_that_goes_on_does_what_an_uninterrupted_one_would() -> None:

@@ -83,7 +83,7 @@ def test_fine_tuning_changes_all_weights_and_begins_where_they_were() -> None:
     tuned, before = (
         pedzoo.load(name).state_dict() for name in (last(Path("runs/sgan_goal_map/embedded-seed0")), NAME)
     )
-    # in these pooling everybody's own pair wins: where others are has a gradient of rounding errors, or none
+    # a person's pair with themselves wins in this pooling: others' places have gradients of rounding errors
     left = {key for key in before if torch.equal(tuned[key], before[key])}
     assert left <= {"pooling.embedding.weight"}
 

@@ -38,13 +38,13 @@ FAST, SLOW, STANDS, LEAVES, TURNS = 1, 2, 3, 4, 5
 
 
 def straight(agent: int, count: int, start: tuple, step: tuple, after: float = 1.0) -> list[tuple]:
-    """Return rows of somebody who walks ``step`` per frame, and ``after`` times that from the 8th row on."""
+    """Return rows of a person who walks ``step`` per frame, and ``after`` times that from the 8th row on."""
     way = np.concatenate((np.arange(8), 7 + after * np.arange(1, count - 7)))[:count]
     return [(i, agent, start[0] + w * step[0], start[1] + w * step[1]) for i, w in enumerate(way)]
 
 
 ROWS = [
-    *straight(FAST, 30, (0, 0), (0.5, 0), after=0.4),  # whoever keeps their speed arrives in half the time
+    *straight(FAST, 30, (0, 0), (0.5, 0), after=0.4),  # at a constant speed they arrive in half the time
     *straight(SLOW, 30, (9, 1), (-0.3, -0.05)),
     *straight(STANDS, 30, (3, 2), (0.01, 0), after=0.0),  # at the destination from the beginning
     *straight(LEAVES, 14, (5, -3), (0.1, 0.3)),
@@ -192,7 +192,7 @@ def test_people_see_and_do_what_they_would_in_the_environment(recording: Path, w
     now = env.reset()
     with torch.no_grad():
         walked = unroll(watched, batch, 12, now["scene_key"][:, 0])
-    gone = 6  # steps after which somebody's recording ends
+    gone = 6  # steps after which a person's recording ends
     for step in range(gone):
         mine, theirs = agents_of(views[step]), agents_of(cast("TensorDict", now))
         assert torch.equal(mine["mask"], theirs["mask"]), step
@@ -230,7 +230,7 @@ def test_who_arrives_or_really_leaves_is_gone(windows: SceneSet) -> None:
     assert torch.equal(masks[0], agents_of(batch)["mask"])
 
 
-def test_nobody_walks_faster_than_they_can(windows: SceneSet) -> None:
+def test_no_person_walks_faster_than_they_can(windows: SceneSet) -> None:
     batch = windows.batch(torch.tensor([0]), "destination")
     walked = unroll(lambda seen: 5 * toward(seen), batch, 1)
     moved = (walked.xy[0, :, 0] - agents_of(batch)["history"][0, :, -1]).norm(dim=-1)
@@ -244,7 +244,7 @@ def test_gradients_reach_back_through_what_others_see(windows: SceneSet) -> None
     batch = windows.batch(torch.tensor([0]), "destination")
     batch["agents", "pref_speed"] = torch.full_like(
         batch["agents", "pref_speed"], 2.0
-    )  # nobody is at the limit
+    )  # no person is at the limit
     pushes = torch.zeros(4, 1, 5, 2, requires_grad=True)
     steps = iter(pushes)
 
@@ -306,8 +306,8 @@ def test_features_are_those_of_the_replay(batch: TensorDict) -> None:
 def test_wasserstein_is_scipys_with_a_gradient(m: int, n: int) -> None:
     torch.manual_seed(m)
     first, second = torch.randn(m).double().requires_grad_(), torch.randn(n).double().requires_grad_()
-    found = wasserstein(first, second)
-    assert found.item() == pytest.approx(wasserstein_distance(first.detach(), second.detach()))
+    result = wasserstein(first, second)
+    assert result.item() == pytest.approx(wasserstein_distance(first.detach(), second.detach()))
     assert torch.autograd.gradcheck(wasserstein, (first, second))
 
 
@@ -348,20 +348,20 @@ def test_training_on_a_term_lowers_it(batch: TensorDict, term: str) -> None:
     weights: dict[str, Any] = {"displacement": 0.0, "distribution": 0.0, term: 1.0}
     imitation = Imitation(**weights)
     walker = Walker(model, "episode")
-    optimizer, found = torch.optim.Adam(model.parameters(), 2e-3), []
+    optimizer, result = torch.optim.Adam(model.parameters(), 2e-3), []
     for _ in range(6):
         terms = imitation(walker, batch, torch.Generator().manual_seed(0))
         optimizer.zero_grad()
         terms["loss"].backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0, error_if_nonfinite=True)
         optimizer.step()
-        found.append(terms[term].item())
-        assert terms["loss"].item() == found[-1]
-    assert min(found[3:]) < 0.9 * found[0]
+        result.append(terms[term].item())
+        assert terms["loss"].item() == result[-1]
+    assert min(result[3:]) < 0.9 * result[0]
 
 
 class Chases(ConstantVelocity):
-    """Everybody walks to whoever is nearest, 0.3 m in a step."""
+    """People walk to the nearest person, 0.3 m in a step."""
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the step (B, A, 1, 2)."""
@@ -405,13 +405,13 @@ def test_weights_by_name() -> None:
 
 
 def test_tails_by_hand() -> None:
-    """Everybody accelerates 1.5 times as much: so do the largest accelerations."""
+    """Every person accelerates 1.5 times as much: so do the largest accelerations."""
     true = torch.rand(501)
     assert float(tail(1.5 * true, true)) == pytest.approx(0.5, rel=1e-5)
     made = torch.linspace(0, 1, 101, requires_grad=True)  # whose quantiles are the values themselves
-    found = tail(made, torch.full((7,), 2.0))
-    assert found.item() == pytest.approx((2 - 0.945) / 2, rel=1e-5)
-    found.backward()
+    result = tail(made, torch.full((7,), 2.0))
+    assert result.item() == pytest.approx((2 - 0.945) / 2, rel=1e-5)
+    result.backward()
     assert made.grad is not None and (made.grad[90:100] < 0).all() and not made.grad[:90].any()
 
 
@@ -442,10 +442,10 @@ def test_a_discriminator_learns_who_is_real_and_the_generator_from_it(batch: Ten
     terms = imitation.terms(walked, batch)
     learns, ours = {}, (list(model.parameters()), list(imitation.parameters()))
     for name in ("adversarial", "discriminator", "tail"):
-        found = (
+        result = (
             torch.autograd.grad(terms[name], side, retain_graph=True, allow_unused=True) for side in ours
         )
-        learns[name] = [any(g is not None and bool(g.any()) for g in gradients) for gradients in found]
+        learns[name] = [any(g is not None and bool(g.any()) for g in gradients) for gradients in result]
     assert learns == {"adversarial": [True, False], "discriminator": [False, True], "tail": [True, False]}
 
 
@@ -477,8 +477,8 @@ class _Losses(PlainModule):
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         self.seen = [*getattr(self, "seen", []), set(batch)]
-        found = Imitation()(Walker(self.generator, "episode"), batch["unrolled"], torch.Generator())
-        return cast("Tensor", super().training_step(batch["forecast"], batch_idx)) + found["loss"]
+        result = Imitation()(Walker(self.generator, "episode"), batch["unrolled"], torch.Generator())
+        return cast("Tensor", super().training_step(batch["forecast"], batch_idx)) + result["loss"]
 
 
 def test_a_lightning_module_gets_both_batches(tmp_path: Path) -> None:

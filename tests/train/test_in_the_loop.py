@@ -129,8 +129,8 @@ def test_a_discriminator_of_walks_is_trained_beside_the_model() -> None:
 def test_dropout_is_what_the_generator_says(share: float) -> None:
     model = SGAN.of(goal_dim=4, goal_protocol="window_end", map="rings", map_dropout=share)
     trained = module(model)
-    found = [part.p for part in trained.modules() if isinstance(part, nn.Dropout)]
-    assert found == [trained.generator.config["map_dropout"]] == [share]
+    result = [part.p for part in trained.modules() if isinstance(part, nn.Dropout)]
+    assert result == [trained.generator.config["map_dropout"]] == [share]
 
 
 def test_every_tensor_is_registered_once() -> None:
@@ -157,8 +157,8 @@ def test_a_run_saves_the_dropout_that_it_ran_with(named: bool, monkeypatch: pyte
     assert main(["fit", *config, "--weights", weights, *QUICK, *STILL, "--trainer.max_epochs", "1"]) == 0
     (run,) = Path().glob("runs/*/*")
     saved = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]["init_args"]
-    kept = pedzoo.load(str(run / "checkpoints" / "last.ckpt"))
-    assert {saved["losses"]["map_dropout"], kept.config["map_dropout"], *ran} == {0.0}
+    stored = pedzoo.load(str(run / "checkpoints" / "last.ckpt"))
+    assert {saved["losses"]["map_dropout"], stored.config["map_dropout"], *ran} == {0.0}
 
 
 def as_earlier(run: Path) -> None:
@@ -268,16 +268,16 @@ def test_every_weight_is_an_option(capsys: pytest.CaptureFixture[str]) -> None:
     words += [f"--model.imitation.{name}={value}" for name, value in imitation.items()]
     words += [f"--model.{name}={value}" for name, value in own.items()]
     words += ["--model.imitation.features", '{"speed": 2}', "--model.courses", json.dumps([course])]
-    found = printed(capsys, *words)
-    said = found["walking"].get("init_args", found["walking"])
+    result = printed(capsys, *words)
+    said = result["walking"].get("init_args", result["walking"])
     assert {name: said[name] for name in walking} == walking
-    said = found["imitation"].get("init_args", found["imitation"])
+    said = result["imitation"].get("init_args", result["imitation"])
     assert {name: said[name] for name in imitation} == imitation and said["features"] == {"speed": 2.0}
-    assert {name: found[name] for name in own} == own and found["courses"] == [course]
+    assert {name: result[name] for name in own} == own and result["courses"] == [course]
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--model.walking.person_distanse", "3"], "person_distance"),
         (["--model.walking.person_distance", "-1"], "person_distance -1.0: expected at least 0"),
@@ -299,13 +299,13 @@ def test_every_weight_is_an_option(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_what_cannot_be_is_told_before_the_training(
-    options: list[str], told: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
 ) -> None:
     walks = ["--rollout.scenarios", "[hallway]"]
     words = ["fit", "--config", CONFIG, "--weights", "sgan_goal.zara1", *QUICK, *walks, *options]
     assert main(words) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1
     assert not list(elsewhere.iterdir())
 
 

@@ -63,10 +63,10 @@ def lived() -> TensorDict:
     """Two people at a door until some of them have left: (B, T) = (4, 24)."""
     model = small()
     nn.init.zeros_(model.decoder.output.weight)
-    found = gatherer(model, "door:people=2", 4, 24).gather(1)
-    gone = ~found["next", "agents", "controlled"] & found["agents", "controlled"]
+    result = gatherer(model, "door:people=2", 4, 24).gather(1)
+    gone = ~result["next", "agents", "controlled"] & result["agents", "controlled"]
     assert gone.any() and not gone.all()
-    return found
+    return result
 
 
 def no_value(batch: TensorDict) -> TensorDict:
@@ -75,7 +75,7 @@ def no_value(batch: TensorDict) -> TensorDict:
     return batch
 
 
-def told(**info: Any) -> TensorDict:
+def info_of(**info: Any) -> TensorDict:
     """Return one scene of two people who stand 0.5 m apart, as the environment tells of it."""
     trace = torch.tensor([[0.0, 0.0], [0.5, 0.0]]).view(1, 2, 1, 2).expand(1, 2, 4, 2)
     nothing = torch.zeros(1, 2, 4, dtype=torch.bool)
@@ -111,9 +111,9 @@ def told(**info: Any) -> TensorDict:
 def test_reward_adds_weighted_terms_to_that_of_the_environment(
     weights: dict[str, Any], more: tuple[float, float]
 ) -> None:
-    before, touching = told(), torch.zeros(1, 2, 4, dtype=torch.bool)
+    before, touching = info_of(), torch.zeros(1, 2, 4, dtype=torch.bool)
     before["agents", "velocity"] = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
-    after = told(
+    after = info_of(
         agent_contact=touching.index_fill(1, torch.tensor([0]), True),
         wall_contact=touching.index_fill(1, torch.tensor([1]), True),
     )
@@ -122,7 +122,7 @@ def test_reward_adds_weighted_terms_to_that_of_the_environment(
     torch.testing.assert_close(Reward(**weights)(before, after), expected)
 
 
-def test_untrained_critic_expects_what_somebody_alone_earns(lived: TensorDict) -> None:
+def test_untrained_critic_expects_what_a_person_alone_earns(lived: TensorDict) -> None:
     critic = Critic(0.9)
     # 6.5 steps of 0.52 m, each worth 0.9 of the one before
     way, speed = torch.tensor([[3 * 0.52]]), torch.tensor([[1.3]])
@@ -168,16 +168,16 @@ def test_critic_does_not_notice_turns_shifts_order_and_padding() -> None:
     padded["agents", "mask"] = mask
     three = now.clone()
     three["agents"] = now["agents"][:, :3]
-    found = critic(padded)["agents", "value"]
-    torch.testing.assert_close(found[:, :3], critic(three)["agents", "value"])
-    assert (found[:, 3] == 0).all()
+    result = critic(padded)["agents", "value"]
+    torch.testing.assert_close(result[:, :3], critic(three)["agents", "value"])
+    assert (result[:, 3] == 0).all()
 
 
 def test_likelihoods_of_updates_are_those_of_collecting() -> None:
     """The noise of the generator is the same again: nothing has changed, and every ratio is 1."""
     model = small()
-    found = gatherer(model).gather(3)
-    flat = cast("TensorDict", found.exclude("next").flatten(0, 1))
+    result = gatherer(model).gather(3)
+    flat = cast("TensorDict", result.exclude("next").flatten(0, 1))
     action, stored = flat["agents", "action"].clone(), flat["agents", "log_prob"].clone()
     acting = actor(Walker(model), Spread(0.2))
     again = acting.get_dist(flat).log_prob(action)
@@ -230,12 +230,12 @@ def test_processes_share_the_scenes_of_a_seed() -> None:
     assert torch.equal(torch.cat(keys), both)
 
 
-def test_advantages_are_those_of_everybodys_own_episode(lived: TensorDict) -> None:
+def test_advantages_are_those_of_each_agents_own_episode(lived: TensorDict) -> None:
     """An oracle with loops: rewards end when a person leaves or when a new episode begins."""
     gamma, lam = 0.9, 0.8
     critic = trained_critic()
-    found = rated(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(0, (4, 24))
-    people, after = agents_of(found), cast("TensorDict", lived["next", "agents"])
+    result = rated(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(0, (4, 24))
+    people, after = agents_of(result), cast("TensorDict", lived["next", "agents"])
     scored = people["scored"]
     assert torch.equal(scored, lived["agents", "controlled"]) and not scored.all()
     last = critic(lived["next"].clone().flatten(0, 1))["agents", "value"].detach().view(4, 24, 2)
@@ -273,8 +273,8 @@ def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
         data["next", name][:] = False
     data["next", "agents", "reward"][:] = torch.tensor([1.0, 10.0]).view(1, 2, 1, 1)
     data["next", "agents", "id"][0, 0, 0] = 7
-    found: Any = rated(data, Reward(), no_value, advantages(1.0, 1.0, CPU)).unflatten(0, (1, 2))
-    target = found["agents", "value_target"][0, 0, :, 0]
+    result: Any = rated(data, Reward(), no_value, advantages(1.0, 1.0, CPU)).unflatten(0, (1, 2))
+    target = result["agents", "value_target"][0, 0, :, 0]
     assert target.tolist() == [1.0, 11.0]
 
 
@@ -283,9 +283,9 @@ def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
     data["agents", "controlled"][:] = True
     data["next", "failed"][0, 1] = True
     data["next", "agents", "reward"][0, 1] = torch.nan
-    found: Any = rated(data, Reward(), no_value, advantages(0.9, 0.9, CPU)).unflatten(0, (1, 2))
-    assert found["agents", "scored"][0].all(-1).tolist() == [True, False]
-    assert found["agents", "advantage"].isfinite().all()
+    result: Any = rated(data, Reward(), no_value, advantages(0.9, 0.9, CPU)).unflatten(0, (1, 2))
+    assert result["agents", "scored"][0].all(-1).tolist() == [True, False]
+    assert result["agents", "advantage"].isfinite().all()
 
 
 @pytest.fixture
@@ -296,8 +296,8 @@ def frames(lived: TensorDict) -> tuple[Callable[[TensorDict], tuple[Tensor, list
     parameters = [*model.parameters(), *critic.parameters(), *spread.parameters()]
 
     def terms(decisions: TensorDict) -> tuple[Tensor, list[Tensor]]:
-        found = loss(decisions.clone())
-        value = torch.stack([found[f"loss_{key}"] for key in ("objective", "critic", "entropy")])
+        result = loss(decisions.clone())
+        value = torch.stack([result[f"loss_{key}"] for key in ("objective", "critic", "entropy")])
         return value.detach(), list(torch.autograd.grad(value.sum(), parameters, allow_unused=True))
 
     return terms, rated(lived.clone(), Reward(), critic, advantages(0.9, 0.9, CPU))
@@ -317,7 +317,7 @@ def test_who_does_not_count_has_no_part_in_loss_and_gradient(frames: Any) -> Non
 
 
 def test_loss_is_a_mean_over_those_who_count(frames: Any) -> None:
-    """Scenes without anybody who counts change nothing: divided by people, not by slots."""
+    """Scenes without people who count change nothing: divided by people, not by slots."""
     terms, decisions = frames
     empty = decisions.clone()
     empty["agents", "scored"][:] = False
@@ -383,8 +383,8 @@ def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
         small(), ["hallway"], Broken(), Collection(envs=2, steps=4), Optimisation(passes=2, minibatches=3)
     )
     before = {key: value.clone() for key, value in module.generator.state_dict().items()}
-    found = trained(module, 2)
-    assert int(module.skipped) == 2 * 2 * 3 and found["train/skipped"] > 0
+    result = trained(module, 2)
+    assert int(module.skipped) == 2 * 2 * 3 and result["train/skipped"] > 0
     assert all(torch.equal(before[key], value) for key, value in module.generator.state_dict().items())
 
 
@@ -397,8 +397,8 @@ def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
         random = module.random()
         torch.randperm(4, generator=random)
         expected = weight * module.generator.loss(batch, random).item() / 8
-        found = trained(module, 1)
-        assert found.get("train/recorded", 0.0) == pytest.approx(expected, rel=1e-4)
+        result = trained(module, 1)
+        assert result.get("train/recorded", 0.0) == pytest.approx(expected, rel=1e-4)
         weights.append(torch.cat([value.detach().flatten() for value in module.generator.parameters()]))
     assert not torch.equal(*weights)
 

@@ -175,7 +175,7 @@ def test_the_shipped_robot_gets_through_crowdnavs_cases() -> None:
 
 
 def test_wheels_reach_the_goal_as_their_limits_allow() -> None:
-    """Nobody is there. At 1 m/s^2 top speed takes a second and half a metre: 0.5 s more than a disc."""
+    """No person is there. At 1 m/s^2 top speed takes a second and half a metre: 0.5 s more than a disc."""
     seconds = {}
     for robot in ("disc", "diff_drive", "diff_drive:acceleration=1000"):
         env = CrossingEnv(2, people=1, crowds=2, robot=robot)

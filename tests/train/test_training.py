@@ -33,7 +33,7 @@ pytestmark = [
     pytest.mark.usefixtures("elsewhere"),
     pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
     pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-    pytest.mark.filterwarnings("ignore:.*no pre-optimization state was saved"),  # which nobody here wants
+    pytest.mark.filterwarnings("ignore:.*no pre-optimization state was saved"),  # which is not wanted here
     pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
     pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
 ]
@@ -88,17 +88,17 @@ class Cut(Callback):
 class Rates(Callback):
     """Writes down the learning rates of all optimizers whenever they stepped."""
 
-    found: list[list[float]]
+    rates: list[list[float]]
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: D102
-        self.found, self.steps = [], 0
+        self.rates, self.steps = [], 0
 
     def on_train_batch_end(  # noqa: D102
         self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any
     ) -> None:
         if trainer.global_step > self.steps:
             self.steps = trainer.global_step
-            self.found.append([optimizer.param_groups[0]["lr"] for optimizer in trainer.optimizers])
+            self.rates.append([optimizer.param_groups[0]["lr"] for optimizer in trainer.optimizers])
 
 
 def leaves(value: Any) -> Iterator[Any]:
@@ -164,8 +164,8 @@ def test_fit_twice_two_epochs_is_fit_four(config: str, tmp_path: Path) -> None:
         values = [float(row[name]) for row in rows if row[name]]
         assert len(values) == 4 and all(math.isfinite(value) and value > 0 for value in values), name
     assert len({row["val/ade"] for row in rows if row["val/ade"]}) == 4
-    found = pedzoo.load(str(whole))
-    assert isinstance(found, SGAN) and found.losses.best_k == 3
+    result = pedzoo.load(str(whole))
+    assert isinstance(result, SGAN) and result.losses.best_k == 3
 
 
 def _plain_config(folder: Path) -> Path:
@@ -250,7 +250,7 @@ def test_weight_zero_leaves_the_discriminator_alone(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("kind", ["gan", "global"])
 def test_each_step_has_gradients_for_its_own_network_only(kind: str) -> None:
     module = cast("GANModule", make_module(kind))
-    kept: dict[str, Tensor] = {}
+    stored: dict[str, Tensor] = {}
 
     class Watch(Callback):
         def on_before_optimizer_step(
@@ -260,12 +260,12 @@ def test_each_step_has_gradients_for_its_own_network_only(kind: str) -> None:
             if optimizer is trainer.optimizers[1]:
                 assert all(p.grad is None for p in module.generator.parameters())
                 assert not any(p.requires_grad for p in module.generator.parameters())
-                kept.update({key: cast("Tensor", p.grad).clone() for key, p in judge.items()})
+                stored.update({key: cast("Tensor", p.grad).clone() for key, p in judge.items()})
             else:
                 assert all(p.grad is not None and p.requires_grad for p in module.generator.parameters())
                 assert not any(p.requires_grad for p in judge.values())
-                assert kept and all(
-                    torch.equal(cast("Tensor", judge[key].grad), g) for key, g in kept.items()
+                assert stored and all(
+                    torch.equal(cast("Tensor", judge[key].grad), g) for key, g in stored.items()
                 )
 
     trainer = make_trainer(Watch(), max_epochs=1, limit_train_batches=1)
@@ -279,7 +279,7 @@ def test_the_adversarial_loss_reaches_the_generator() -> None:
     ends = []
     for weight in (1e-9, 5.0):
         module = cast("GANModule", make_module("gan", adversarial_weight=weight))
-        # a score under zero has no slope: the published network may start there with everybody
+        # a score under zero has no slope: the published network may start there for all people
         torch.nn.init.ones_(cast("torch.nn.Linear", module.discriminator.classifier[2]).bias)
         make_trainer(max_epochs=1, limit_train_batches=1).fit(module, make_data())
         ends.append(torch.cat([p.detach().flatten() for p in module.generator.parameters()]))
@@ -311,8 +311,8 @@ def test_the_learning_rate_ends_with_the_training(
         cosine = 0.1 + 0.9 * 0.5 * (1 + math.cos(math.pi * done / iterations))
         wanted.append(1e-3 * cosine * min(1.0, (done + 1) / 2))
     assert wanted[-1] < 0.3e-3
-    assert [found[0] for found in rates.found] == pytest.approx(wanted)
-    assert all(found[1:] in ([], [1e-3]) for found in rates.found)
+    assert [rate[0] for rate in rates.rates] == pytest.approx(wanted)
+    assert all(rate[1:] in ([], [1e-3]) for rate in rates.rates)
 
 
 def test_a_training_without_an_end_has_a_constant_rate() -> None:
@@ -330,12 +330,12 @@ def test_a_training_without_an_end_has_a_constant_rate() -> None:
 def test_checkpoints_within_an_epoch_count_their_iteration(kind: str, tmp_path: Path) -> None:
     saver = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=2 if kind == "gan" else 1, save_top_k=-1)
     make_trainer(saver, max_epochs=1).fit(make_module(kind), make_data())
-    found = {}
+    result = {}
     for path in tmp_path.glob("*.ckpt"):
         checkpoint = torch.load(path, weights_only=True)
-        found[checkpoint["global_step"]] = int(checkpoint["state_dict"]["iteration"])
+        result[checkpoint["global_step"]] = int(checkpoint["state_dict"]["iteration"])
     per_iteration = 2 if kind == "gan" else 1
-    assert len(found) == 3 and all(step == per_iteration * done for step, done in found.items())
+    assert len(result) == 3 and all(step == per_iteration * done for step, done in result.items())
 
 
 def test_another_goal_protocol_than_the_models_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -364,7 +364,7 @@ def test_a_model_without_variety_loss_is_for_the_other_module() -> None:
         GANModule(cast("SGAN", Forecaster()), Discriminator())
 
 
-def test_nobody_is_judged_by_positions_that_were_not_seen() -> None:
+def test_no_person_is_judged_by_positions_that_were_not_seen() -> None:
     module = cast("GANModule", make_module("gan"))
     random_weights(cast("Forecaster", module.discriminator))
     batch = make_batch((2, 3), goal=False, partly=True)
@@ -375,8 +375,8 @@ def test_nobody_is_judged_by_positions_that_were_not_seen() -> None:
         module.discriminator_loss(data, torch.Generator().manual_seed(0)) for data in (batch, elsewhere)
     ]
     assert losses[0].isfinite() and losses[0] > 0 and torch.equal(*losses)
-    nobody = changed(batch, future_valid=torch.zeros_like(agents["future_valid"]))
-    assert module.discriminator_loss(nobody, torch.Generator()).item() == 0.0
+    without_future = changed(batch, future_valid=torch.zeros_like(agents["future_valid"]))
+    assert module.discriminator_loss(without_future, torch.Generator()).item() == 0.0
 
 
 @pytest.mark.parametrize("kind", ["global", "plain"])

@@ -28,7 +28,7 @@ def walked() -> PolicyRollout:
 
 
 def passing(walked: Rollout, at: int) -> Rollout:
-    """Return a copy in which the two people of episode 0 meet at a trace point and everybody stays."""
+    """Return a copy in which the two people of episode 0 meet at a trace point and every person stays."""
     trace = walked.trace.clone()
     steps = torch.arange(trace.shape[2]) - at
     trace[0, 0] = torch.stack((0.3 * steps, torch.zeros_like(steps)), dim=-1)
@@ -54,7 +54,7 @@ def test_people_who_stop_before_each_other_meet_when_they_stop(walked: PolicyRol
     assert meeting(replace(both, trace=trace), 0) == 6
 
 
-def test_who_is_alone_meets_nobody(walked: PolicyRollout) -> None:
+def test_who_is_alone_meets_no_person(walked: PolicyRollout) -> None:
     present = torch.zeros_like(walked.rollout.present)
     present[0, 0, :20] = True
     assert meeting(replace(walked.rollout, present=present), 0) == 10
@@ -65,15 +65,15 @@ def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
     axes = drawn(walked, 20)
     stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
     dots = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "o"]
-    ways = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
-    assert len(stars) == len(dots) == len(ways) == 2
+    paths = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
+    assert len(stars) == len(dots) == len(paths) == 2
     for person in (0, 1):
         np.testing.assert_allclose(stars[person], path[person, 20:21])
         np.testing.assert_allclose(dots[person], path[person, [8, 12, 16]])  # 0.4 s apart
-        segments = np.array(ways[person].get_segments())
+        segments = np.array(paths[person].get_segments())
         np.testing.assert_allclose(segments[:, 0], path[person, :20])
         np.testing.assert_allclose(segments[:, 1], path[person, 1:21])
-        np.testing.assert_allclose(np.asarray(ways[person].get_array()), np.arange(20) * 0.1)
+        np.testing.assert_allclose(np.asarray(paths[person].get_array()), np.arange(20) * 0.1)
     grey = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_color() == "0.6"]
     np.testing.assert_allclose(grey[0], walked.rollout.past[0, 0])
     goals = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "x"]

@@ -32,12 +32,12 @@ def colors(count: int, size: tuple[int, int] = SIZE) -> Iterator[Image]:
 
 
 def frames_of(path: Path) -> list[Image]:
-    video, found = cv2.VideoCapture(str(path)), []
+    video, result = cv2.VideoCapture(str(path)), []
     while True:
         there, frame = video.read()
         if not there:
-            return found
-        found.append(frame[..., ::-1])
+            return result
+        result.append(frame[..., ::-1])
 
 
 @pytest.mark.parametrize("suffix", [".webm", ".mp4", ".WEBM"])

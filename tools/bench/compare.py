@@ -131,10 +131,10 @@ def compare(old: Mapping[str, Any], new: Mapping[str, Any]) -> Comparison:
             how = f"{max(factor, 1 / factor):.2f} times as {'slow' if factor > 1 else 'fast'}"
             warnings.append(f"{name}: the machine itself was {how} now: smaller changes are not marked")
     changes = [
-        Change(row, metric, before[key].metrics[metric], found, machine.get(row.section, 1.0))
+        Change(row, metric, before[key].metrics[metric], result, machine.get(row.section, 1.0))
         for key, row in after.items()
         if key in before
-        for metric, found in row.metrics.items()
+        for metric, result in row.metrics.items()
         if metric in before[key].metrics and (is_ratio(metric) or not foreign)
     ]
     measured = {row.section for row in after.values()} & {row.section for row in before.values()}

@@ -2,8 +2,8 @@
 
     python tools/bench/compare_orca.py [--steps 12000] [--map ../shared/maps/igibson_rs.yaml]
 
-Everybody walks to random places, replaced at arrival and at times; after each step everybody is where RVO2
-put them. Both sides compute in float32 with the same parameters and the same wall polygons. RVO2 splits walls
+All walk to random places, replaced at arrival and at times; after each step they are where RVO2 put them.
+ Both sides compute in float32 with the same parameters and the same wall polygons. RVO2 splits walls
 while it builds its search tree, which is not always neutral; "on RVO2's pieces" is pedzoo on its own pieces.
 What is 1e-3 m/s and more apart is counted in the first of these classes that it falls into:
 
@@ -77,7 +77,7 @@ class State:
         return orca_velocity(self.position, self.velocity, self.preferred, speed, present, settings, near)
 
     def near(self, walls: WallSegments):
-        """Return the segments near everybody."""
+        """Return the segments near every person."""
         points, reach = self.position.flatten(0, 1), SETTINGS.wall_reach(torch.tensor(TOP_SPEED))
         ids = torch.full((len(points),), walls.bank.grids[0].map_id)
         return walls.near(points, ids, identity_pose(len(points)), float(reach))
@@ -181,13 +181,13 @@ def agreement(name: str, plans: list[OccupancyGrid], walled: bool, agents: int, 
         walk = Walk(grid, walled, scenes, agents, seed)
         for _ in range(rounds):
             state, theirs = walk.step()
-            found = (state.ours(walk.walls) - theirs).norm(dim=-1)
-            apart.append(found.flatten())
+            result = (state.ours(walk.walls) - theirs).norm(dim=-1)
+            apart.append(result.flatten())
             if walk.walls:
                 on_pieces.append((state.ours(walk.pieces) - theirs).norm(dim=-1).flatten())
                 few = state.ours(walk.walls, replace(SETTINGS, max_obstacles=OrcaSettings().max_obstacles))
                 capped.append((few - state.ours(walk.walls)).norm(dim=-1).flatten())
-            for scene, agent in (found >= APART).nonzero().tolist():
+            for scene, agent in (result >= APART).nonzero().tolist():
                 classes[classify(state, walk, scene, agent, theirs[scene, agent])] += 1
     all_apart = torch.cat(apart)
 

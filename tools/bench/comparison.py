@@ -122,14 +122,14 @@ def least(after: Timed) -> float | None:
 
 def shares(timed: Sequence[Timed]) -> list[Row]:
     """Return which share of its steps a policy with a safety layer spends there: 1 - with / without."""
-    found: dict[str, dict[str, Measured]] = {}
+    result: dict[str, dict[str, Measured]] = {}
     for held in timed:
         for free in timed:
             if (free.who, free.case.name, free.size) == (held.who, held.case.name + UNHELD, held.size):
                 pairs = zip(held.speeds, free.speeds, strict=True)
                 percent = [100 * (1 - with_it / without) for with_it, without in pairs]
-                found.setdefault(held.size, {})[f"{held.who}_percent"] = Measured.of(percent)
-    rows = [Row("before_after", SHARE, {"size": size}, metrics) for size, metrics in found.items()]
+                result.setdefault(held.size, {})[f"{held.who}_percent"] = Measured.of(percent)
+    rows = [Row("before_after", SHARE, {"size": size}, metrics) for size, metrics in result.items()]
     return [
         replace(row, bars=[row.below("after_percent", SHARE_BAR)] if "after_percent" in row.metrics else [])
         for row in rows

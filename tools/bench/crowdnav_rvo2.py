@@ -57,7 +57,7 @@ def rvo2(own: Body, others: Sequence[Body], margin: float, neighbors: int, reach
             place, velocity = body.place.tolist(), body.velocity.tolist()
             radius = body.radius + margin
             simulator.add_agent(place, reach, neighbors, 5.0, 5.0, radius, speed, velocity)
-    for number, body in enumerate((own, *others)):  # whoever comes later has the radius of the one before
+    for number, body in enumerate((own, *others)):  # later ones have the radius of the one before
         simulator.set_agent_position(number, body.place.tolist())
         simulator.set_agent_velocity(number, body.velocity.tolist())
     way = own.goal - own.place

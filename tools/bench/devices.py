@@ -64,7 +64,7 @@ def main() -> None:
 def measured(
     name: str, scenario: str, scenes: int, device: str, seconds: float
 ) -> tuple[float, torch.Tensor]:
-    """Return agent-steps per second, and where everybody is after 20 decisions (B, A, 2)."""
+    """Return agent-steps per second, and where every person is after 20 decisions (B, A, 2)."""
     policy = load_policy(name).to(device)
     env = make_env(scenario, scenes, decision_dt=0.4, device=device)
     decide: Callable[[Any], Any] = policy
@@ -88,7 +88,7 @@ def measured(
 
 
 def walked(env: PedestrianEnv, policy: TensorDictModuleBase | Callable[[Any], Any], now: Any) -> torch.Tensor:
-    """Return where everybody is after 20 decisions without resets."""
+    """Return where every person is after 20 decisions without resets."""
     for _ in range(20):
         now = env.step(policy(now))["next"]
     return env.state.position.cpu()

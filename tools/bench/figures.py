@@ -83,8 +83,8 @@ class Row:
 
     def at_least(self, metric: str, bar: float) -> Verdict:
         """Return the verdict on a metric that has to be ``bar`` or more; absent ones miss it."""
-        found = self.metrics.get(metric)
-        return Verdict(f"{metric} >= {bar:,g}", found is not None and found.value >= bar)
+        result = self.metrics.get(metric)
+        return Verdict(f"{metric} >= {bar:,g}", result is not None and result.value >= bar)
 
     def beside(self, metric: str, bar: float) -> Verdict:
         """Return the verdict on a ratio to another program; without that program there is none."""
@@ -93,8 +93,8 @@ class Row:
 
     def below(self, metric: str, bar: float) -> Verdict:
         """Return the verdict on a metric that has to stay below ``bar``."""
-        found = self.metrics.get(metric)
-        return Verdict(f"{metric} < {bar:,g}", found is not None and found.value < bar)
+        result = self.metrics.get(metric)
+        return Verdict(f"{metric} < {bar:,g}", result is not None and result.value < bar)
 
     def as_json(self) -> dict[str, Any]:
         """Return what `from_json` takes."""
@@ -102,9 +102,9 @@ class Row:
             "section": self.section,
             "name": self.name,
             "case": dict(self.case),
-            "n": {metric: found.n for metric, found in self.metrics.items()},
-            "metrics": {metric: found.value for metric, found in self.metrics.items()},
-            "quartiles": {metric: [found.low, found.high] for metric, found in self.metrics.items()},
+            "n": {metric: result.n for metric, result in self.metrics.items()},
+            "metrics": {metric: result.value for metric, result in self.metrics.items()},
+            "quartiles": {metric: [result.low, result.high] for metric, result in self.metrics.items()},
             "bars": [verdict._asdict() for verdict in self.bars],
             "note": self.note,
         }

@@ -18,23 +18,23 @@ PEOPLE = 5
 
 def main(file: str, scenes: int, steps: int, goals: int) -> None:
     """Walk and print."""
-    found = {"python alone": peak()}
+    result = {"python alone": peak()}
     import torch
 
     from pedzoo.policies.load import load_policy
     from pedzoo.sim.make import make_env
 
     torch.set_num_threads(1)
-    found["pedzoo and torch imported"] = peak()
+    result["pedzoo and torch imported"] = peak()
     env = make_env(f"goals:map={file},people={PEOPLE},pool={goals}", scenes)
-    found["planner ready"] = peak()
+    result["planner ready"] = peak()
     policy = load_policy(MODEL)
     with torch.no_grad():
         now = env.reset()
         for _ in range(steps):
             _, now = env.step_and_maybe_reset(policy(now))
-    found["walked"] = peak()
-    print(json.dumps({"cells": env.bank.grids[0].cells.size, **found}))
+    result["walked"] = peak()
+    print(json.dumps({"cells": env.bank.grids[0].cells.size, **result}))
 
 
 def peak() -> float:

@@ -46,9 +46,9 @@ class Scenes(NamedTuple):
         orca: ORCA's constants, by RVO2's names.
         walls: Polygons of the walls, as lists of points, walls to the left; the same for all scenes.
         position: (B, A, 2) as lists, metres.
-        velocity: Of everybody (B, A, 2), m/s.
+        velocity: Of every person (B, A, 2), m/s.
         preferred: The velocity that they want (B, A, 2), m/s.
-        top_speed: Of everybody (B, A), m/s.
+        top_speed: Of every person (B, A), m/s.
     """
 
     section: str
@@ -215,7 +215,7 @@ class Peer:
             self._process.stdin.write(line)
             self._process.stdin.flush()
         except (BrokenPipeError, ValueError):
-            pass  # it has ended or was closed, which whoever waits for its answer will see
+            pass  # it has ended or was closed, which the caller will see when it waits for an answer
 
     def _listen(self) -> None:
         assert self._process.stdout
@@ -226,8 +226,8 @@ class Peer:
     def _refused(self, what: str) -> UserError:
         self._complaints.seek(0)
         said = self._complaints.read().decode(errors="replace").strip().splitlines()[-3:]
-        told = f"; it said: {' / '.join(line.strip() for line in said)}" if said else ""
-        return UserError(f"peer {self.script.name} {what}{told} (its interpreter: --peer_python)")
+        message = f"; it said: {' / '.join(line.strip() for line in said)}" if said else ""
+        return UserError(f"peer {self.script.name} {what}{message} (its interpreter: --peer_python)")
 
 
 def check(script: Path, python: str) -> None:

@@ -21,7 +21,7 @@ class Run:
 
     Attributes:
         rows: What was measured until now.
-        skipped: Why benchmarks that nobody asked for by name were left out.
+        skipped: Why benchmarks that were not asked for by name were left out.
     """
 
     def __init__(self, names: Sequence[str], settings: Settings) -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.policies.orca.settings import OrcaSettings
 
-EVERYBODY = 10_000
+UNLIMITED = 10_000
 
 
 class Rvo2:
@@ -31,7 +31,7 @@ class Rvo2:
         polygons: Sequence[NDArray[np.float64]] = (),
     ) -> None:
         """Set up the simulators with the same walls in all of them, polygons (V, 2)."""
-        most = EVERYBODY if settings.max_neighbors is None else settings.max_neighbors
+        most = UNLIMITED if settings.max_neighbors is None else settings.max_neighbors
         values = (settings.dt, settings.neighbor_dist, most, settings.time_horizon)
         self.time_step = settings.dt
         self.simulators = []
@@ -46,7 +46,7 @@ class Rvo2:
         self.edges = _edges(self.simulators[0])
 
     def prepare(self, position: Tensor, velocity: Tensor, preferred: Tensor) -> None:
-        """Put everybody where they are, all (B, A, 2)."""
+        """Put every person where they are, all (B, A, 2)."""
         for one, places, velocities in zip(
             self.simulators, position.tolist(), velocity.tolist(), strict=True
         ):
@@ -56,13 +56,13 @@ class Rvo2:
         self.wish(preferred)
 
     def wish(self, preferred: Tensor) -> None:
-        """Tell the velocities (B, A, 2) that everybody would like."""
+        """Tell the velocities (B, A, 2) that every person would like."""
         for one, wishes in zip(self.simulators, preferred.tolist(), strict=True):
             for agent, wish in enumerate(wishes):
                 one.set_agent_pref_velocity(agent, wish)
 
     def step(self) -> None:
-        """Let everybody choose a velocity and walk."""
+        """Let every person choose a velocity and walk."""
         for one in self.simulators:
             one.do_step()
 

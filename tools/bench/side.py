@@ -133,7 +133,7 @@ class Walk:
 
     @torch.no_grad()
     def step(self) -> None:
-        """Let everybody decide once and walk; scenes that end begin anew."""
+        """Let every person decide once and walk; scenes that end begin anew."""
         _, self.now = self.env.step_and_maybe_reset(self.policy(self.now))
 
 
@@ -161,7 +161,7 @@ def kernel_loop(scenes: int, people: int, policy: str, physics: str) -> tuple[St
 
 
 def steering(plan: str, people: int) -> tuple[Step, Step]:
-    """Return a call of the stepping controller that decides for everybody, and what puts people back."""
+    """Return a call of the stepping controller that decides for every person, and what puts people back."""
     controller = pedzoo.load(MODEL).controller(plan, dt=DECISION)
     free = free_points(load_plan(plan), "wall", 0.3)
     points = np.random.default_rng(0).choice(free, 2 * people, replace=False)

@@ -18,8 +18,8 @@ def print_bench(report: dict[str, Any]) -> None:
     """Print a report of `tools.bench.run.Run`: one table per benchmark, then where it was measured."""
     console = plain_console()
     rows = [Row.from_json(row) for row in report["rows"]]
-    for section, found in groupby(rows, lambda row: row.section):
-        _print_section(console, section, list(found))
+    for section, result in groupby(rows, lambda row: row.section):
+        _print_section(console, section, list(result))
     for section, why in report["skipped"].items():
         console.print(f"{section}: skipped: {why}")
     for part in ("protocol", "machine", "versions"):
@@ -59,16 +59,16 @@ def print_comparison(comparison: Comparison, file: str) -> None:
 
 def line(row: Row) -> str:
     """Return a row in one line, for those who wait."""
-    found = ", ".join(f"{metric} {text(value)}" for metric, value in row.metrics.items())
-    return f"{title(row)}: {found}"
+    result = ", ".join(f"{metric} {text(value)}" for metric, value in row.metrics.items())
+    return f"{title(row)}: {result}"
 
 
-def text(found: Measured) -> str:
+def text(result: Measured) -> str:
     """Return a value and half the distance of its quartiles, in percent of it."""
-    digits = f"{found.value:,.0f}" if abs(found.value) >= 1000 else f"{found.value:.3g}"
-    if found.n == 1 or not found.value:
+    digits = f"{result.value:,.0f}" if abs(result.value) >= 1000 else f"{result.value:.3g}"
+    if result.n == 1 or not result.value:
         return digits
-    return f"{digits} ±{50 * (found.high - found.low) / abs(found.value):.0f}%"
+    return f"{digits} ±{50 * (result.high - result.low) / abs(result.value):.0f}%"
 
 
 def _print_section(console: Console, section: str, rows: Sequence[Row]) -> None:

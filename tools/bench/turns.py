@@ -137,9 +137,9 @@ def yardstick(now: Clock, times: int = 20) -> float:
     values = torch.linspace(0.0, 1.0, 20_000).view(-1, 2)
 
     def job() -> None:
-        found = values
+        result = values
         for _ in range(50):
-            found = (found * 1.01).clamp_max(1.0) + found.norm(dim=-1, keepdim=True).sqrt()
+            result = (result * 1.01).clamp_max(1.0) + result.norm(dim=-1, keepdim=True).sqrt()
 
     job()
     return 1e3 * median(seconds_of(job, now) for _ in range(times))

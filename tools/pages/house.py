@@ -91,9 +91,9 @@ def read_house(root: Path) -> dict[str, Any]:
     """
     layers = _layers(root)
     placed = {name for _, names in FLOORS for name in names}
-    found = {path.parent.name for path in (root / "pedzoo").glob("*/__init__.py")}
-    if not found == placed == set(layers):
-        odd = (found ^ placed) | (found ^ set(layers))
+    result = {path.parent.name for path in (root / "pedzoo").glob("*/__init__.py")}
+    if not result == placed == set(layers):
+        odd = (result ^ placed) | (result ^ set(layers))
         raise SystemExit(f"{', '.join(sorted(odd))}: name them in FLOORS and in the layers of pyproject.toml")
     packages, imports = {}, set()
     for name in layers:
@@ -101,7 +101,7 @@ def read_house(root: Path) -> dict[str, Any]:
         files = sorted(folder.rglob("*.py"))
         said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
         packages[name] = {"purpose": said.partition("\n")[0], "files": len(files)}
-        imports |= {(name, other) for file in files for other in imported(file) & found - {name}}
+        imports |= {(name, other) for file in files for other in imported(file) & result - {name}}
     for name, other in sorted(imports):
         if layers.index(other) > layers.index(name):
             raise SystemExit(f"pedzoo.{name} imports pedzoo.{other}, which lies above it")
@@ -117,14 +117,14 @@ def _layers(root: Path) -> list[str]:
 
 def imported(file: Path) -> set[str]:
     """Return the packages of pedzoo that a file imports when it runs, wherever in it the import stands."""
-    found = set()
+    result = set()
     for node in _running(ast.parse(file.read_text())):
         parts = []
         if isinstance(node, ast.Import | ast.ImportFrom):
             before = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
             parts = [f"{before}{alias.name}".split(".") for alias in node.names]
-        found |= {part[1] for part in parts if part[0] == "pedzoo" and len(part) > 1}
-    return found
+        result |= {part[1] for part in parts if part[0] == "pedzoo" and len(part) > 1}
+    return result
 
 
 def _running(node: ast.AST) -> Iterator[ast.AST]:
@@ -140,14 +140,14 @@ def reduced(imports: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """Return the imports that others do not imply: the transitive reduction of a graph without circles."""
 
     def reached(start: str, without: tuple[str, str]) -> set[str]:
-        found: set[str] = set()
+        result: set[str] = set()
         left = [start]
         while left:
             here = left.pop()
-            more = {b for a, b in imports if a == here and (a, b) != without} - found
-            found |= more
+            more = {b for a, b in imports if a == here and (a, b) != without} - result
+            result |= more
             left += more
-        return found
+        return result
 
     return {one for one in imports if one[1] not in reached(one[0], one)}
 

@@ -40,7 +40,7 @@ WHY = """What changed between the two, in the order of how much it moves:
 5. **Safety layer**: it keeps the blended path clear and not a straight one, and its rounds end with a settled
    scene. Two people at a door come up to 5 cm nearer to each other than before, and still do not touch.
 6. **ORCA's part**: ORCA takes all of the avoidance of agents that it does not move. That changes the warm
-   start of scenes in which somebody stands.
+   start of scenes in which a person stands.
 7. **Stochastic models** whose first step crosses a threshold by a rounding walk another way from there on.
 
 Forecasts do not pass through the kernel: they are the same to the last digit shown."""

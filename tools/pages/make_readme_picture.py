@@ -1,7 +1,7 @@
 """Draw the README's moving picture: python tools/pages/make_readme_picture.py [SCENARIO] [OUT.gif].
 
 The same people at the same door, in real time: weights trained to forecast, the same trained on in the loop,
-and ORCA. Whoever touches somebody or a wall is red.
+and ORCA. People who touch others or a wall are red.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SECONDS = 9
 """Of the episode, at most."""
 
 COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:cyan", "tab:olive")
-"""Of people, in turn; red is for whoever touches something."""
+"""Of people, in turn; red is for people who touch something."""
 
 WINDOW = (-3.6, 3.6), (-2.2, 2.2)
 """Metres that a panel shows, the door in the middle."""

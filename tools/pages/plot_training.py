@@ -20,8 +20,8 @@ def plot_training(runs: Sequence[str | Path], path: str | Path) -> None:
     """Draw success in the loop against ADE over trainings into a PNG.
 
     Left, by epoch: above the share of people who reach their goals, that of episodes in which all do and
-    nobody touches anything, and success weighted by time; below ADE. Right: success weighted by time (with a
-    safety layer nearly everybody arrives, and how fast is what training changes) against ADE, a point for
+    all avoid contacts, and success weighted by time; below ADE. Right: success weighted by time (with a
+    safety layer nearly all arrive, and how fast is what training changes) against ADE, a point for
     every validation.
 
     Args:

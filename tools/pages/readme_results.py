@@ -101,16 +101,16 @@ def in_the_loop() -> str:
     head = [OLD_WEIGHTS.get(name, name) for name in head]  # of a page that was made before
     columns = {column: [name for name in names if name in head] for column, names in COLUMNS.items()}
     columns = {column: names for column, names in columns.items() if names}
-    told = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
-    found = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
-    seen = [OLD_WEIGHTS.get(name, name) for name in found]
+    cells_of = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
+    result = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
+    seen = [OLD_WEIGHTS.get(name, name) for name in result]
     text = f"\n| | {' | '.join(f'`{name}`' for name in columns)} |\n|---|{'---|' * len(columns)}\n"
     for key, label in SHOWN.items():
         recorded = key[0].startswith("replay")
         cells = []
         for names in columns.values():
             fresh = [name for name in names if name not in seen] if recorded else names
-            cells.append(_span([told[key][name] for name in fresh or names]) + "*" * (not fresh))
+            cells.append(_span([cells_of[key][name] for name in fresh or names]) + "*" * (not fresh))
         text += f"| {label} | {' | '.join(cells)} |\n"
     return text
 

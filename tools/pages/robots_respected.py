@@ -178,18 +178,18 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     given = parser.parse_args()
     walks = (rows(policy, given.places, given.encounters, given.seeds) for policy in given.policies)
-    found = list(chain.from_iterable(walks))
+    result = list(chain.from_iterable(walks))
     if given.json:
         report = {
             "command": shlex.join(["tools/pages/robots_respected.py", *sys.argv[1:]]),
             "protocol": f"a person and a robot of {ROBOT_RADIUS} m that does not react, {OFFSETS} offsets",
             "seeds": list(range(given.seeds)),
             "versions": versions(),
-            "rows": [row._asdict() for row in found],
+            "rows": [row._asdict() for row in result],
         }
         given.json.write_text(json.dumps(report, indent=1) + "\n")
     head = ["policy", "case", "runs", "touches", "arrived", "nearest, m", "median time, s"]
-    print(markdown_table(head, [[*row[:3], *row.metrics.values()] for row in found]), end="")
+    print(markdown_table(head, [[*row[:3], *row.metrics.values()] for row in result]), end="")
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ WINDOW = (14.6, 10.8)
 """Metres that a panel shows, unless a scene is larger."""
 
 MARGIN = 1.2
-"""Metres around everybody's way; what they walked before it may be cut off."""
+"""Metres around every person's way; what they walked before it may be cut off."""
 
 COLUMNS = 5
 
@@ -92,18 +92,18 @@ def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
     grids = {grid.map_id: (row, grid) for row, grid in enumerate(env.bank.grids)}
     _, plan = grids.get(int(state.map_id[0]), (-1, None))
     past, goal = move_to_map(state.past, state.pose), move_to_map(state.goal_point, state.pose)
-    ways = {}
+    routes = {}
     for episode, person in state.mask.nonzero().tolist():
         here, row = past[episode, person, -1], grids.get(int(state.map_id[episode]), (-1, None))[0]
         way = env.prepared.planner.path(here, goal[episode, person], row)
-        ways[episode, person] = torch.cat((here[None], torch.from_numpy(way).to(here)))
+        routes[episode, person] = torch.cat((here[None], torch.from_numpy(way).to(here)))
     if plan is not None:
         draw_floor_plan(axes, plan)
     for identity in {*state.map_id.tolist()} - {int(state.map_id[0])}:
         outline(axes, grids[identity][1])
-    reached = torch.cat([*ways.values()])
+    reached = torch.cat([*routes.values()])
     frame(axes, reached.amin(0) - MARGIN, reached.amax(0) + MARGIN, open_space=plan is None)
-    for (episode, person), way in ways.items():
+    for (episode, person), way in routes.items():
         first, color = episode == 0, tuple(part / 255 for part in person_color(person))
         alpha = 1.0 if first else 0.22
         line = {"color": color, "zorder": 3 + first, "solid_capstyle": "round"}

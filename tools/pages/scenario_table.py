@@ -83,11 +83,11 @@ def main() -> None:
     if whole:
         options.out = options.out or shipped("checkpoints") / "results" / "SCENARIOS.md"
         options.picture = options.picture or shipped("checkpoints") / "results" / "scenarios_walked.png"
-    found = walked(options)
-    text = page(options, found, FAILURES.read_text() if whole else "")
+    result = walked(options)
+    text = page(options, result, FAILURES.read_text() if whole else "")
     write_whole(options.out, text.encode()) if options.out else print(text)
     if options.picture:
-        write_whole(options.picture, picture(found))
+        write_whole(options.picture, picture(result))
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -116,14 +116,14 @@ def walked(options: argparse.Namespace) -> dict[Case, Measured]:
         for one in scenarios
         for policy in options.policies
     ]
-    found: dict[Case, Measured] = {}
+    result: dict[Case, Measured] = {}
     workers = ProcessPoolExecutor(options.workers, initializer=torch.set_num_threads, initargs=(1,))
     with workers as pool, progress_bar() as progress:
         for done, (case, data) in enumerate(zip(cases, pool.map(measured, cases), strict=True), start=1):
-            one = found[case] = pickle.loads(data)
+            one = result[case] = pickle.loads(data)
             print(case.scenario, case.policy, *(cell(one, key) for key in COLUMNS), sep=" | ", flush=True)
             progress("scenarios x policies", done, len(cases))
-    return found
+    return result
 
 
 def every_scenario() -> list[str]:
@@ -142,8 +142,8 @@ def measured(case: Case) -> bytes:
     """Return a pickled `Measured`: tensors that processes share would need a file handle each."""
     result, env = rollout(case.policy, case.scenario, case.physics, case.episodes)
     env.physics.close()
-    found = row(case.policy, result)
-    metrics, intervals = dict(found["metrics"]), dict(found["ci95"])
+    actual = row(case.policy, result)
+    metrics, intervals = dict(actual["metrics"]), dict(actual["ci95"])
     arrived = arrived_in_time(result.reached, result.goals, result.overdue, result.failed, result.mask)
     stuck = deadlocked(result.trace, result.goal, result.scored) & ~arrived
     metrics["stuck"] = float(stuck.sum() / result.mask.sum())
@@ -162,12 +162,12 @@ COLUMNS = {
 }
 
 
-def page(options: argparse.Namespace, found: dict[Case, Measured], conclusions: str) -> str:
+def page(options: argparse.Namespace, result: dict[Case, Measured], conclusions: str) -> str:
     """Return the page; the picture is beside it, if there is one."""
     made, rows = versions(), []
     call = shlex.join(["python", "tools/pages/scenario_table.py", *sys.argv[1:]])
     title = "Scenarios, walked by ORCA and social force" if conclusions else "Scenarios"
-    for scenario, group in by_scenario(found):
+    for scenario, group in by_scenario(result):
         for number, (case, one) in enumerate(group):
             name = [f"`{scenario}`", one.people, case.episodes] if number == 0 else [""] * 3
             rows.append([*name, case.policy, *(cell(one, key) for key in COLUMNS)])
@@ -187,9 +187,9 @@ def page(options: argparse.Namespace, found: dict[Case, Measured], conclusions: 
     return "\n".join(lines)
 
 
-def by_scenario(found: dict[Case, Measured]) -> Iterator[tuple[str, list[tuple[Case, Measured]]]]:
+def by_scenario(result: dict[Case, Measured]) -> Iterator[tuple[str, list[tuple[Case, Measured]]]]:
     """Yield the rows of each scenario."""
-    for scenario, group in groupby(found.items(), key=lambda item: item[0].scenario):
+    for scenario, group in groupby(result.items(), key=lambda item: item[0].scenario):
         yield scenario, list(group)
 
 
@@ -217,13 +217,13 @@ FAILURES = Path(__file__).with_name("scenario_failures.md")
 """What the rows of the whole run show, in words."""
 
 
-def picture(found: dict[Case, Measured]) -> bytes:
+def picture(result: dict[Case, Measured]) -> bytes:
     """Return a PNG: scenarios below each other, their defaults and their crowd of 20 beside each other."""
-    names = list(dict.fromkeys(parse(case.scenario).name for case in found))
-    policies = list(dict.fromkeys(case.policy for case in found))
+    names = list(dict.fromkeys(parse(case.scenario).name for case in result))
+    policies = list(dict.fromkeys(case.policy for case in result))
     crowd = f"people={CROWDS[0]}"
     shown = {}
-    for case, one in found.items():
+    for case, one in result.items():
         name, _, settings = case.scenario.partition(":")
         if settings in ("", crowd):
             column = (settings == crowd) * len(policies) + policies.index(case.policy)

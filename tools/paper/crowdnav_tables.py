@@ -107,10 +107,10 @@ def _cell(row: Mapping[str, Any], key: str) -> str:
 
 
 def _printed(row: Mapping[str, Any], published: Mapping[str, Published]) -> str:
-    if (found := published.get(row["name"])) is None:
+    if (result := published.get(row["name"])) is None:
         return "-"
-    more = f", intrusion {found.intrusion_ratio}" if found.intrusion_ratio else ""
-    return f"{found.success} / {found.collision} / {found.time_s}{more} ({found.source})"
+    more = f", intrusion {result.intrusion_ratio}" if result.intrusion_ratio else ""
+    return f"{result.success} / {result.collision} / {result.time_s}{more} ({result.source})"
 
 
 LEGEND = {

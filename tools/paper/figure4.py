@@ -84,7 +84,7 @@ class Figure4(Walked):
         return Page("The paper beside ours", [*head, "alone: gets through"], body, 1)
 
     def draw(self, folder: Path) -> list[Path]:
-        """Draw everybody's first episode, equal and unequal speeds, when they meet and at the end."""
+        """Draw every person's first episode, equal and unequal speeds, when they meet and at the end."""
         names = [name for name in (*self.baselines, *self.policies) if name != "go_to_goal"]
         rows, columns = len(names), 2 * len(SPEEDS)
         figure = Figure(figsize=(columns * PANEL[0], rows * PANEL[1] + 0.4), layout="constrained")

@@ -20,7 +20,7 @@ def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str
     for row in rows:
         key = row["name"], row["case"]["goal"], row["case"]["pred_len"]
         grouped.setdefault(key, {})[row["case"]["fold"]] = row
-    found = []
+    result = []
     for (name, goal, pred_len), by_fold in grouped.items():
         if len(folds) < 2 or set(by_fold) != set(folds):
             continue
@@ -37,8 +37,10 @@ def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str
             ci95 |= {key: (low, high)} if low < high else {}
         case = {"fold": "mean", "goal": goal, "pred_len": pred_len}
         n = sum(row["n"] for row in mine)
-        found.append({"name": name, "case": case, "n": n, "blocks": blocks, "metrics": metrics, "ci95": ci95})
-    return found
+        result.append(
+            {"name": name, "case": case, "n": n, "blocks": blocks, "metrics": metrics, "ci95": ci95}
+        )
+    return result
 
 
 def mean_errors(by_fold: Mapping[str, Errors]) -> Errors:

@@ -49,7 +49,7 @@ def strayed(data: TrajectoryDataModule) -> Tensor:
 
 
 def log_density(batch: TensorDict, scale: Tensor) -> Tensor:
-    """Return everybody's log density (B, A), nats, for standard deviations (T,), metres per step."""
+    """Return every person's log density (B, A), nats, for standard deviations (T,), metres per step."""
     nats = (
         -0.5 * (_off(batch) / scale.unsqueeze(-1)).square().sum(-1) - 2 * scale.log() - math.log(2 * math.pi)
     )

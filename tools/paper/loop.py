@@ -96,7 +96,7 @@ class Loop(Walked):
 
     def notes(self) -> list[str]:
         """Return what has to be known to read the numbers."""
-        found = [
+        result = [
             "a target is met by the number itself, not by its interval; every row says what is missing",
             f"unseen floor plans: {', '.join(DRAWN)} (crowds: {', '.join(OFFICES)})"
             f"{self._given()}; training in the loop walks through apartment.100 to 111, office.100 and 101",
@@ -108,21 +108,21 @@ class Loop(Walked):
             " noise would walk it alike and have no rows. Who walks through others varies, too: see `clean`",
             "cpu: seconds of one thread, all cases of the table",
         ]
-        return found
+        return result
 
     def _given(self) -> str:
-        found = self.evaluation.options.maps
-        return f", and those that were given: {', '.join(found)}" if found else ""
+        result = self.evaluation.options.maps
+        return f", and those that were given: {', '.join(result)}" if result else ""
 
     def _trained(self) -> list[str]:
         """Return on which floor plans weights say that they were trained."""
-        found = []
+        result = []
         for policy in self.policies:
             file = weight_files().get(parse(policy).name)
             plans = _plans(read_config(file)) if file else []
             if plans:
-                found.append(f"{policy} was trained on {', '.join(plans)}")
-        return found
+                result.append(f"{policy} was trained on {', '.join(plans)}")
+        return result
 
     def pages(self, report: Mapping[str, Any]) -> list[Page]:
         """Return which targets are met, and every table with what is missing in each row."""
@@ -131,9 +131,11 @@ class Loop(Walked):
             tables.setdefault(row["table"], {})[row["name"]] = row
         if not tables:
             return []
-        told = forecasts([*self.policies, *(f"{name}_{fold}" for name in self.policies for fold in SCENES)])
+        forecast = forecasts(
+            [*self.policies, *(f"{name}_{fold}" for name in self.policies for fold in SCENES)]
+        )
         walked = [self._page(table, rows) for table, rows in tables.items()]
-        return [_overview(tables), *walked, *([told] if told else [])]
+        return [_overview(tables), *walked, *([forecast] if forecast else [])]
 
     def _page(self, table: str, rows: Mapping[str, Mapping[str, Any]]) -> Page:
         suite = next(iter(rows.values()))["case"]["suite"]
@@ -186,5 +188,5 @@ def _plans(config: Any) -> list[str]:
         return list(dict.fromkeys(plan for value in config.values() for plan in _plans(value)))
     if isinstance(config, list):
         return list(dict.fromkeys(plan for value in config for plan in _plans(value)))
-    found = re.findall(r"map=(?:\[([^]]*)\]|([^,\s]+))", config) if isinstance(config, str) else []
-    return [plan.strip() for several, one in found for plan in (several or one).split(",")]
+    result = re.findall(r"map=(?:\[([^]]*)\]|([^,\s]+))", config) if isinstance(config, str) else []
+    return [plan.strip() for several, one in result for plan in (several or one).split(",")]

@@ -4,7 +4,7 @@ E episodes of A people (padded), T trace points; gates and pairs as in `pedzoo.m
 has exactly one outcome:
 
 * ``blocked``: not both arrive in time, and one of them was deadlocked.
-* ``lost``: not both arrive in time, though nobody stood still.
+* ``lost``: not both arrive in time, though no person stood still.
 * ``through``: both arrive, but their centres came closer than the radius of a body (0.15 m): no avoidance.
 * ``circle``: both arrive, and while they were closer than 0.6 m the bearing of the other turned by 90 degrees
   or more: they turn around each other.
@@ -25,7 +25,7 @@ from pedzoo.sim.rollout import Rollout
 OUTCOMES = ("blocked", "lost", "through", "circle", "pass")
 
 ABOUT = 0.6
-"""Metres: nobody who is farther away is turned around."""
+"""Metres: people farther away are not turned around."""
 
 QUARTER = math.pi / 2
 """Radians that the bearing turns at least where two turn around each other."""
@@ -48,9 +48,9 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     both = door.of_pair(rollout.scored, pair).all(1) & meets.unsqueeze(1)
     sweep = bearing_sweep(door.of_pair(rollout.trace, pair), both)
     body = door.of_pair(rollout.radius, pair).mean(1)
-    found = outcomes((arrived | ~rollout.mask).all(1), stuck.any(1), near, sweep, body)
+    result = outcomes((arrived | ~rollout.mask).all(1), stuck.any(1), near, sweep, body)
     return {
-        **{f"outcome_{name}": share(which) for name, which in found.items()},
+        **{f"outcome_{name}": share(which) for name, which in result.items()},
         "bearing_sweep_deg": finite(torch.rad2deg(sweep)),
     }
 
@@ -60,15 +60,15 @@ def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor, body:
 
     Args:
         arrived: Whether all arrive in time (E,) bool.
-        stuck: Whether anybody was deadlocked (E,) bool.
+        stuck: Whether any person was deadlocked (E,) bool.
         least: Distance of the nearest two (E,), metres; infinite for a lone person.
         sweep: How far their bearing turned (E,), radians; infinite where they never came close.
         body: Mean radius of the two bodies (E,), metres.
     """
     overlapped, turned = least < body, sweep.isfinite() & (sweep >= QUARTER)
     avoided = arrived & ~overlapped
-    found = (~arrived & stuck, ~arrived & ~stuck, arrived & overlapped, avoided & turned, avoided & ~turned)
-    return dict(zip(OUTCOMES, found, strict=True))
+    result = (~arrived & stuck, ~arrived & ~stuck, arrived & overlapped, avoided & turned, avoided & ~turned)
+    return dict(zip(OUTCOMES, result, strict=True))
 
 
 def bearing_sweep(trace: Tensor, both: Tensor) -> Tensor:

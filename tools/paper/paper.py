@@ -96,7 +96,7 @@ TABLE_2_STEPS = {(2, 3): 227, (2, 5): 300, (3, 3): 139, (3, 5): 280, (5, 3): 265
 """The paper's Table II: total steps of its learned model in one run of each cell, people and goals."""
 
 TABLE_2_GOALS = {cell: cell[1] for cell in TABLE_2_STEPS} | {(5, 3): 5}
-"""Goals that everybody reaches there at least: with five people and three goals it lists at least five."""
+"""Goals that all reach there at least: with five people and three goals it lists at least five."""
 
 DEFAULT_STEPS_PER_GOAL = 100
 """Steps per goal that the paper compares these with."""

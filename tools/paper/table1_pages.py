@@ -44,12 +44,12 @@ def table1_pages(report: Mapping[str, Any]) -> list[Page]:
     """Return the paper beside ours, means, the released models, then every protocol and scoring by fold."""
     rows, means = [*report["rows"], *report["means"]], report["means"]
     folds = [*report["protocol"]["folds"], *(["mean"] if means else [])]
-    found = [_paper(report["rows"])] if "zara1" in folds else []
+    result = [_paper(report["rows"])] if "zara1" in folds else []
     if means:
-        found.append(_overview(means))
+        result.append(_overview(means))
     if ratios := [line for pred_len in (8, 12) for line in _ratios(means, pred_len)]:
         head = ["model", "released", "steps", "ours", "released", "ours / released"]
-        found.append(Page(f"{PER_SCENE.title.capitalize()} beside released models, means", head, ratios, 2))
+        result.append(Page(f"{PER_SCENE.title.capitalize()} beside released models, means", head, ratios, 2))
     for block in report["blocks"]:
         pred_len, goal = block["pred_len"], block["goal"]
         mine = [row for row in rows if (row["case"]["pred_len"], row["case"]["goal"]) == (pred_len, goal)]
@@ -58,14 +58,14 @@ def table1_pages(report: Mapping[str, Any]) -> list[Page]:
             page = _folds(mine, block, folds, scored, title, report["missing"])
             if goal == "none" and scored == PER_SCENE:
                 page.rows.extend(_released(int(pred_len), folds))
-            found.append(page)
-        found += _likelihoods(mine, folds, f"8 -> {pred_len}, goal {goal}: negative log-likelihood")
-    return [*found, *_seeds(report["training_seeds"])]
+            result.append(page)
+        result += _likelihoods(mine, folds, f"8 -> {pred_len}, goal {goal}: negative log-likelihood")
+    return [*result, *_seeds(report["training_seeds"])]
 
 
 def notes(missing: Mapping[str, str]) -> list[str]:
     """Return what has to be known to read the numbers."""
-    found = [
+    result = [
         "8 observed steps of 0.4 s, Social GAN's windows (people seen throughout, at least two), every"
         " annotated step taken as 0.4 s; metres; test scenes that the weights were not trained on. Behind"
         " the folds the number of people, each counted in every window; the mean counts each fold the same",
@@ -87,7 +87,7 @@ def notes(missing: Mapping[str, str]) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for name, why in missing.items():
         reasons.setdefault(why, []).append(name)
-    return found + [f"not here, {why}: {', '.join(names)}" for why, names in reasons.items()]
+    return result + [f"not here, {why}: {', '.join(names)}" for why, names in reasons.items()]
 
 
 def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:

@@ -35,8 +35,8 @@ class Shown(NamedTuple):
 
 _TWO = "steps of 0.1 s, below of 0.4 s"
 SHOWN = (
-    Shown("episodes in which everybody reaches all goals in time", "episode_success"),
-    Shown(f"total steps until everybody has, mean of these episodes ({_TWO})", "time_s", True),
+    Shown("episodes in which all people reach all goals in time", "episode_success"),
+    Shown(f"total steps until all have, mean of these episodes ({_TWO})", "time_s", True),
     Shown(f"steps per goal in these ({_TWO}), and by the default of 100", "seconds_per_goal", True),
     Shown("goals per person, all episodes", "goals_per_person"),
     Shown("people who reach all goals in time", "success"),
@@ -66,12 +66,12 @@ class Table2(Walked):
         steps = " and ".join(f"{speed} m/s" for speed in SPEEDS)
         return [
             f"floor plans: {self.evaluation.units[0].case.shares} (of several every episode draws one)",
-            f"speeds: {steps} (the first as people walk, N(1.3, 0.2); the second as everybody in iGibson);"
-            " whoever has reached all goals walks on to others until everybody has",
+            f"speeds: {steps} (the first as people walk, N(1.3, 0.2); the second as in iGibson);"
+            " a person who has reached all goals walks on to others until all have",
             "a step: iGibson's of 0.1 s, and 0.4 s, in which a learned model decides; the paper does not say"
             " which its steps are. Steps depend on building and speed: compare them within a table",
             "steps per goal: steps that all people walk by the goals that they reach, in episodes in which"
-            " everybody reaches all goals in time; the paper's total steps by the goals that all reach"
+            " all people reach all goals in time; the paper's total steps by the goals that all reach"
             " at least (5 of 5/3, as it lists) are an upper bound of its own",
             "`orca:preset=igibson,walls=false` is iGibson's: radius 0.5, walls unseen. Where walls are seen"
             " such a disk fits through no door below 1 m (see FIGURE4.md)",
@@ -119,7 +119,7 @@ def _steps_text(row: Mapping[str, Any], key: str, step: float) -> str:
 
 
 def steps_per_goal_at_most(people: int, goals: int) -> float:
-    """Return the paper's total steps by the goals that everybody reaches at least: some reach more."""
+    """Return the paper's total steps by the goals that every person reaches at least: some reach more."""
     return TABLE_2_STEPS[people, goals] / TABLE_2_GOALS[people, goals]
 
 

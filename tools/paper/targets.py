@@ -51,7 +51,7 @@ class Target(NamedTuple):
     def met(self, name: str, rows: Mapping[str, Mapping[str, Any]]) -> bool | None:
         """Return whether a policy meets it; None where its bound or its number is not known.
 
-        Who has no number because nobody arrives or meets does not meet a target: see `verdict`.
+        A policy without a number (no arrivals, no meetings) misses the target: see `verdict`.
         """
         limit, value = self.limit(rows), rows[name]["metrics"].get(self.key)
         if limit is None or value is None:
@@ -79,8 +79,8 @@ def verdict(targets: Sequence[Target], name: str, rows: Mapping[str, Mapping[str
         if limit is None:
             unknown.append(target.key)
         elif not target.met(name, rows):
-            found = "-" if value is None else f"{value:.3f}"
-            missing.append(f"{target.key} {found}, not {target.sense} {limit:.3f}")
+            result = "-" if value is None else f"{value:.3f}"
+            missing.append(f"{target.key} {result}, not {target.sense} {limit:.3f}")
     if missing:
         return "\n".join(missing)
     return f"nothing to compare {', '.join(unknown)} with" if unknown else "met"

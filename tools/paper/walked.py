@@ -67,14 +67,14 @@ class Walked(Reproduction):
 
     def report(self) -> dict[str, Any]:
         """Return the report of the evaluation with notes, and what others have printed."""
-        found = self.evaluation.report()
-        shown = said(found, self.evaluation.shown) if found["rows"] else "nothing is done yet"
+        result = self.evaluation.report()
+        shown = said(result, self.evaluation.shown) if result["rows"] else "nothing is done yet"
         # megabytes of what each person did are left out: `pedzoo evaluate --suite` has them
-        rows = [{key: row[key] for key in row if key != "per_agent"} for row in found["rows"]]
-        notes = [f"{shown}. {INTERVALS}", *self.notes(), *found["notes"]]
+        rows = [{key: row[key] for key in row if key != "per_agent"} for row in result["rows"]]
+        notes = [f"{shown}. {INTERVALS}", *self.notes(), *result["notes"]]
         if self.missing:
             notes.append(f"not here, no such weights: {', '.join(self.missing)}")
-        return {**found, "rows": rows, "notes": notes, "missing": self.missing, "paper": self.printed()}
+        return {**result, "rows": rows, "notes": notes, "missing": self.missing, "paper": self.printed()}
 
     def legend(self) -> dict[str, str]:
         """Return what the metrics of the suites' tables are."""

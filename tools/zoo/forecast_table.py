@@ -40,12 +40,12 @@ USUAL = {"pred_len": 8}
 def table(root: Path) -> None:
     """Write both files; rows of more seeds than there are runs of below ``root`` stay as they are."""
     target = shipped("checkpoints") / "results"
-    found: dict[tuple, dict] = {}
+    result: dict[tuple, dict] = {}
     for row in [*json.loads((target / "FORECAST.json").read_text())["rows"], *rows(root)]:
         key = row["name"], _place(row["case"])
-        if key not in found or row["seeds"] >= found[key]["seeds"]:
-            found[key] = row
-    ordered = sorted(found.values(), key=lambda row: _place(row["case"]))
+        if key not in result or row["seeds"] >= result[key]["seeds"]:
+            result[key] = row
+    ordered = sorted(result.values(), key=lambda row: _place(row["case"]))
     report = {"command": "tools/zoo/train_zoo.py table", "versions": versions(), "rows": ordered}
     write_whole(target / "FORECAST.json", (json.dumps(report, indent=1) + "\n").encode())
     write_whole(target / "FORECAST.md", page(ordered).encode())

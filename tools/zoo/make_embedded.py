@@ -31,7 +31,7 @@ STEP, SUBSTEPS = 0.4, 8
 DT = STEP / SUBSTEPS
 SPLITS = {"train": (1, 360), "val": (2, 80), "test": (3, 80)}  # seed, people
 MOST_PEOPLE = 20
-RELAX, TURN = 0.5, 0.6  # s; how quickly somebody takes the velocity they want, and turns to the next bend
+RELAX, TURN = 0.5, 0.6  # s; how quickly a person takes the velocity they want, and turns to the next bend
 HORIZON, ELBOW, AVOID = 3.5, 0.9, 1.8  # s looked ahead, m kept when passing, m/s^2 at most for it
 WOBBLE_TIME, WOBBLE_SIDE, WOBBLE_SPEED = 1.6, 0.08, 0.08  # s, m/s, share of the own speed
 
@@ -45,7 +45,7 @@ class Plaza:
         self.people, self.arrived, self.time = people, 0, 0.0
         self.roads, self.crowd = Roads(), Crowd()
         self.parties: list[Party] = []
-        self.ways: list[Way] = []  # by agent
+        self.paths: list[Way] = []  # by agent
 
     def gauss(self, *shape: int) -> np.ndarray:
         """About normal: 12 uniform draws added (numpy may change the stream of `normal`, never this one)."""
@@ -77,7 +77,7 @@ class Plaza:
             route = route + self.roads.route(place, end)
         else:
             route = self.roads.route(start, end)
-        # Nobody turns exactly at the corner: bends are pushed away from the wall by up to 0.6 m.
+        # People do not turn exactly at the corner: bends are pushed away from the wall by up to 0.6 m.
         for k in range(len(route) - 1):
             moved = route[k] + 0.6 * self.random.random() * wall(route[k][None])[1][0]
             before = route[k - 1] if k else start
@@ -96,17 +96,17 @@ class Plaza:
             self.crowd.add(agent=self.arrived, party=len(self.parties), slot=slot, speed=pace)
             self.crowd.add(here=place, velocity=0.95 * pace * heading, course=heading, seen=False)
             self.crowd.add(wobble=self.gauss(4))
-            self.ways.append(Way(list(route), stop))
+            self.paths.append(Way(list(route), stop))
             self.arrived += 1
         before = route[stop - 1] if stop > 0 else start
         facing = route[max(stop, 0)] - before
         self.parties.append(Party(wait, right(facing / norm(facing))))
 
     def look(self) -> None:
-        """Everybody picks the point to walk to: the next of the route as soon as it is in sight."""
+        """Every person picks the point to walk to: the next of the route as soon as it is in sight."""
         check = int(self.time / STEP) % 4 == 0
         for agent, number, here in zip(self.crowd.agent, self.crowd.party, self.crowd.here, strict=True):
-            way, party = self.ways[agent], self.parties[number]
+            way, party = self.paths[agent], self.parties[number]
             near = float(norm(way.points[0] - here)[0])
             if way.stop == 0:
                 if near < 0.9 and party.leave_at < 0:
@@ -125,10 +125,10 @@ class Plaza:
                 way.stop = len(around) - 1 if way.stop >= 0 else -1
 
     def walk(self) -> None:
-        """Moves everybody by one sub-step."""
+        """Moves every person by one sub-step."""
         c, n = self.crowd, len(self.crowd.agent)
-        stopping = np.array([self.ways[a].stop == 0 for a in c.agent])
-        ahead = np.array([self.ways[a].points[0] for a in c.agent]) - c.here
+        stopping = np.array([self.paths[a].stop == 0 for a in c.agent])
+        ahead = np.array([self.paths[a].points[0] for a in c.agent]) - c.here
         ahead += (stopping * c.slot)[:, None] * np.array([self.parties[p].abreast for p in c.party])
         left = norm(ahead)[:, 0]
         c.course += DT / TURN * (ahead / left[:, None] - c.course)
@@ -201,9 +201,9 @@ class Plaza:
                 for _ in range(SUBSTEPS):
                     self.walk()
                 outside = ~((crowd.here > LOW) & (crowd.here < HIGH)).all(axis=1)
-                ways = [self.ways[a] for a in crowd.agent]
-                left = norm(np.array([way.points[-1] for way in ways]) - crowd.here)[:, 0]
-                arrived = np.array([len(way.points) == 1 for way in ways]) & (left < 0.45)
+                paths = [self.paths[a] for a in crowd.agent]
+                left = norm(np.array([way.points[-1] for way in paths]) - crowd.here)[:, 0]
+                arrived = np.array([len(way.points) == 1 for way in paths]) & (left < 0.45)
                 crowd.keep(~(crowd.seen & (outside | arrived)))
             frame += 1
             self.time += STEP

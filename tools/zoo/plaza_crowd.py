@@ -39,7 +39,7 @@ class Crowd:
     wobble: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # side, speed, and what drives them
 
     def keep(self, rows: np.ndarray) -> None:
-        """Drops everybody else."""
+        """Drops all other people."""
         for name, value in vars(self).items():
             setattr(self, name, value[rows])
 

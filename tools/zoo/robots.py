@@ -53,7 +53,7 @@ ROBOTS = {
 
 def train(name: str, runs: Path, epochs: int | None) -> None:
     """Train one robot in a process of its own."""
-    run = found(name, runs)
+    run = run_of(name, runs)
     if run and (run.path / "finished").is_file():
         return
     command = [sys.executable, "-m", "pedzoo.cli.main", "fit", "--trainer.enable_progress_bar", "false"]
@@ -67,12 +67,12 @@ def train(name: str, runs: Path, epochs: int | None) -> None:
         ).returncode
     if code:
         raise SystemExit(f"{' '.join(command)} failed: see {log}")
-    run = found(name, runs)
+    run = run_of(name, runs)
     assert run
     (run.path / "finished").touch()
 
 
-def found(name: str, runs: Path) -> RunFolder | None:
+def run_of(name: str, runs: Path) -> RunFolder | None:
     """Return the run of a robot that has a checkpoint, if there is one."""
     folders = [RunFolder(path) for path in sorted((runs / name).glob("*/*"))]
     return next((one for one in folders if one.last.is_file()), None)
@@ -80,7 +80,7 @@ def found(name: str, runs: Path) -> RunFolder | None:
 
 def export(name: str, runs: Path) -> None:
     """Write weights and card of a robot; numbers that the card has stay, if the weights do."""
-    run = found(name, runs)
+    run = run_of(name, runs)
     if not run:
         print(f"{name}: not trained")
         return

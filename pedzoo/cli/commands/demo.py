@@ -1,4 +1,4 @@
-"""``pedzoo demo``: the first minutes with pretrained models. Its steps are commands that anybody can type."""
+"""``pedzoo demo``: the first minutes with pretrained models. Its steps are commands to type."""
 
 from __future__ import annotations
 

@@ -160,8 +160,10 @@ def run(argv: list[str]) -> int:
         if evaluation.done:
             print(f"not finished: {evaluation.done} of {len(evaluation.units)} parts")
             tell(interrupted=True)
-            kept = f"is kept in {evaluation.journal}: the same command goes on from there"
-            print("what is done " + (kept if evaluation.journal else "would be kept with --json or --resume"))
+            place = f"is kept in {evaluation.journal}: the same command goes on from there"
+            print(
+                "what is done " + (place if evaluation.journal else "would be kept with --json or --resume")
+            )
         raise
     tell()
     if beside and not options.resume and not evaluation.others:

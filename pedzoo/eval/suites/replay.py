@@ -26,7 +26,7 @@ EMBEDDED = "embedded"
 """The fold that needs no recordings."""
 
 SIMULATED = ("all", "one")
-"""Everybody at once, or one person among all others as they were recorded."""
+"""All people at once, or one person among all others as they were recorded."""
 
 ROLLOUTS = 3
 """Of a policy with noise, if all are simulated; where every person has a scene, one of each is enough."""
@@ -161,10 +161,10 @@ def _folds(options: EvaluationOptions) -> dict[str, Fold]:
     Raises:
         UserError: An unknown fold, or the folder of recordings has none.
     """
-    found, missing = dict.fromkeys(options.folds), []
-    for fold in found:
+    result, missing = dict.fromkeys(options.folds), []
+    for fold in result:
         open_fold(fold, options.root, "true")
-    for name in () if found else DATASETS.names():
+    for name in () if result else DATASETS.names():
         folds = DATASETS.constant(name, "FOLDS") or {}
         for fold in (fold for fold, tested in folds.items() if tested and fold != EMBEDDED):
             try:
@@ -172,10 +172,10 @@ def _folds(options: EvaluationOptions) -> dict[str, Fold]:
             except UserError as error:
                 missing.append(error)
             else:
-                found[fold] = None
-    if options.root is not None and not found:
+                result[fold] = None
+    if options.root is not None and not result:
         raise missing[0]
-    return {fold: known for fold in found or [EMBEDDED] if (known := find_fold(fold))}
+    return {fold: known for fold in result or [EMBEDDED] if (known := find_fold(fold))}
 
 
 def _walked_fold(case: EvaluationCase) -> str:

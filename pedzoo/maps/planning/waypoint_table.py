@@ -124,14 +124,14 @@ class WaypointTable:
         rows = np.stack((starts, counts, [goal.row + 1 for goal in goals]))
         x, y = torch.tensor([goal.point for goal in goals]).to(device, torch.float32).t()
         # the goal's own entry leads to itself
-        ways = (F.pad(f.waypoint[0], (0, 1), value=f.waypoint.shape[1]).to(device) for f in fields)
+        paths = (F.pad(f.waypoint[0], (0, 1), value=f.waypoint.shape[1]).to(device) for f in fields)
         lengths = (F.pad(f.length[0], (0, 1)).to(device) for f in fields)
         return replace(
             self,
             x=torch.cat((self.x, x)),
             y=torch.cat((self.y, y)),
             goal=torch.cat((self.goal, torch.from_numpy(rows).to(device)), dim=1),
-            waypoint=torch.cat((self.waypoint, *ways)),
+            waypoint=torch.cat((self.waypoint, *paths)),
             length=torch.cat((self.length, *lengths)),
         )
 

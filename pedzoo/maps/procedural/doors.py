@@ -1,4 +1,4 @@
-"""Doors: every room within reach of every other one, and some ways around."""
+"""Doors: every room within reach of every other one, and some loops."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class _Habit(NamedTuple):
     Attributes:
         private: The higher, the less do ways lead through it to others.
         widths: Of its doors: shares of the range that doors are drawn from.
-        ways: Probability that a wall that it shares with another room gets a door that is not needed; that
+        loops: Probability that a wall that it shares with another room gets a door that is not needed; that
             of the two rooms multiply.
     """
 
     private: float
     widths: tuple[float, float]
-    ways: float
+    loops: float
 
 
 _HABITS = {
@@ -88,7 +88,7 @@ def draw_doors(dice: Dice, rooms: Sequence[Room], widths: tuple[int, int]) -> li
         return None
     for wall in spare:
         one, other = (_HABITS[rooms[i].use] for i in wall.rooms)
-        if not dice.chance(one.ways * other.ways):
+        if not dice.chance(one.loops * other.loops):
             continue
         door = _door(dice, rooms, wall, widths)
         if not any(door.ahead(0).grown(units(1), units(1)).overlaps(known.opening) for known in doors):

@@ -55,22 +55,22 @@ def bucket_lists(segments, low, size, reach, most):
                         counts[bucket] += 1
                         if fill:
                             number[at], gap[at], left[at] = s, line_distance, side
-    kept = 0
+    stored = 0
     for bucket in range(len(counts)):
         some = slice(begin[bucket], begin[bucket + 1])
         numbers, gaps, lefts = number[some].copy(), gap[some].copy(), left[some].copy()
-        limit, sure, start = np.inf, 0, kept
+        limit, sure, start = np.inf, 0, stored
         for i in np.argsort(gaps, kind="mergesort"):
             if gaps[i] > limit:
                 break
-            number[kept] = numbers[i]
-            kept += 1
+            number[stored] = numbers[i]
+            stored += 1
             # every point of the bucket has such a segment outside of it and as near as that
             sure += lefts[i] < -HALF
             if sure == most and limit == np.inf:
                 limit = gaps[i] + 2 * HALF
-        counts[bucket] = kept - start
-    return number[:kept].copy(), counts
+        counts[bucket] = stored - start
+    return number[:stored].copy(), counts
 
 
 @compiled("i8(f4[:,:], i8[:], f4[:], f4[:,:], i4[:], i4[:], f4[:,:], i4[:,:], i8[:,:], f4[:,:])")

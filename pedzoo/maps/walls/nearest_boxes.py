@@ -147,8 +147,8 @@ def _unbeaten(
             keep &= ~(as_near & (~equal | (best[:, None] < np.arange(width))))
         order = np.argsort(np.where(keep, corner.sum(axis=2), np.iinfo(np.int64).max), axis=1)
         order = order[:, :CANDIDATES]
-        kept = np.take_along_axis(keep, order, axis=1)
+        stored = np.take_along_axis(keep, order, axis=1)
         chosen = np.take_along_axis(some, order, axis=1)
-        chosen = np.where(kept, chosen, chosen[:, :1])
+        chosen = np.where(stored, chosen, chosen[:, :1])
         result[rows] = chosen[:, np.minimum(np.arange(CANDIDATES), width - 1)]
     return result

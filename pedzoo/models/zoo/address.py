@@ -27,12 +27,12 @@ class Place(NamedTuple):
 
     Attributes:
         url: Of the folder with its files: its own folder, or one that has folders or files of several models.
-        kept: Path below the cache where they are kept, as ``ARCH.TAG.yaml`` and ``ARCH.TAG.safetensors``.
+        folder: Path of the files below the cache: ``ARCH.TAG.yaml`` and ``ARCH.TAG.safetensors``.
         model: ``ARCH.TAG``.
     """
 
     url: str
-    kept: str
+    folder: str
     model: str
 
     @property
@@ -79,7 +79,7 @@ def kept_models() -> dict[str, list[str]]:
 def download(
     urls: Sequence[str], filename: str, sha256: str | None = None, size: int | None = None, hint: str = ""
 ) -> Path:
-    """Fetch a file; the hub, and nobody else, is told the user's ``HF_TOKEN``. Arguments as of `fetch`."""
+    """Fetch a file; only the hub gets the user's ``HF_TOKEN``. Arguments as of `fetch`."""
     token = os.environ.get("HF_TOKEN") if all(url.startswith(f"{_hub()}/") for url in urls) else None
     return fetch(urls, sha256, filename, hint, size, token=token)
 
@@ -94,12 +94,12 @@ def _on_hub(name: str) -> Place:
         raise UserError(f"{name!r}: expected hf://OWNER/REPO, with @REVISION and /ARCH.TAG where wanted")
     owner, repo, revision, model = match.groups()
     revision = revision or "main"
-    url, kept = f"{_hub()}/{owner}/{repo}/resolve/{revision}", f"{KEPT}/hf/{owner}/{repo}/{revision}"
-    return Place(url, kept, check_name(model) if model else _only_model(name, url, kept))
+    url, below = f"{_hub()}/{owner}/{repo}/resolve/{revision}", f"{KEPT}/hf/{owner}/{repo}/{revision}"
+    return Place(url, below, check_name(model) if model else _only_model(name, url, below))
 
 
-def _only_model(name: str, url: str, kept: str) -> str:
-    text = download([f"{url}/README.md"], f"{kept}/README.md").read_text(errors="replace")
+def _only_model(name: str, url: str, below: str) -> str:
+    text = download([f"{url}/README.md"], f"{below}/README.md").read_text(errors="replace")
     front = _FRONT.match(text)
     try:
         said = load_yaml(front[1]) if front else None
@@ -120,5 +120,5 @@ def _on_web(name: str) -> Place:
     model = last.removesuffix(".safetensors").removesuffix(".yaml")
     if not parts.hostname or parts.username or parts.query or parts.fragment or not is_name(model):
         raise UserError(f"{name!r}: expected {parts.scheme}://HOST/FOLDER/ARCH.TAG and nothing else")
-    kept = f"{KEPT}/{parts.scheme}/{quote(parts.netloc, safe='')}{folder}"
-    return Place(f"{parts.scheme}://{parts.netloc}{folder}", kept, model)
+    below = f"{KEPT}/{parts.scheme}/{quote(parts.netloc, safe='')}{folder}"
+    return Place(f"{parts.scheme}://{parts.netloc}{folder}", below, model)

@@ -15,8 +15,8 @@ from pedzoo.models.zoo.card import ModelCard, is_name
 def card_files(folder: Path) -> dict[str, Path]:
     """Return the cards of the models in a folder by name; a folder of the model's own wins."""
     files = [*folder.glob("*.yaml"), *folder.glob(f"*/{CARD}")]
-    found = {name: path for path in files if is_name(name := name_of_files(path))}
-    return {name: found[name] for name in sorted(found)}
+    result = {name: path for path in files if is_name(name := name_of_files(path))}
+    return {name: result[name] for name in sorted(result)}
 
 
 def card_beside(weights: Path) -> Path:

@@ -90,7 +90,7 @@ def weights_of(entry: Entry) -> Path:
     if entry.place:
         urls = [card.url] if card.url else entry.place.weights(card)
         again = f"; if the model has changed there, remove {entry.path}"
-        return download(urls, f"{entry.place.kept}/{card.name}.safetensors", card.sha256, card.size, again)
+        return download(urls, f"{entry.place.folder}/{card.name}.safetensors", card.sha256, card.size, again)
     if not path.is_file() and card.url:
         return download([card.url], f"weights/{card.sha256}/{card.file}", card.sha256, card.size)
     if not path.is_file():
@@ -156,10 +156,10 @@ def _by_name(name: str) -> Entry | None:
     for folder in _folders():
         if file := card_files(folder).get(name):
             return _named(file)
-    if len(kept := kept_models().get(name, [])) > 1:
-        raise UserError(f"{name!r} was fetched from {len(kept)} places, say which: {' or '.join(kept)}")
-    if kept:
-        return _fetched(kept[0])
+    if len(stored := kept_models().get(name, [])) > 1:
+        raise UserError(f"{name!r} was fetched from {len(stored)} places, say which: {' or '.join(stored)}")
+    if stored:
+        return _fetched(stored[0])
     if (new := renamed.weights(name)) != name:
         return _by_name(new)
     failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
@@ -185,7 +185,7 @@ def _only_one(folder: Path) -> Entry:
 def _fetched(name: str) -> Entry:
     """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
     where = place(name)
-    path = download(where.cards, f"{where.kept}/{where.model}.yaml")
+    path = download(where.cards, f"{where.folder}/{where.model}.yaml")
     try:
         return _named(path)._replace(place=where)
     except UserError as error:

@@ -39,7 +39,7 @@ class _KeptClear(torch.autograd.Function):
         from pedzoo.policies.learned.clearance_loops import keep_clear
 
         steps, walls = given[3:]
-        people, kept = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
+        people, stored = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
         size = steps.moved.shape
         result = (
             np.empty(size, np.bool_), np.empty((*size, 2), np.float32), np.empty(size, np.float32),
@@ -49,11 +49,11 @@ class _KeptClear(torch.autograd.Function):
         record = np.empty((size[0], ROUNDS, size[1], 7)) if records else _NO_RECORD
         keep_clear(
             *people, ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond, ROUNDING,
-            *_wall_arrays(walls), kept.numpy(), *result, record,
+            *_wall_arrays(walls), stored.numpy(), *result, record,
         )  # fmt: skip
         if records:
-            ctx.people, ctx.ways, ctx.result = people, (steps.first, steps.beyond), (*result, record)
-        return kept
+            ctx.people, ctx.paths, ctx.result = people, (steps.first, steps.beyond), (*result, record)
+        return stored
 
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
@@ -62,7 +62,7 @@ class _KeptClear(torch.autograd.Function):
 
         values = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
         keep_clear_slope(
-            *ctx.people, MARGIN, SHOULDERS, *ctx.ways, ROUNDING, *ctx.result,
+            *ctx.people, MARGIN, SHOULDERS, *ctx.paths, ROUNDING, *ctx.result,
             gradients[0].detach().numpy(), *(part.numpy() for part in values),
         )  # fmt: skip
         place, step, velocity = values

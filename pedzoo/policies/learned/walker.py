@@ -105,19 +105,19 @@ class Walker(TensorDictModuleBase):
     def _planned(self, tensordict: TensorDictBase) -> Tensor:
         """Return the running plan's step (B, A, 2), of a new plan where one is over or an episode begins."""
         key, now = tensordict["scene_key"][:, 0], (tensordict["time"][:, 0] / STEP_SECONDS).round().long()
-        kept = self._plan if self._plan is not None and self._plan.key.shape == key.shape else None
-        if kept is None:
+        stored = self._plan if self._plan is not None and self._plan.key.shape == key.shape else None
+        if stored is None:
             over = torch.ones_like(key, dtype=torch.bool)
         else:  # the same walker may have been asked about other scenes in between
-            place = now - kept.begun
-            over = (now == 0) | (kept.key != key) | (place < 0) | (place >= self.execute_steps)
-        if kept is None or bool(over.any()):
+            place = now - stored.begun
+            over = (now == 0) | (stored.key != key) | (place < 0) | (place >= self.execute_steps)
+        if stored is None or bool(over.any()):
             fresh = Plan(key, now, self._predicted(tensordict, self.execute_steps))
-            if kept is not None:
-                steps = torch.where(over.view(-1, 1, 1, 1), fresh.steps, kept.steps)
-                fresh = Plan(key, torch.where(over, now, kept.begun), steps)
-            kept = self._plan = fresh
-        return kept.steps[torch.arange(len(key), device=key.device), :, now - kept.begun]
+            if stored is not None:
+                steps = torch.where(over.view(-1, 1, 1, 1), fresh.steps, stored.steps)
+                fresh = Plan(key, torch.where(over, now, stored.begun), steps)
+            stored = self._plan = fresh
+        return stored.steps[torch.arange(len(key), device=key.device), :, now - stored.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
         scenes = extend_goals(tensordict) if self.extend_goal else tensordict

@@ -139,7 +139,7 @@ class Encoder(nn.Module):
         bodies = people[..., 4:] + seen["radius"].unsqueeze(-2)
         distance = torch.linalg.vector_norm(place, dim=-1, keepdim=True)
         gap = (distance - bodies).clamp_max(FAR)
-        told = [
+        message = [
             place / FAR,
             place / distance.clamp_min(1e-6),
             move,
@@ -148,8 +148,8 @@ class Encoder(nn.Module):
             bodies,
         ]
         for own_way in (velocity, along):
-            told += _closest(place, move - own_way.unsqueeze(-2), bodies)
-        rows = torch.cat((*told, own.unsqueeze(-2).expand(*mask.shape, _OWN)), dim=-1)
+            message += _closest(place, move - own_way.unsqueeze(-2), bodies)
+        rows = torch.cat((*message, own.unsqueeze(-2).expand(*mask.shape, _OWN)), dim=-1)
         feature = self.person(rows * mask.unsqueeze(-1))
         # one more to attend to, of weight 1 and without features: then no people is no special case
         weight = self.score(feature).clamp(-10, 10).exp() * mask.unsqueeze(-1)

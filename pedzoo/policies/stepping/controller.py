@@ -48,7 +48,7 @@ class Controller:
     scene batch that the environment makes: the last 8 positions 0.4 s apart, the planner's carrot and
     desired velocity, radii and kinds. In between, velocities blend as in the environment: half-way in the
     first 0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people:
-    walls stop no one here, and positions may differ from where the velocities lead.
+    walls do not stop agents here, and positions may differ from where the velocities lead.
 
     People come and go: a person not named in a call is forgotten, and is new afterwards. For new people the
     policy decides at once, and later together with all others. Their history is a straight walk to here at

@@ -44,7 +44,7 @@ def people_velocity(setting: Setting, robot: Robot | None, people: People, goal:
 
 
 def places_ahead(setting: Setting, people: People, goal: Tensor) -> Tensor:
-    """Return where people will be (F, B, N, 2) in the next steps, if nobody is replaced, metres."""
+    """Return where people will be (F, B, N, 2) in the next steps, if no person is replaced, metres."""
     places = []
     for _ in range(setting.foresight):
         velocity = people_velocity(setting, None, people, goal)

@@ -27,7 +27,7 @@ class State(NamedTuple):
         people: The people.
         goal: Of people (B, N, 2), metres.
         known: The people as far as the robot knows of them.
-        going: Which cases have not ended (B,) bool; in those that have everybody stands.
+        going: Which cases have not ended (B,) bool; in the others all stand.
         draws: What new people are drawn from.
     """
 

@@ -49,7 +49,7 @@ def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> Runs:
     Args:
         policy: A new one for each call. It is asked in single precision.
         setting: The rules.
-        cases: Where everybody starts.
+        cases: Where every person starts.
 
     Raises:
         ValueError: The policy's answer is not of the shape (B, 2).

@@ -24,7 +24,7 @@ class Setting:
         swept: Whether a collision counts on the way of a step, with the people's velocities of the step
             before, or where a step begins.
         replaced: Whether people who arrive make place for new ones on the circle.
-        sensor_range: Metres between bodies up to which the robot sees people; None: everybody. People whom
+        sensor_range: Metres between bodies up to which the robot sees people; None: all. People whom
             it does not see any more go on as they went, for all that it knows.
         foresight: Steps ahead in which a robot intrudes who is where a person will be; 0: not looked at.
         visible: Whether people avoid the robot.
@@ -66,7 +66,7 @@ EARLY = 1.0
 """Seconds before the limit at which a case counts as timed out."""
 
 RADIUS, SPEED = 0.3, 1.0
-"""Metres and m/s of everybody, the robot too."""
+"""Metres and m/s of all people, and of the robot."""
 
 MARGIN = 0.01
 """Metres by which ORCA takes all radii longer."""

@@ -157,10 +157,10 @@ class Bullet(Physics):
         columns = (of[pair], first[pair], second[pair], trace, step)
         for scene, *meeting in torch.stack(columns, 1).tolist():
             meetings[scene].append(tuple(meeting))
-        ways, rooms, wider = as_array(path), far.cpu().numpy(), as_array(extra)
+        paths, rooms, wider = as_array(path), far.cpu().numpy(), as_array(extra)
         for asked in self._scenes.placed(people, present):
             if asked.present:
-                way, more = moved(asked.affine, ways[asked.index]), wider[asked.index]
+                way, more = moved(asked.affine, paths[asked.index]), wider[asked.index]
                 self._meet(asked.bullet, way, more, meetings[asked.index], agent[asked.index])
                 self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
         return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))

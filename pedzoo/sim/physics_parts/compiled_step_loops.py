@@ -141,7 +141,7 @@ def move(
 )
 def settle(
     distance, remaining_path, planned, deadline, pref_speed, clock, failed, mask, events, flags, counts,
-    goals, ways, least_seconds, goal_radius, contact_cost, lengths, ends, reached, reached_until,
+    goals, paths, least_seconds, goal_radius, contact_cost, lengths, ends, reached, reached_until,
 ):  # fmt: skip
     """Write the effect of the planner's paths (B, A) on a decision.
 
@@ -161,7 +161,7 @@ def settle(
             lengths[1, b, a] = planned[b, a] + (max(now - goal_radius, _0) if goes_on else _0)
             lengths[2, b, a] = deadline[b, a]
             if begins:
-                lengths[2, b, a] = clock[b] + max(ways * now / pref_speed[b, a], least_seconds)
+                lengths[2, b, a] = clock[b] + max(paths * now / pref_speed[b, a], least_seconds)
             in_contact = False
             for tick in range(events.shape[3]):
                 in_contact = in_contact or events[0, b, a, tick] or events[1, b, a, tick]

@@ -164,8 +164,8 @@ def with_robots(
 
     Args:
         scenario: Such as ``goals:map=plan.yaml,people=6``: six people, and the robots. In
-            ``replay:simulated=one`` a robot takes the place of one recorded person; others are played back. With
-            ``simulated=around`` they are moved by the people's policy.
+            ``replay:simulated=one`` a robot takes the place of one recorded person, and others are played
+            back. With ``simulated=around`` the people's policy moves them.
         bodies: Of the robots.
         robot_goals: Goals that each robot has to reach.
         present: Without it the robots are missing: the same people, in the same scenes.

@@ -70,8 +70,8 @@ class Replay(Scenario):
             dt: Seconds between consecutive frame numbers of ``files``.
             map: The floor plan of ``files``; without one there are no walls.
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
-            simulated: ``all``; ``one`` person per scene among all others as they were recorded; or ``around``:
-                scenes as of ``one``, in which the policy moves the others, too, so that they react.
+            simulated: ``all``; ``one`` person per scene among all others as they were recorded; or
+                ``around``: scenes as of ``one``, in which the policy moves the others, so that they react.
             share: Only people who come in this first share of the time are simulated, others are played
                 back: a tenth gives a quick look.
             speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole

@@ -153,8 +153,8 @@ class Imitation(nn.Module):
         both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
         crowd, history = Crowd.of(agents["mask"]), agents["history"]
         true = real.xy.repeat(self.samples, 1, 1, 1)
-        ways = [torch.cat((history[:, :, -1:], xy[:, :, :steps]), 2).diff(dim=2) for xy in (walk.xy, true)]
-        futures = torch.stack([crowd.pack(way) for way in ways])
+        paths = [torch.cat((history[:, :, -1:], xy[:, :, :steps]), 2).diff(dim=2) for xy in (walk.xy, true)]
+        futures = torch.stack([crowd.pack(way) for way in paths])
         observed = crowd.pack(history)
         scores = judge.of_futures(observed.diff(dim=1), futures, observed[:, 0], both)
         walks = walk.walked[..., :steps] & real.walked[..., :steps].repeat(self.samples, 1, 1)

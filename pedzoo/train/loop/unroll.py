@@ -52,7 +52,7 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
     In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from a person to
     their destination, and beyond it. ``pref_speed`` is that observed, at least 0.3 m/s. The top speed is 1.3
     times that. People leave within 0.3 m of their destination, at the latest when they really left. People
-    at their destination from the beginning are played back, not controlled. No one is set back to their
+    at their destination from the beginning are played back, not controlled. No person is set back to their
     track. There are no walls.
 
     Gradients flow through all that people see, others included, but not through times of leaving.

@@ -90,7 +90,7 @@ class Reward:
             if not isinstance(own, Tensor) or own.shape != reward.shape:
                 given = tuple(own.shape) if isinstance(own, Tensor) else type(own).__name__
                 raise UserError(
-                    f"reward {name}: expected everybody's reward {tuple(reward.shape)}, not {given}"
+                    f"reward {name}: expected the reward of all agents {tuple(reward.shape)}, not {given}"
                 )
             reward = reward + weight * own
         return reward

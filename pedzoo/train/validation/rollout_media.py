@@ -43,13 +43,13 @@ def log_rollout_media(
     shown = [walked._replace(name=f"{walked.name}, epoch {trainer.current_epoch}")]
     step = logged_step(trainer)
     with tempfile.TemporaryDirectory() as folder:
-        ways, walk = Path(folder, "ways.png"), Path(folder, "walk.webm")
+        paths, walk = Path(folder, "ways.png"), Path(folder, "walk.webm")
         if picture:
-            plot_rollouts(shown, ways)
+            plot_rollouts(shown, paths)
         if video:
             film(shown, walk, size=FILM, seconds=FILM_SECONDS)
         for logger in loggers:
             if picture:
-                logger.log_image(f"{key}/ways", [str(ways)], step)
+                logger.log_image(f"{key}/ways", [str(paths)], step)
             if video:
                 logger.log_video(f"{key}/video", [str(walk)], step)

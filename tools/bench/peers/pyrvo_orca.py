@@ -3,8 +3,8 @@
     pip install pyrvo
     pedzoo bench loop orca --peer tools/bench/peers/pyrvo_orca.py
 
-One simulator per scene. ``from python`` tells everybody's preferred velocity, steps, and reads everybody's
-velocity, as a program that moves people has to; ``bare`` is RVO2's step alone. People are put back to where
+One simulator per scene. ``from python`` gives all preferred velocities, steps, and reads all
+velocities, as a program that moves people has to; ``bare`` is RVO2's step alone. People are put back to where
 they were given every 10 steps, which is not counted.
 """
 
@@ -17,11 +17,11 @@ from answering import Case, Step, serve
 from pyrvo.pyrvo import RVOSimulator
 
 EVERY = 10
-EVERYBODY = 10_000
+UNLIMITED = 10_000
 
 
 def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
-    """Return both ways of stepping for all scenes that are told; RVO2 in pyrvo has one thread."""
+    """Return both kinds of steps for all scenes that are given; RVO2 in pyrvo has one thread."""
     return [
         Case(
             name,
@@ -35,8 +35,8 @@ def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
         for scenes in asked
         if scenes["orca"]
         for name, bare, about in (
-            ("from python", False, "preferred velocities told and velocities read one by one"),
-            ("bare", True, "nothing told and nothing read"),
+            ("from python", False, "preferred velocities set and velocities read one by one"),
+            ("bare", True, "nothing set and nothing read"),
         )
     ]
 
@@ -48,9 +48,9 @@ def walls(scenes: dict[str, Any]) -> str:
 
 
 def built(scenes: dict[str, Any], bare: bool) -> tuple[Step, Step]:
-    """Return what makes a step of all scenes, and what puts everybody back."""
+    """Return what makes a step of all scenes, and what puts every person back."""
     orca = scenes["orca"]
-    most = EVERYBODY if orca["max_neighbors"] is None else orca["max_neighbors"]
+    most = UNLIMITED if orca["max_neighbors"] is None else orca["max_neighbors"]
     common = orca["dt"], orca["neighbor_dist"], most, orca["time_horizon"], orca["time_horizon_obst"]
     simulators = []
     for speeds in scenes["top_speed"]:
@@ -81,7 +81,7 @@ def built(scenes: dict[str, Any], bare: bool) -> tuple[Step, Step]:
         for one in simulators:
             one.do_step()
 
-    def told() -> None:
+    def from_python() -> None:
         wish()
         alone()
         for one in simulators:
@@ -89,7 +89,7 @@ def built(scenes: dict[str, Any], bare: bool) -> tuple[Step, Step]:
                 velocity = one.get_agent_velocity(agent)
                 _ = velocity.x, velocity.y
 
-    return (alone if bare else told), again
+    return (alone if bare else from_python), again
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python -m venv ../venv_peers && ../venv_peers/bin/pip install torch vmas pyrvo
     pedzoo bench loop --peer tools/bench/peers/vmas_navigation.py --peer_python ../venv_peers/bin/python
 
-Everybody gets random forces, drawn beforehand; observations and rewards are computed in each step of 0.1 s
+Every person gets random forces, drawn beforehand; observations and rewards are computed in each step of 0.1 s
 (two sub-steps). After 100 steps all scenes are reset at once, which is counted and the cheapest way to do it.
 The area in which people start grows with their number; VMAS' own is 2 x 2 m for four.
 

@@ -33,7 +33,7 @@ NOTE = (
 
 
 class Controller(Section):
-    """Everybody walks where the controller says, to goals of their own."""
+    """Every person walks where the controller says, to goals of their own."""
 
     def rows(self) -> Iterator[Row]:
         """Measure in open space and on the first floor plan, with few people and with many."""
@@ -95,7 +95,7 @@ def deciding(
 
 
 def holding(model: Forecaster, plan: OccupancyGrid | None, people: int, now: Clock) -> float:
-    """Return the median seconds of calls in which everybody's velocity is held."""
+    """Return the median seconds of calls in which every person's velocity is held."""
     steering = model.controller(plan, dt=STEP_SECONDS / 4)
     position, goals = scene(plan, people)
     places = dict(enumerate(position))

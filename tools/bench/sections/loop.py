@@ -95,13 +95,13 @@ class Loop(Section):
             speeds = in_turns(every, self.settings.turns, self.settings.seconds)
 
         for walk in walks:
-            found = speeds[walk.title]
-            metrics = _metrics(found, walk.env.decision_dt)
-            metrics |= {case.metric: ratio(found, speeds[case.title]) for case in rivals}
+            result = speeds[walk.title]
+            metrics = _metrics(result, walk.env.decision_dt)
+            metrics |= {case.metric: ratio(result, speeds[case.title]) for case in rivals}
             if walk.policy_name == MODEL:
-                metrics["times_network"] = ratio(found, speeds[NETWORK])
+                metrics["times_network"] = ratio(result, speeds[NETWORK])
             if walk.policy_name == KEPT_CLEAR:
-                metrics["times_without_safety"] = ratio(found, speeds[by_name[UNHELD].title])
+                metrics["times_without_safety"] = ratio(result, speeds[by_name[UNHELD].title])
             row = Row("loop", walk.title, where, metrics)
             yield replace(row, bars=self._bars(row, walk.policy_name, size))
         alone = _metrics(speeds[NETWORK], STEP_SECONDS)
@@ -143,12 +143,12 @@ class Walk:
 
     @torch.no_grad()
     def step(self) -> None:
-        """Let everybody decide once and walk."""
+        """Let every person decide once and walk."""
         _, self.now = self.env.step_and_maybe_reset(self.policy(self.now))
 
     @torch.no_grad()
     def ask(self) -> None:
-        """Let everybody decide once and nothing else."""
+        """Let every person decide once and nothing else."""
         self.policy(self.now)
 
     def scenes(self) -> Scenes:

@@ -37,12 +37,12 @@ class Memory(Section):
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise UserError(f"memory: the process that walks on {file} ended: {done.stderr.strip()[-300:]}")
-        found: dict[str, float] = json.loads(done.stdout)
+        result: dict[str, float] = json.loads(done.stdout)
         name = file.rpartition("/")[2].removesuffix(".yaml")
-        where = {"size": f"{scenes} x 5", "map": f"{name}, {found.pop('cells'):,.0f} cells"}
-        for what, megabytes in found.items():
+        where = {"size": f"{scenes} x 5", "map": f"{name}, {result.pop('cells'):,.0f} cells"}
+        for what, megabytes in result.items():
             row = Row("memory", what, where, {"peak_mb": Measured.of([megabytes])})
-            bars = [self._bar(row)] if what == list(found)[-1] else []
+            bars = [self._bar(row)] if what == list(result)[-1] else []
             yield replace(row, bars=bars)
 
     def _bar(self, row: Row) -> Verdict:

@@ -1,4 +1,4 @@
-"""ORCA alone: one step of everybody from the same states, with walls and without, beside RVO2."""
+"""ORCA alone: one step of every person from the same states, with walls and without, beside RVO2."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BARS = {"no walls": 3.0, "walls": 1.0}
 
 
 class Orca(Section):
-    """With walls, looking up the segments near everybody counts as ours."""
+    """With walls, looking up the segments near every person counts as ours."""
 
     def rows(self) -> Iterator[Row]:
         """Measure every size, without walls and with a room full of boxes."""
@@ -94,7 +94,7 @@ class _Crowd(NamedTuple):
 
     @torch.no_grad()
     def velocities(self) -> Tensor:
-        """Return what everybody chooses (B, A, 2), m/s."""
+        """Return what all choose (B, A, 2), m/s."""
         speed = torch.full(self.position.shape[:2], TOP_SPEED)
         near = None
         if self.walls is not None:
@@ -102,8 +102,8 @@ class _Crowd(NamedTuple):
             ids = torch.full((len(points),), self.bank.grids[0].map_id)
             reach = float(SETTINGS.wall_reach(torch.tensor(TOP_SPEED)))
             near = self.walls.near(points, ids, identity_pose(len(points)), reach)
-        everybody = torch.ones_like(speed, dtype=torch.bool)
-        return orca_velocity(self.position, self.velocity, self.preferred, speed, everybody, SETTINGS, near)
+        mask = torch.ones_like(speed, dtype=torch.bool)
+        return orca_velocity(self.position, self.velocity, self.preferred, speed, mask, SETTINGS, near)
 
     def scenes(self):
         """Return them in the form that peers are told."""

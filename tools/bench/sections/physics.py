@@ -68,12 +68,12 @@ class Physics(Section):
         }
         if "perspective" in physics.views:
             questions["oblique"] = lambda people: physics.image(people, 0, PICTURE, Camera("perspective"))
-        found = {}
+        result = {}
         for what, ask in questions.items():
             taken = [seconds_of(lambda ask=ask, one=one: ask(one), now) for one in crowds]
-            found[f"{what}_ms"] = Measured.of([1e3 * second for second in taken])
+            result[f"{what}_ms"] = Measured.of([1e3 * second for second in taken])
         physics.close()
-        return found | {"first_use_s": Measured.of([first])}
+        return result | {"first_use_s": Measured.of([first])}
 
 
 def draw(grid: OccupancyGrid, free: Tensor, size: Size, seed: int) -> Bodies:

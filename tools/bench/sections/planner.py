@@ -72,8 +72,8 @@ class Planner(Section):
         ids = ours.add_goals(0, graph.xy[goals])
         cache = seconds_of(ours.prepare, now)
         size = 8e-6 * len(goals) * (len(graph) + 1)  # a waypoint and a length per cell and goal
-        found = {"pedzoo_ms": Measured.of([1e3 * cache]), "pedzoo_mb": Measured.of([size])}
-        yield Row("planner", f"fields of {len(goals)} goals, once", where, found)
+        result = {"pedzoo_ms": Measured.of([1e3 * cache]), "pedzoo_mb": Measured.of([size])}
+        yield Row("planner", f"fields of {len(goals)} goals, once", where, result)
 
         pairs = 4 if self.settings.quick else PAIRS
         starts, ends = draws.choice(cells, pairs), draws.choice(goals, pairs)
@@ -105,7 +105,7 @@ class Planner(Section):
     def _cold(
         self, ours: Any, peer: nx.Graph, heuristic: Any, starts: Cells, ends: Cells
     ) -> tuple[float, float, float]:
-        """Return seconds of queries that nobody asked before, in turns: both medians, and their mean."""
+        """Return seconds of queries that are new, in turns: both medians, and their mean."""
         xy, now = ours.graph(0).xy, self.settings.clock
         ours.path(xy[starts[0]], xy[ends[0]], 0)
         own, other = [], []
@@ -123,8 +123,8 @@ class Planner(Section):
         about = ids, torch.full((len(ids),), ours.bank.grids[0].map_id), identity_pose(len(ids))
         field = ours.next_waypoints(torch.from_numpy(xy[starts]).float(), *about).distance.numpy()
         pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
-        ways = [np.vstack((xy[a], ours.path(xy[a], xy[b], 0))) for a, b in pairs]
-        path = np.array([np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in ways])
+        paths = [np.vstack((xy[a], ours.path(xy[a], xy[b], 0))) for a, b in pairs]
+        path = np.array([np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in paths])
         fastest = heuristics(xy)["math.dist"]
         eight = np.array([nx.astar_path_length(peer, a, b, fastest) for a, b in pairs])
         apart = 100 * np.abs(field - path) / np.maximum(path, 1e-9)

@@ -83,8 +83,8 @@ class Sgan(Section):
             order = torch.arange(len(ours.sets["test"])).split(64)[: 2 if quick else None]
             test = [(peer.batch(theirs["test"], i), ours.sets["test"].batch(i)) for i in order]
             apart = differences(peers, mine, train[0])
-            found = {key: Measured.of([value]) for key, value in apart.items()}
-            yield Row("sgan", f"largest difference, {name}", {"data": WHERE}, found)
+            result = {key: Measured.of([value]) for key, value in apart.items()}
+            yield Row("sgan", f"largest difference, {name}", {"data": WHERE}, result)
             if not max(apart.values()) < AGREED:
                 raise UserError(f"sgan: the answers differ by {apart}: times of them are not comparable")
             for scenes, people, times in ((1, 10, 300), (1, 200, 15), (64, 10, 30)):

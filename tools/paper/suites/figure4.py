@@ -20,7 +20,7 @@ SCENARIOS = {
     "unequal": f"{_HEAD_ON},speed_ratio={RATIO}",
     "alone": f"{_HEAD_ON},people=1",
 }
-"""Alone nobody is avoided: who is blocked there does not fit through the door."""
+"""A single person has no one to avoid: a policy that is blocked there does not fit through the door."""
 
 
 class Figure4(Suite):

@@ -92,7 +92,7 @@ class LoopNoise(Suite):
         """
         case, choice = unit.case, CHOICES[unit.case.name]
         scenario, step = prepared(case.scenario, case.inputs), 0.0
-        ways, also = [], {key: [] for key in ALSO}
+        paths, also = [], {key: [] for key in ALSO}
         for draw in range(DRAWS):
             walked = []
             for number, seed in enumerate(unit.seeds):
@@ -109,11 +109,11 @@ class LoopNoise(Suite):
                 if tell:
                     tell((draw + (number + 1) / len(unit.seeds)) / DRAWS)
             rollout = joined(walked)
-            ways.append(choice.settled(rollout))
-            found = closed_loop(rollout)
+            paths.append(choice.settled(rollout))
+            result = closed_loop(rollout)
             for key in ALSO:
-                also[key].append(found[key].above)
-        settled = torch.stack(ways, dim=1)
+                also[key].append(result[key].above)
+        settled = torch.stack(paths, dim=1)
         ratios: dict[str, Ratio] = varied(settled)
         for key, values in also.items():
             total = torch.stack(values, dim=1)

@@ -1,4 +1,4 @@
-"""Recorded crowds, everybody simulated: each fold has a table of its own, because each has to look human."""
+"""Recorded crowds, all simulated: each fold has a table of its own, because each has to look human."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ class LoopReplay(Replay):
         Raises:
             UserError: A folder was asked for that has none.
         """
-        found = super().cases(options)
-        return [case._replace(table=f"{self.name} {case.case['fold']}") for case in found]
+        result = super().cases(options)
+        return [case._replace(table=f"{self.name} {case.case['fold']}") for case in result]

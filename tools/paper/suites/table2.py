@@ -44,13 +44,13 @@ class Table2(Suite):
         name = "drawn" if not options.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
         inputs = " ".join(load_plan(file).digest for file in files)
         physics, episodes = options.physics or "bullet", options.number(EPISODES)
-        found = []
+        result = []
         for speed, (mean, deviation) in SPEEDS.items():
             for people, goals in CELLS:
                 cell = {"map": files, "people": people, "goals": goals, "pool": POOL}
                 settings = {**cell, "speed": mean, "speed_std": deviation}
                 case = {"map": name, "speed": speed, "people": str(people), "goals": str(goals)}
-                found.append(
+                result.append(
                     EvaluationCase(
                         suite=self.name,
                         name=f"{speed} m/s {people}/{goals}",
@@ -64,10 +64,10 @@ class Table2(Suite):
                         shares=", ".join(files),
                     )
                 )
-        return found
+        return result
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
-        """Return ``seconds_per_goal``, of episodes in which everybody reaches all goals in time."""
+        """Return ``seconds_per_goal``, of episodes in which every person reaches all goals in time."""
         reached, goals, mask = rollout.reached, rollout.goals, rollout.mask
         arrived = navigation.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
         last = navigation.episode_seconds(navigation.finish_seconds(reached, goals), arrived, mask)

@@ -11,7 +11,7 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.people.crowd import Crowd
 
 REACH = 2.0
-"""Metres: the scale on which distances are told apart. No one is cut off, but the far are all alike."""
+"""Metres: the scale of distances. Far people are not cut off, but all look alike."""
 
 HORIZON = 4.0
 """Seconds: closest approaches farther ahead count as so far ahead."""

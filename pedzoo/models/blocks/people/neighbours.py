@@ -9,7 +9,7 @@ from pedzoo.core import geometry
 from pedzoo.models.blocks.people.crowd import Crowd
 
 REACH = 4.0
-"""Metres: the scale on which distances are told apart. No one is cut off, but the far are all alike."""
+"""Metres: the scale of distances. Far people are not cut off, but all look alike."""
 
 
 class RelativePooling(nn.Module):

@@ -97,11 +97,11 @@ def quiet(stream: int) -> Iterator[None]:
     """Send a stream (1 or 2) of this process to nowhere, because C code does not ask `sys`."""
     sys.stdout.flush()
     sys.stderr.flush()
-    kept, nowhere = os.dup(stream), os.open(os.devnull, os.O_WRONLY)
+    stored, nowhere = os.dup(stream), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, stream)
         yield
     finally:
-        os.dup2(kept, stream)
-        os.close(kept)
+        os.dup2(stored, stream)
+        os.close(stored)
         os.close(nowhere)

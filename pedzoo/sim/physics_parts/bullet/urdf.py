@@ -109,13 +109,13 @@ def with_shapes(
         margin: Metres from which on bodies touch.
     """
     agent, wall = (values.cpu().numpy().copy() for values in contacts)
-    ways, radius = as_array(path), as_array(state.radius)
+    paths, radius = as_array(path), as_array(state.radius)
     ahead = as_array(direction_of(heading))
     robots = ((state.kind == ROBOT) & state.mask).cpu().numpy()
     for asked in placed:
         at, affine = asked.index, asked.affine
         x, y = np.moveaxis(ahead[at] @ affine[:, :2].T, -1, 0)
-        way, faced = moved(affine, ways[at]), np.arctan2(y, x)
+        way, faced = moved(affine, paths[at]), np.arctan2(y, x)
         _touch(asked, robots[at], way, faced, radius[at], usual, margin, agent[at], wall[at])
     return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
 
