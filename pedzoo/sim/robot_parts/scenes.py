@@ -174,13 +174,14 @@ def with_robots(
         UserError: An unknown name or setting, or a scenario without places for so many robots.
     """
     spec = parse(scenario) if isinstance(scenario, str) else scenario
-    settings = dict(spec.settings)
     cls = SCENARIOS.get(spec.name, Scenario)
-    if spec.name == "replay":
-        if len(bodies) > 1 or settings.setdefault("simulated", "one") != "one":
+    settings, place = {**cls.place_of_robot, **spec.settings}, cls.place_of_robot
+    if place:
+        if len(bodies) > 1 or settings != settings | place:
+            given, expected = (", ".join(f"{key}={of[key]}" for key in place) for of in (settings, place))
             raise UserError(
-                f"replay with {len(bodies)} robots, simulated={settings['simulated']}: expected one robot "
-                "in the place of one person, simulated=one"
+                f"{spec.name} with {len(bodies)} robots, {given}: expected one robot in the place of one "
+                f"person, {expected}"
             )
     elif "people" not in setting_types(cls):
         raise UserError(
