@@ -193,6 +193,7 @@ def with_robots(
         usual = (
             setting_groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
         )
+        usual = usual if isinstance(spec, Spec) else str(usual)
         settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
     return RobotScenes(inner, bodies, robot_goals, present, body_radius)
