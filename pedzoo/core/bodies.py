@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple
 
@@ -138,10 +139,7 @@ class Fleet(NamedTuple):
             heading: Of the robots (B, R), radians.
         """
         free = rotate(_limited(action, self.top_speed), direction_of(heading))
-        first, second = action.unbind(-1)
-        pair = self.drive == DIFF_DRIVE
-        speed = torch.where(pair, 0.5 * (first + second), first)
-        turn = torch.where(pair, (second - first) / self.track, second)
+        speed, turn = speed_and_turn(action.unbind(-1), self.drive, self.track)
         driven = self.from_speed(
             speed.clamp(self.slowest, self.top_speed), turn.clamp(-self.top_turn, self.top_turn)
         )
@@ -152,6 +150,13 @@ class Fleet(NamedTuple):
         half = 0.5 * self.track * turn
         wheels = torch.stack((speed - half, speed + half), dim=-1)
         return torch.where((self.drive == DIFF_DRIVE).unsqueeze(-1), wheels, torch.stack((speed, turn), -1))
+
+
+def speed_and_turn(command: Iterable[Tensor], drive: Tensor, track: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the speeds and turning rates (...) that the two parts (...) of commands to wheels ask for."""
+    first, second = command
+    pair, turn = drive == DIFF_DRIVE, (second - first) / track
+    return torch.where(pair, 0.5 * (first + second), first), torch.where(pair, turn, second)
 
 
 def _limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
