@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple
 
@@ -152,10 +153,14 @@ class Fleet(NamedTuple):
 
     def speed_of(self, action: Tensor) -> tuple[Tensor, Tensor]:
         """Return speeds and turning rates (..., R) of robots with wheels: the inverse of `from_speed`."""
-        first, second = action.unbind(-1)
-        pair = self.drive == DIFF_DRIVE
-        speed = torch.where(pair, 0.5 * (first + second), first)
-        return speed, torch.where(pair, (second - first) / self.track, second)
+        return speed_and_turn(action.unbind(-1), self.drive, self.track)
+
+
+def speed_and_turn(command: Iterable[Tensor], drive: Tensor, track: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the speeds and turning rates (...) that the two parts (...) of commands to wheels ask for."""
+    first, second = command
+    pair, turn = drive == DIFF_DRIVE, (second - first) / track
+    return torch.where(pair, 0.5 * (first + second), first), torch.where(pair, turn, second)
 
 
 def _limited(velocity: Tensor, top_speed: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
+from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.sim.state import State
@@ -53,10 +53,8 @@ def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Ten
         velocity: Wanted velocities of holonomic agents in each trace step (2, S, B, A), m/s.
     """
     wheels = state.drive != HOLONOMIC
-    left, right = command
-    is_pair = state.drive == DIFF_DRIVE
-    wanted_speed = torch.where(is_pair, (left + right) / 2, left).clamp(-state.top_speed, state.top_speed)
-    wanted_turn = torch.where(is_pair, (right - left) / state.track, right)
+    wanted_speed, wanted_turn = speed_and_turn(command, state.drive, state.track)
+    wanted_speed = wanted_speed.clamp(-state.top_speed, state.top_speed)
     heading, turn = state.heading, state.turn_rate
     moving = state.velocity.movedim(-1, 0)
     speed = moving[0] * heading.cos() + moving[1] * heading.sin()

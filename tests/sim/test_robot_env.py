@@ -11,12 +11,13 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
 import pedzoo
-from pedzoo.core.bodies import Fleet
+from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_REWARDS, ROBOTS, SENSORS
 from pedzoo.core.spec import build
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.sim.robot_parts.scenes import with_robots
 from pedzoo.sim.robot_parts.sensor import Sensor
 
 OPEN = "circle:people=4"
@@ -226,6 +227,13 @@ def test_wrong_names_and_numbers_are_named() -> None:
         made("goals:map=flat,people=500")
     with pytest.raises(UserError, match="did you mean"):
         load_robot_policy("orcaa")
+
+
+def test_robots_stand_beside_the_usual_number_of_people_and_one_may_replay() -> None:
+    bodies = [RobotBody(), RobotBody()]
+    assert with_robots("circle", bodies).people == with_robots("circle:people=4", bodies).people == 6
+    with pytest.raises(UserError, match="replay with 2 robots, simulated=one: expected one robot"):
+        with_robots("replay", bodies)
 
 
 def test_a_patch_shows_walls_and_bodies_where_they_are_seen_from_the_robot() -> None:

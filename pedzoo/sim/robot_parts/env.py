@@ -8,9 +8,8 @@ from typing import Any, cast
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, Composite, Unbounded
-from torchrl.data.tensor_specs import TensorSpec
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.data import Bounded, Composite
+from torchrl.envs.utils import ExplorationType, make_composite_from_td, set_exploration_type
 
 from pedzoo.core.adapters import tensordict_of
 from pedzoo.core.batch import agents_of
@@ -117,10 +116,7 @@ class RobotEnv(PedestrianEnv):
         info = Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape)
         seen = Composite(self._readings.spec(shape), shape=shape)
         self._body = TensorDict(self.fleet._asdict(), (self.robots,), device=self.device).expand(shape)
-        body = Composite(
-            {name: _like(value) for name, value in self.fleet._asdict().items()}, shape=shape[1:]
-        )
-        body = body.expand(shape)
+        body = make_composite_from_td(self._body)
         full["robots"] = Composite(observation=seen, body=body, info=info, shape=shape)
         low, high = torch.tensor([body.limits for body in self.scenes.bodies]).unbind(-1)
         low, high = (limit.expand(*shape, 2).clone() for limit in (low, high))
@@ -229,10 +225,6 @@ class RobotEnv(PedestrianEnv):
         }
         batch["robots"] = tensordict_of(group, robots, self.device)
         return batch
-
-
-def _like(value: Tensor) -> TensorSpec:
-    return Unbounded(shape=value.shape, dtype=value.dtype)
 
 
 class _Commanded(Policy):

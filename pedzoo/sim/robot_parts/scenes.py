@@ -175,13 +175,16 @@ def with_robots(
         UserError: An unknown name or setting, or a scenario without places for so many robots.
     """
     spec = parse(scenario) if isinstance(scenario, str) else scenario
-    settings = dict(spec.settings)
     cls = SCENARIOS.get(spec.name, Scenario)
-    if spec.name == "replay":
-        if len(bodies) > 1 or settings.setdefault("simulated", "one") == "all":
+    places = cls.place_of_robot
+    settings = {key: values[0] for key, values in places.items()} | dict(spec.settings)
+    if places:
+        if len(bodies) > 1 or any(settings[key] not in values for key, values in places.items()):
+            given = ", ".join(f"{key}={settings[key]}" for key in places)
+            expected = ", ".join(f"{key}={' or '.join(values)}" for key, values in places.items())
             raise UserError(
-                f"replay with {len(bodies)} robots, simulated={settings['simulated']}: expected one robot "
-                "in the place of one person, simulated=one, or simulated=around if people are to react"
+                f"{spec.name} with {len(bodies)} robots, {given}: expected one robot in the place of one "
+                f"person, {expected}"
             )
     elif "people" not in setting_types(cls):
         raise UserError(
@@ -193,6 +196,7 @@ def with_robots(
         usual = (
             setting_groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
         )
+        usual = usual if isinstance(spec, Spec) else str(usual)
         settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
     return RobotScenes(inner, bodies, robot_goals, present, body_radius)

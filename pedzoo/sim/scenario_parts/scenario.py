@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -104,8 +105,12 @@ class Scenario(ABC):
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
         unknown: Meaning of unknown cells of the floor plans.
+        place_of_robot: Settings with values by which one robot takes the place of one person, the usual value
+            first; empty where robots are more
+            people than ``people`` says.
     """
 
+    place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     unknown: Unknown = "wall"
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False

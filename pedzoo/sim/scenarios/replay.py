@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -48,6 +48,7 @@ class Replay(Scenario):
     """
 
     unknown: Unknown = "free"
+    place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {"simulated": ("one", "around")}
 
     def __init__(
         self,

@@ -10,17 +10,18 @@ from typing import Any, cast
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import make_composite_from_td
 
-from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC, Fleet, RobotBody
+from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody, speed_and_turn
 from pedzoo.core.geometry import direction_of, nearest_part, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.people import people_velocity
 from pedzoo.sim.crowdnav.settings import CROWDNAV, RADIUS, TIME_STEP
-from pedzoo.sim.observation import flag, real
+from pedzoo.sim.observation import done_spec, flag, real
 from pedzoo.sim.robot_parts.reward import USUAL
 
 STEPS = 96
@@ -82,7 +83,7 @@ class CrossingEnv(EnvBase):
         seen = Composite({name: real(*shape, size) for name, size in sizes.items()}, shape=shape)
         seen["people"], seen["people_mask"] = real(*shape, people, 5), flag(*shape, people)
         info = Composite({name: flag(*shape) for name in INFO}, shape=shape)
-        body = Composite({k: Unbounded(v.shape, dtype=v.dtype) for k, v in self._body.items()}, shape=shape)
+        body = make_composite_from_td(self._body)
         ends = {name: flag(*shape, 1) for name in ("done", "terminated", "truncated")}
         one = shape[:1]
         self.observation_spec = Composite(
@@ -90,8 +91,7 @@ class CrossingEnv(EnvBase):
         )
         self.action_spec = Composite(robots=Composite(action=real(*shape, 2), shape=shape), shape=one)
         self.reward_spec = Composite(robots=Composite(reward=real(*shape, 1), shape=shape), shape=one)
-        whole = {name: flag(*one, 1) for name in ends}
-        done = Composite(whole, shape=one)
+        done = done_spec(*one)
         done["robots"] = Composite(ends, shape=shape)
         self.done_spec = done
 
@@ -149,9 +149,7 @@ class CrossingEnv(EnvBase):
         if int(fleet.drive) == HOLONOMIC:
             self._moving = command
             return command
-        speed, turn = command.unbind(-1)
-        if int(fleet.drive) == DIFF_DRIVE:
-            speed, turn = (speed + turn) / 2, (turn - speed) / fleet.track
+        speed, turn = speed_and_turn(command.unbind(-1), fleet.drive, fleet.track)
         tick, now = TIME_STEP / TICKS, (self._moving * self._ahead()).sum(-1)
         more, more_turn = fleet.acceleration * tick, fleet.turn_acceleration * tick
         place = torch.zeros_like(self._robot)

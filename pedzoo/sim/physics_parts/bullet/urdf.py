@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
-from pedzoo.core.bodies import DIFF_DRIVE, HOLONOMIC
+from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
@@ -55,11 +55,9 @@ def drive_by_wheels(
     """Return how the robots that are ``present`` drive by their wheels; see `Physics.move_owned`."""
     path = as_array(state.position)[:, :, None, None].repeat(ticks, 2).repeat(substeps, 3)
     heading, rate = as_array(state.heading).copy(), np.zeros(state.mask.shape)
-    first, second = command.unbind(-1)
-    pair = state.drive == DIFF_DRIVE
     speed = (state.velocity * direction_of(state.heading)).sum(-1)
-    wanted = torch.where(pair, (first + second) / 2, first).clamp(-state.top_speed, state.top_speed)
-    turn = torch.where(pair, (second - first) / state.track, second)
+    wanted, turn = speed_and_turn(command.unbind(-1), state.drive, state.track)
+    wanted = wanted.clamp(-state.top_speed, state.top_speed)
     columns = state.heading, speed, state.turn_rate, wanted, turn
     values = as_array(torch.stack((*columns, state.acceleration, state.turn_acceleration, state.track), -1))
     at = np.round(np.arange(1, ticks * substeps + 1) * (STEPS / substeps)).astype(np.int64) - 1
