@@ -24,16 +24,19 @@ from pedzoo.core.spec import build
 from pedzoo.models.zoo.store import robots
 from pedzoo.policies.load import list_robot_policies, load_robot_policy
 from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robot_weights import load_planner
-from pedzoo.policies.robots.attention import Attention
+from pedzoo.policies.robots.attention import Attention, as_action, as_decision, frame_of
 from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.rules import COLLISION, SUCCESS, TIMEOUT
 from pedzoo.sim.crowdnav.run import run
-from pedzoo.sim.crowdnav.settings import CROWDNAV
+from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP
+from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.robots.crossing import CrossingEnv
+from pedzoo.train.robots.crowds import Crowds
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
-from pedzoo.train.robots.teacher import taught
+from pedzoo.train.robots.teacher import taught, teacher_of
 
 pytestmark = [
     *LIGHTNING_MARKS,
@@ -185,6 +188,57 @@ def test_wheels_reach_the_goal_as_their_limits_allow() -> None:
         seconds[robot] = float(ends["seconds"])
     assert seconds["disc"] == seconds["diff_drive:acceleration=1000"] == 7.75
     assert seconds["diff_drive"] == 8.25
+
+
+def test_standing_where_a_person_will_be_costs_intrusion() -> None:
+    """A person comes up to a robot that stands at (0, -4): bodies of 0.3 m overlap within 0.6 m."""
+    env = CrossingEnv(1, CROWDNAV_PP, people=1, crowds=1, reward={"intrusion": 4.0})
+    check_env_specs(env)
+    steps = torch.arange(env.crowds.steps + 1)
+    place = torch.stack((torch.zeros(len(steps)), -2.0 - 0.19 * steps.clamp_max(8)), -1)
+    ends = torch.tensor([[0.0, -4.0]])
+    env.crowds = Crowds(place.view(1, -1, 1, 2), torch.zeros(1, len(steps), 1, 2), ends, -ends)
+    now, costs = env.reset(), []
+    for _ in range(4):
+        now["robots", "action"] = torch.zeros(1, 1, 2)
+        now = env.step(now)["next"]
+        costs.append(float(now["robots", "reward"]))
+    # from step 8 on it is 0.48 m away; five steps are looked ahead
+    assert costs == pytest.approx([0, 0, 0, -1.0])
+
+
+def test_people_of_crowdnav_pp_are_replaced_and_seen_within_five_metres() -> None:
+    env = CrossingEnv(8, CROWDNAV_PP, crowds=8, first=1425)
+    seen = cast("Any", env.reset()["robots", "observation"])
+    gap = seen["people"][..., :2].norm(dim=-1) - 0.6
+    assert ((gap <= 5.0) | ~seen["people_mask"]).all() and seen["people_mask"].any()
+    assert (seen["goal"].norm(dim=-1) >= 8).all()
+    moved = (env.crowds.place[:, 1:] - env.crowds.place[:, :-1]).norm(dim=-1)
+    assert (moved < 0.26).float().mean() > 0.99 and (moved > 2).any()  # 1 m/s, and new people elsewhere
+
+
+def test_a_term_of_the_reward_that_is_not_there_is_refused() -> None:
+    with pytest.raises(UserError, match="did you mean 'intrusion'"):
+        CrossingEnv(1, people=1, crowds=1, reward={"intrusoin": 1.0})
+
+
+@pytest.mark.parametrize("robot", ["disc", "unicycle", "diff_drive"])
+def test_decisions_and_actions_are_each_others_inverse(robot: str) -> None:
+    env = make_robot_env("door:people=2", robot, sensors=Attention().sensors, num_envs=5)
+    now = env.reset()
+    bodies = bodies_of(now)
+    decision = 0.6 * torch.rand(5, 1, 2)
+    action = as_action(decision, frame_of(now, bodies), bodies)
+    torch.testing.assert_close(as_decision(action, frame_of(now, bodies), bodies), decision)
+
+
+def test_any_policy_of_robots_teaches() -> None:
+    env = make_robot_env("door:people=2", sensors=Attention().sensors, num_envs=3)
+    now = env.reset()
+    act(now, teacher_of("orca")(now))
+    torch.testing.assert_close(now["robots", "action"], load_robot_policy("orca").action(env.reset()))
+    with pytest.raises(UserError, match="orka"):
+        teacher_of("orka")
 
 
 def test_the_teacher_gets_most_robots_through() -> None:

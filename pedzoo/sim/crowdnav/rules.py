@@ -106,7 +106,7 @@ def step(setting: Setting, state: State, velocity: Tensor) -> tuple[State, Event
     after = state._replace(seconds=state.seconds + TIME_STEP, robot=moved, people=people, going=going)
     after = after._replace(known=_known(setting, after))
     if setting.replaced:
-        after = _replaced(setting, after)
+        after = replaced(setting, after)
     seconds = after.seconds if setting.swept else state.seconds
     return after, Events(outcome, seconds, reward, clearance, intruded)
 
@@ -145,7 +145,7 @@ def _known(setting: Setting, state: State) -> People:
     return People(position, velocity, people.radius, known.mask | seen)
 
 
-def _replaced(setting: Setting, state: State) -> State:
+def replaced(setting: Setting, state: State) -> State:
     """Return the state in which new people stand in for those who arrived, in the order of their slots."""
     people, goal = state.people, state.goal
     arrived = ((goal - people.position).norm(dim=-1) < people.radius) & state.going[:, None]

@@ -1,9 +1,9 @@
-"""CrowdNav's circle crossing with people who do not see the robot: walked once, then only looked up."""
+"""CrowdNav's crowds as environments: people do not see the robot, so their ways are only looked up."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -15,17 +15,17 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import make_composite_from_td
 
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody, speed_and_turn
+from pedzoo.core.errors import unknown
 from pedzoo.core.geometry import direction_of, nearest_part, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
-from pedzoo.sim.crowdnav.cases import cases
-from pedzoo.sim.crowdnav.people import people_velocity
-from pedzoo.sim.crowdnav.settings import CROWDNAV, RADIUS, TIME_STEP
+from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, RADIUS, TIME_STEP, Setting
 from pedzoo.sim.observation import done_spec, flag, real
 from pedzoo.sim.robot_parts.reward import USUAL
+from pedzoo.train.robots.crowds import walked
 
-STEPS = 96
-"""Until the time is up: 24 s."""
+SETTINGS = {"crowdnav": CROWDNAV, "crowdnav_pp": CROWDNAV_PP}
+"""Crowds by name."""
 
 TICKS = 5
 """Parts of a step in which wheels follow a command."""
@@ -33,21 +33,20 @@ TICKS = 5
 FIRST = 10_000
 """Seeds of crowds in training; those of CrowdNav's test begin at 1000."""
 
-_AT_ONCE = 512
-"""Crowds that walk together: each keeps 8192 drawn numbers."""
-
 
 class CrossingEnv(EnvBase):
-    """The circle crossing of Chen et al., "Crowd-Robot Interaction", ICRA 2019: one invisible robot each.
+    """The crowds of `pedzoo.sim.crowdnav.settings`, and one robot in each that people do not see.
 
-    As people do not see the robot, how they walk is computed once, for ``crowds`` crowds. Keys, actions and
-    rewards are those of `pedzoo.sim.robot_parts.env.RobotEnv`; what ends an episode is CrowdNav's.
+    So their ways are computed once, for ``crowds`` crowds. Keys, actions and rewards are those of
+    `pedzoo.sim.robot_parts.env.RobotEnv`; what ends an episode is CrowdNav's. One more term of the reward,
+    ``intrusion``, takes the seconds that a robot stands where people will be within the setting's foresight.
     """
 
     def __init__(
         self,
         num_envs: int,
-        people: int = 5,
+        setting: Setting = CROWDNAV,
+        people: int | None = None,
         crowds: int = 4096,
         robot: str = "disc",
         reward: Mapping[str, float] | None = None,
@@ -57,7 +56,8 @@ class CrossingEnv(EnvBase):
 
         Args:
             num_envs: B.
-            people: N, in each crowd.
+            setting: Which crowd, and what the robot sees of it.
+            people: N, in each crowd; None: as the setting says.
             crowds: How many crowds there are to be met.
             robot: A body with settings; it faces its goal at first.
             reward: Weights; see `pedzoo.sim.robot_parts.reward.USUAL`.
@@ -67,7 +67,10 @@ class CrossingEnv(EnvBase):
         self.decision_dt, self.robots = TIME_STEP, 1
         self.weights = dict(USUAL if reward is None else reward)
         self._random = torch.Generator().manual_seed(0)
-        self.place, self.velocity = walked(people, range(first, first + crowds))
+        if unknown_terms := self.weights.keys() - {*USUAL, "intrusion"}:
+            raise unknown("reward", min(unknown_terms), [*USUAL, "intrusion"])
+        self.setting = setting if people is None else replace(setting, people=people)
+        self.crowds = walked(self.setting, range(first, first + crowds))
         shape = (num_envs, 1)
         self.fleet = Fleet.of([build(ROBOTS, robot, RobotBody)])
         self._body = TensorDict(self.fleet._asdict(), (1,)).expand(shape)
@@ -75,7 +78,7 @@ class CrossingEnv(EnvBase):
         self._clock = torch.zeros_like(self._crowd)
         self._robot, self._moving = torch.zeros(num_envs, 2), torch.zeros(num_envs, 2)
         self._heading, self._turn = torch.zeros(num_envs), torch.zeros(num_envs)
-        self._set_specs(shape, people)
+        self._set_specs(shape, self.setting.people)
 
     def _set_specs(self, shape: tuple[int, int], people: int) -> None:
         sizes = {"goal": 2, "waypoint": 2, "velocity": 2}
@@ -101,36 +104,40 @@ class CrossingEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
         anew = torch.ones_like(self._crowd, dtype=torch.bool) if flags is None else flags.view(-1)
-        crowd = torch.arange(len(anew)) % len(self.place)  # each one, while there are enough
+        count = len(self.crowds.place)
+        crowd = torch.arange(len(anew)) % count  # each one, while there are enough
         if flags is not None:
-            crowd = torch.randint(len(self.place), crowd.shape, generator=self._random)
+            crowd = torch.randint(count, crowd.shape, generator=self._random)
         self._crowd = torch.where(anew, crowd, self._crowd)
         self._clock = torch.where(anew, 0, self._clock)
-        self._robot = torch.where(anew[:, None], torch.tensor([0.0, -CROWDNAV.circle]), self._robot)
+        self._robot = torch.where(anew[:, None], self.crowds.start[self._crowd], self._robot)
         self._moving = torch.where(anew[:, None], 0.0, self._moving)
-        self._heading = torch.where(anew, math.pi / 2, self._heading)
+        way = self._goal() - self._robot
+        self._heading = torch.where(anew, torch.atan2(way[:, 1], way[:, 0]), self._heading)
         self._turn = torch.where(anew, 0.0, self._turn)
         return self._observation(torch.zeros(3, *self.batch_size, dtype=torch.bool))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         velocity = self._driven(cast("Tensor", tensordict["robots", "action"]))
-        people, moves = self.place[self._crowd, self._clock], self.velocity[self._crowd, self._clock]
+        people, moves = self._people()
         away, apart = people - self._robot[:, None], (moves - velocity[:, None]) * TIME_STEP
         gap = (away + nearest_part(away, apart)[..., None] * apart).norm(dim=-1).amin(1)
         gap = gap - RADIUS - self.fleet.radius
+        later = self.crowds.ahead(self._crowd, self._clock, self.setting.foresight)
+        apart = (later - self._robot[:, None, None]).norm(dim=-1) - RADIUS - self.fleet.radius
         left = self._left()
         self._robot = self._robot + TIME_STEP * velocity
         self._clock = self._clock + 1
         arrived = self._left() < self.fleet.radius
         hit = gap < 0
-        events = torch.stack((arrived & ~hit, hit, (self._clock >= STEPS) & ~arrived & ~hit))
+        events = torch.stack((arrived & ~hit, hit, (self._clock >= self.crowds.steps) & ~arrived & ~hit))
+        near = self.setting.discomfort_dist
         terms = {
             "progress": left - torch.where(arrived, 0.0, self._left()),
             "success": events[0].float(),
             "collision": -hit.float(),
-            "discomfort": -(CROWDNAV.discomfort_dist - gap.clamp_min(0)).clamp_min(0)
-            / CROWDNAV.discomfort_dist
-            * TIME_STEP,
+            "discomfort": -(near - gap.clamp_min(0)).clamp_min(0) / near * TIME_STEP,
+            "intrusion": (apart < 0).flatten(1).any(1) * -TIME_STEP,
             "time": torch.full_like(gap, -TIME_STEP),
         }
         reward = torch.stack([weight * terms[name] for name, weight in self.weights.items()]).sum(0)
@@ -169,22 +176,25 @@ class CrossingEnv(EnvBase):
         return (self._goal() - self._robot).norm(dim=-1)
 
     def _goal(self) -> Tensor:
-        return torch.tensor([0.0, CROWDNAV.circle]).expand_as(self._robot)
+        return self.crowds.goal[self._crowd]
+
+    def _people(self) -> tuple[Tensor, Tensor]:
+        """Return where people are and their velocities (B, N, 2)."""
+        return self.crowds.place[self._crowd, self._clock], self.crowds.velocity[self._crowd, self._clock]
 
     def _observation(self, events: Tensor) -> TensorDict:
         """Return what robots sense; discs face one way all the time."""
         shape, ahead = (*self.batch_size, 1), self._ahead()
         goal, zero = self._goal() - self._robot, torch.zeros(*shape, 1)
-        place, velocity = self.place[self._crowd, self._clock], self.velocity[self._crowd, self._clock]
-        place, velocity = (
-            unrotate(value, ahead.unsqueeze(1).expand_as(value))
-            for value in (place - self._robot[:, None], velocity)
-        )
+        place, velocity = self._people()
+        away = place - self._robot[:, None]
+        reach = self.setting.sensor_range or math.inf
+        mask = away.norm(dim=-1) - RADIUS - self.fleet.radius <= reach
+        place, velocity = (unrotate(value, ahead.unsqueeze(1).expand_as(value)) for value in (away, velocity))
         goal, moving = unrotate(goal, ahead), unrotate(self._moving, ahead)
         rows = torch.cat((place, velocity, torch.full_like(place[..., :1], RADIUS)), -1)
-        mask = torch.ones(rows.shape[:2], dtype=torch.bool)
         seen = {"goal": goal, "waypoint": goal, "velocity": moving}
-        seen |= {"people": rows, "people_mask": mask}
+        seen |= {"people": rows * mask.unsqueeze(-1), "people_mask": mask}
         seen = {name: value.unsqueeze(1) for name, value in seen.items()}
         seen |= {"remaining_path": self._left()[:, None, None], "radius": zero + self.fleet.radius}
         seen |= {"turn_rate": self._turn[:, None, None], "heading": self._heading[:, None, None]}
@@ -195,21 +205,3 @@ class CrossingEnv(EnvBase):
 
 INFO = ("active", "success", "person_contact", "timeout")
 """What is said of a decision."""
-
-
-def walked(people: int, seeds: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """Return where people are and their velocities (C, `STEPS` + 1, N, 2) in cases of CrowdNav's."""
-    setting = replace(CROWDNAV, people=people)
-    result = []
-    for begin in range(0, len(seeds), _AT_ONCE):
-        case = cases(setting, seeds[begin : begin + _AT_ONCE])
-        now = case.people
-        places, velocities = [now.position], [now.velocity]
-        for _ in range(STEPS):
-            velocity = people_velocity(setting, None, now, case.goal)
-            now = now._replace(position=now.position + TIME_STEP * velocity, velocity=velocity)
-            places.append(now.position)
-            velocities.append(velocity)
-        result.append((torch.stack(places, 1).float(), torch.stack(velocities, 1).float()))
-    place, velocity = zip(*result, strict=True)
-    return torch.cat(place), torch.cat(velocity)

@@ -20,7 +20,7 @@ from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.robots.acting import Mean, Value, actor
-from pedzoo.train.robots.crossing import CrossingEnv
+from pedzoo.train.robots.crossing import SETTINGS, CrossingEnv
 from pedzoo.train.robots.experience import Gatherer, ends, rated, walked_once
 from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
@@ -76,8 +76,9 @@ class RobotPPO(L.LightningModule):
 
         Args:
             policy: The network.
-            scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5``, see
-                `pedzoo.train.robots.crossing.CrossingEnv`, whose people and decisions are CrowdNav's.
+            scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5`` or
+                ``crowdnav_pp``, whose people and decisions are CrowdNav's; see
+                `pedzoo.train.robots.crossing.CrossingEnv`.
             people: A policy or a mixed crowd.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.
@@ -140,11 +141,11 @@ class RobotPPO(L.LightningModule):
     def environment(self, scenario: str, scenes: int, training: bool = False) -> RobotEnv | CrossingEnv:
         """Return ``scenes`` scenes of one of the scenarios; those of a training are never validated on."""
         spec = parse(scenario)
-        if spec.name == "crowdnav":
+        if setting := SETTINGS.get(spec.name):
             counts: dict[str, Any] = {key: int(value) for key, value in spec.settings.items()}
             # CrowdNav's validation cases are those of the seeds from 0 on
             counts |= {} if training else {"crowds": scenes, "first": 0}
-            return CrossingEnv(scenes, robot=self.robot, reward=self.reward, **counts)
+            return CrossingEnv(scenes, setting, robot=self.robot, reward=self.reward, **counts)
         return make_robot_env(
             scenario,
             self.robot,
