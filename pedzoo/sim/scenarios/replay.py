@@ -248,5 +248,6 @@ def _occupants(
 
 
 def _scenes_of(rows: list[tuple[Any, ...]]) -> Scenes:
-    *numbers, others = (torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True))
-    return Scenes(*numbers, others.bool())
+    columns = (torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True))
+    number, origin, until, last, left, lead, others = columns
+    return Scenes(number, origin, until, last, left, lead, others.bool())
