@@ -105,9 +105,8 @@ class Scenario(ABC):
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
         unknown: Meaning of unknown cells of the floor plans.
-        place_of_robot: Settings with values by which one robot takes the place of one person, the usual value
-            first; empty where robots are more
-            people than ``people`` says.
+        place_of_robot: Settings by which one robot takes the place of one person, each with its possible
+            values, the usual one first; empty where robots are more people than ``people`` says.
     """
 
     place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {}
