@@ -21,7 +21,7 @@ from pedzoo.policies.load import load_robot_policy
 from pedzoo.policies.robot_policy import RobotPolicy
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.sim.robot_parts.make import clearance_of, make_robot_env
+from pedzoo.sim.robot_parts.make import SENSES, clearance_of, make_robot_env
 from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
 from pedzoo.sim.robot_parts.scenes import RobotScenes, with_robots
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
@@ -56,7 +56,8 @@ def robot_rollout(
         seed: Of the scenes.
         deterministic: The robot's policy does not explore. People keep their noise.
         tell: Called with the share that is done.
-        settings: More of `pedzoo.make_robot_env`: ``sensors``, ``decision_dt``, ``ends_at``, ...
+        settings: More of `pedzoo.make_robot_env`: ``sensors`` (else those that the policy says it needs),
+            ``decision_dt``, ``ends_at``, ...
 
     Raises:
         UserError: An unknown name or setting.
@@ -67,10 +68,12 @@ def robot_rollout(
     prepared = prepared_scenes(scenario, bodies, settings.pop("robot_goals", 1))
     alone = cast("RobotScenes", prepared.scenario).without_robots(prepared)
     runs = -(-episodes // physics_class(physics).scenes_at_once)
+    policy = load_robot_policy(robot_policy)
+    settings = {"sensors": getattr(policy, "sensors", SENSES)} | settings
     settings |= {"people": people, "physics": physics, "seed": seed, "num_envs": -(-episodes // runs)}
     joined, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
     joined.policy_name = robot_policy
-    policy = load_robot_policy(robot_policy).to(joined.device)
+    policy = policy.to(joined.device)
     try:
         parts = list(_parts(policy, joined, alone, episodes, deterministic, tell))
     finally:
