@@ -192,7 +192,8 @@ def test_scenes_that_begin_anew_are_sensed_as_in_a_look_at_all() -> None:
     for _ in range(12):
         before, now = env.step_and_maybe_reset(policy(now))
         begun |= before["next", "done"][:, 0]
-        seen, whole = now["robots", "observation"], env.view(env.state, env.rules.guidance(env.state))
+        seen: Any = now["robots", "observation"]
+        whole = env.view(env.state, env.rules.guidance(env.state))
         for sensor in (build(SENSORS, name, Sensor) for name in sensors[:2]):
             for name, value in sensor.observe(whole).items():
                 torch.testing.assert_close(seen[name], value)

@@ -22,7 +22,7 @@ what one agent does until the next one; `step, s` is how much time that is. Step
 is in them, so the last column has the seconds that pass in all scenes in one second of the processor."""
 
 NOTES = """- Ours, in `apartment.7`: 0.2 s with the robot's policy (straight to the waypoint), people's
-  decisions, contacts and goals on a trace of 0.1 s, walls, guidance around them, all sensors, rewards and resets.
+  decisions, contacts and goals every 0.1 s, walls, guidance around them, all sensors, rewards and resets.
 - VMAS' `navigation`: 0.1 s, random actions, nobody plans; 16 of the 192 edges of the same walls, or none.
 - JaxNav: 0.1 s, random actions, walls of its own; agents that touched something stand. One robot's rays are
   computed; JaxNav itself computes those of all.
