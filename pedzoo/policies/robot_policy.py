@@ -90,8 +90,9 @@ class Planned(RobotPolicy):
         bodies = bodies_of(scenes)
         shape = bodies.radius.shape
         robot, drive, people = _seen(scenes, bodies)
-        walls = _walls(scenes, shape[1])
-        if command := getattr(self.planner, "command", None):
+        command = getattr(self.planner, "command", None)
+        walls = _walls(scenes, shape[1]) if command or self._takes_walls else None
+        if command:
             if bool((bodies.drive == HOLONOMIC).any()):
                 name = type(self.planner).__name__.lower()
                 raise UserError(f"{name} plans for wheels: expected robot=diff_drive, unicycle or the like")

@@ -184,6 +184,24 @@ def test_rays_meet_bodies_as_wide_as_they_are(name: str) -> None:
     physics.close()
 
 
+def test_compiled_rays_meet_bodies_where_torchs_do() -> None:
+    """Bodies of all widths, some absent, some that a ray begins in, one that is nowhere."""
+    generator = torch.Generator().manual_seed(0)
+    position, radius = torch.rand(20, 7, 2, generator=generator) * 4, torch.rand(20, 7, generator=generator)
+    position[0, 0] = torch.nan
+    map_id = torch.full((20, 1), -1)
+    mask = torch.rand(20, 7, generator=generator) < 0.8
+    people = Bodies(position, mask, map_id, identity_pose(20), radius)
+    origin, angle = (
+        torch.rand(20, 50, 2, generator=generator) * 4,
+        torch.rand(20, 50, generator=generator) * 7,
+    )
+    direction = torch.stack((angle.cos(), angle.sin()), -1)
+    first, second = (cls(MapBank()).rays(people, origin, direction, 3.0) for cls in (Torch, Compiled))
+    torch.testing.assert_close(first, second)
+    assert 0.2 < (first < 3).float().mean() < 0.9
+
+
 @pytest.mark.parametrize("name", BACKENDS)
 @pytest.mark.parametrize("width", WIDTHS)
 def test_walls_are_touched_at_the_own_radius(name: str, width: float) -> None:

@@ -185,6 +185,27 @@ def test_noise_dropout_and_delay() -> None:
     assert not torch.allclose(now, before)
 
 
+def test_scenes_that_begin_anew_are_sensed_as_in_a_look_at_all() -> None:
+    """Sensors are asked about these scenes alone; what was read of the others stays."""
+    sensors = ["goal", "lidar:beams=8,noise=0.02", "people:most=3,delay=0.4"]
+    env = made(num_envs=16, sensors=sensors)
+    now, policy, some = env.reset(seed=3), load_robot_policy("straight"), 0
+    for _ in range(25):
+        before, now = env.step_and_maybe_reset(policy(now))
+        seen: Any = now["robots", "observation"]
+        whole = env.view(env.state, env.rules.guidance(env.state))
+        for sensor in (build(SENSORS, name, Sensor) for name in sensors[:2]):
+            for name, value in sensor.observe(whole).items():
+                torch.testing.assert_close(seen[name], value)
+        anew = before["next", "done"][:, 0]
+        some += bool(anew.any() and not anew.all())
+        late = build(SENSORS, "people:most=3", Sensor).read(whole)["people"]
+        torch.testing.assert_close(seen["people"][anew], late[anew])
+        kept = before["next", "robots", "observation", "people"]
+        assert torch.equal(seen["people"][~anew], kept[~anew])
+    assert some > 2
+
+
 def test_an_action_that_is_no_number_ends_its_scene_alone() -> None:
     one, other = made(), made()
     seen, expected = one.reset(seed=0), other.reset(seed=0)

@@ -17,7 +17,7 @@ from pedzoo.maps.library import load_plan
 from tools.bench import BENCHMARKS
 from tools.bench.compare import compare, read_report
 from tools.bench.figures import Measured, Row, Verdict
-from tools.bench.peer import Peer, Scenes
+from tools.bench.peer import Peer, Scenes, running
 from tools.bench.run import Run
 from tools.bench.scenes import LARGEST, Size, scenario
 from tools.bench.section import NotGivenError, Section, Settings
@@ -25,6 +25,7 @@ from tools.bench.sections.loop import BARE, MODEL, ORCA, SHORT, Loop
 from tools.bench.sections.memory import Memory, cells
 from tools.bench.sections.orca import Orca
 from tools.bench.sections.profile import NETWORK, PLANNER, RESETS, REST, WALKING, Split
+from tools.bench.sections.robots import Robots
 from tools.bench.tables import print_bench
 from tools.bench.turns import in_turns, ratio, repeated, versus
 
@@ -373,6 +374,74 @@ def test_rvo2_is_a_peer() -> None:
         assert all(case.side(0.01) > 0 for case in cases)
     finally:
         them.close()
+
+
+ENVS = {
+    "crowd_sim": """
+import gym, rvo2
+from gym.envs.registration import register
+register(id="CrowdSim-v0")
+class CrowdSim(gym.Env):
+    def configure(self, config):
+        self.people = config.getint("sim", "human_num")
+    def set_robot(self, robot):
+        self.robot = robot
+    def reset(self, phase):
+        self.sim = rvo2.PyRVOSimulator(0.25, 10, 10, 5, 5, 0.3, 1)
+        for place in range(self.people):
+            self.sim.addAgent((2.0 * place, 0.0), 10, 10, 5, 5, 0.31, 1.0, (0.0, 0.0))
+        self.left = 3
+        return self.sim
+    def step(self, action):
+        assert action == "on" and self.left and self.sim.getNumAgents() == self.people == 5
+        self.sim.setAgentPosition(0, (0.0, 0.0))
+        self.sim.setAgentPrefVelocity(0, (0.0, 0.5))
+        self.sim.doStep()
+        assert self.sim.getAgentVelocity(0)[1] > 0
+        self.left -= 1
+        return self.sim, 0.0, not self.left, None
+""",
+    "policy/linear": "class Linear:\n    def act(self, seen):\n        return 'on'\n",
+    "utils/robot": """
+class Robot:
+    def __init__(self, config, section):
+        assert config.get(section, "policy") == "none"
+    def set_policy(self, policy):
+        self.act = policy.act
+""",
+}
+"""What CrowdNav's gym looks like from outside: episodes of three steps."""
+
+
+def test_crowdnavs_gym_is_a_peer(tmp_path: Path) -> None:
+    pytest.importorskip("pyrvo")
+    for name, text in ENVS.items():
+        file = tmp_path / "crowd_sim" / "envs" / f"{name}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    config = tmp_path / "crowd_nav" / "configs" / "env.config"
+    config.parent.mkdir(parents=True)
+    config.write_text("[sim]\nhuman_num = 7\n[robot]\npolicy = none\n")
+    asked = [SCENES._replace(section="robots", scenes=scenes, people=6) for scenes in (1, 64)]
+    settings = Settings(peers=(PEERS / "crowdnav_gym.py",), crowdnav=tmp_path)
+    with running(settings) as (them,):
+        (case,) = them.cases([*asked, SCENES])
+        assert (case.title, case.scenes, case.people, case.step_seconds) == ("CrowdNav, gym", 1, 6, 0.25)
+        assert case.side(0.01) > 0
+    with running(Settings(peers=settings.peers)) as (them,):
+        assert not them.cases([SCENES])  # other sections need no checkout
+        with pytest.raises(UserError, match="is no checkout of CrowdNav: git clone https"):
+            them.cases(asked)
+
+
+def test_a_peer_that_fails_does_not_end_the_section_robots(tmp_path: Path) -> None:
+    script = tmp_path / "them.py"
+    script.write_text("import json, sys\n" + GOOD.replace("agent_steps_per_s", "nothing"))
+    settings = Settings(seconds=0.01, turns=1, quick=True, peers=(script,))
+    rows = {row.name: row for row in Robots(settings)._size(Size(1, 2))}
+    assert rows["people orca"].metrics["agent_steps_per_s"].value > 0
+    assert not rows["Them, fast"].metrics
+    assert "failed: peer them.py gave no agent_steps_per_s" in rows["Them, fast"].note
 
 
 # runs

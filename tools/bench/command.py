@@ -40,6 +40,7 @@ def run(argv: list[str]) -> int:
         peers=options.peer,
         peer_python=options.peer_python,
         sgan=Path(options.sgan) if options.sgan else None,
+        crowdnav=Path(options.crowdnav) if options.crowdnav else None,
         data=options.data,
     )
     measuring = Run(options.sections, settings)
@@ -67,7 +68,7 @@ def _parsed(argv: list[str]) -> Namespace:
     about = [f"  {name:<{width}}  {BENCHMARKS.describe(name)}" for name in names]
     parser = Arguments("bench", "\n".join([f"{HELP}", "", "sections:", *about]), EXAMPLE)
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="which (default: all that can be run)")
-    add_timing(parser, "loop, orca, profile")
+    add_timing(parser, "loop, orca, profile, robots")
     parser.add_argument("--threads", type=int, default=1, help="of torch and of peers (default: 1)")
     parser.add_argument(
         "--map",
@@ -84,6 +85,9 @@ def _parsed(argv: list[str]) -> Namespace:
     )
     parser.add_argument(
         "--sgan", metavar="FOLDER", help="checkout of the original Social GAN, for section sgan"
+    )
+    parser.add_argument(
+        "--crowdnav", metavar="FOLDER", help="checkout of CrowdNav, for the peer crowdnav_gym.py"
     )
     parser.add_argument("--data", metavar="FOLDER", help="ETH/UCY, for section sgan (default: PEDZOO_DATA)")
     parser.add_argument("--compare", metavar="FILE", help="an older report: what has become faster or slower")

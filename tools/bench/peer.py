@@ -32,7 +32,7 @@ from pedzoo.core.errors import UserError
 from tools.bench.section import Settings
 from tools.bench.turns import Side
 
-PATIENCE = 180.0
+PATIENCE = 600.0
 """Seconds that a peer may take beyond the time that it is to work: it builds its scenes in its first turn."""
 
 
@@ -244,8 +244,9 @@ def running(settings: Settings) -> Iterator[list[Peer]]:
     """Start the peers of a run, and end them after the block."""
     with ExitStack() as stack:
         peers = []
+        folders = {"CROWDNAV": str(settings.crowdnav.resolve())} if settings.crowdnav else {}
         for script in settings.peers:
-            peer = Peer(script, settings.peer_python, settings.threads)
+            peer = Peer(script, settings.peer_python, settings.threads, environment=folders)
             stack.callback(peer.close)
             peers.append(peer)
         yield peers

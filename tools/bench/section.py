@@ -30,6 +30,7 @@ class Settings:
         peers: Scripts that time other programs, see `tools.bench.peer`.
         peer_python: The interpreter that runs them.
         sgan: Checkout of the original Social GAN.
+        crowdnav: Checkout of CrowdNav, for the peer that runs its gym.
         data: Folder of the ETH/UCY recordings; the variable PEDZOO_DATA if not given.
     """
 
@@ -42,6 +43,7 @@ class Settings:
     peers: tuple[Path, ...] = ()
     peer_python: str = ""
     sgan: Path | None = None
+    crowdnav: Path | None = None
     data: str | None = None
 
     def __post_init__(self) -> None:

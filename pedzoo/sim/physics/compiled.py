@@ -9,7 +9,7 @@ from pedzoo.core.machine import compiles
 from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.physics_parts.base import Bodies
-from pedzoo.sim.physics_parts.compiled import advance_compiled, contacts_compiled
+from pedzoo.sim.physics_parts.compiled import advance_compiled, body_rays_compiled, contacts_compiled
 from pedzoo.sim.state import State
 
 
@@ -31,3 +31,10 @@ class Compiled(Torch):
         frame, place = self.bank.walls_of_scenes(self.bank.index(people.map_id[:, 0]), people.pose)
         present = people.mask & path.isfinite().flatten(2).all(2)
         return contacts_compiled(self.bank, path, present, self._radius(people), frame, place)
+
+    def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
+        if not compiles(origin, direction, people.position):
+            return super()._body_rays(people, origin, direction, reach)
+        return body_rays_compiled(
+            people.position, self._radius(people), self._present(people), origin, direction, reach
+        )

@@ -94,6 +94,7 @@ class Torch(Physics):
         return torch.where(valid, torch.minimum(walls, torch.cat(bodies, 1)), reach)
 
     def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
+        """Return how far rays go before they meet a body (B, R), metres; else ``reach``."""
         present = self._present(people)
         if not people.mask.shape[1]:
             return origin.new_full(origin.shape[:2], reach)

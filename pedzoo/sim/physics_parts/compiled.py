@@ -84,6 +84,18 @@ def contacts_compiled(
     return Contacts(motion.agent_contact, motion.wall_contact)
 
 
+def body_rays_compiled(
+    position: Tensor, radius: Tensor, present: Tensor, origin: Tensor, direction: Tensor, reach: float
+) -> Tensor:
+    """Return how far rays (B, R) go before they meet one of the bodies (B, A) that are present, metres."""
+    from pedzoo.sim.physics_parts.compiled_loops import body_rays
+
+    length = torch.full(origin.shape[:2], reach)
+    given = position, radius.to(position.dtype), present, origin, direction, length
+    body_rays(*(part.detach().numpy() for part in given))
+    return length
+
+
 def _run(
     bank: MapBank, position: Tensor, velocity: Tensor, radius: Tensor, present: Tensor, moving: Tensor,
     played: Tensor, goal: Tensor, wanted: Tensor, substeps: int, walls: tuple[Tensor, Tensor],

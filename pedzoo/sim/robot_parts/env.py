@@ -215,7 +215,7 @@ class RobotEnv(PedestrianEnv):
         self, state: State, guidance: Guidance, happened: Events | None = None, outcome: Outcome | None = None
     ) -> TensorDict:
         batch, robots = super()._observation(state, guidance, happened), self._body.batch_size
-        seen = self._readings(self.view(state, guidance), self._begun if happened is None else None)
+        seen = self._sensed(happened is None)
         outcome = outcome or Outcome.none(state.controlled[:, -self.robots :])
         flags = {name: getattr(outcome, name) for name in ("active", *INFO)}
         group = {
@@ -225,6 +225,15 @@ class RobotEnv(PedestrianEnv):
         }
         batch["robots"] = tensordict_of(group, robots, self.device)
         return batch
+
+    def _sensed(self, begins: bool) -> dict[str, Tensor]:
+        """Return what sensors say (B, R, ...); where scenes begin, only these are looked at again."""
+        scenes = self._scenes
+        assert scenes is not None
+        if not begins:
+            return self._readings(self.view(*scenes))
+        rows = self._begun.nonzero().view(-1)
+        return self._readings(self.view(*scenes.select(rows)), rows)
 
 
 class _Commanded(Policy):

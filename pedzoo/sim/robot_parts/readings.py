@@ -43,30 +43,24 @@ class Readings:
         """Return the specs of all entries for ``shape`` scenes and robots."""
         return {name: _spec(reading, (*shape, *reading.shape)) for name, reading in self.entries.items()}
 
-    def __call__(self, view: RobotView, begun: Tensor | None) -> dict[str, Tensor]:
+    def __call__(self, view: RobotView, begun: Tensor | None = None) -> dict[str, Tensor]:
         """Return all entries (B, R, ...).
 
         Args:
-            view: The scenes now.
-            begun: Which of them begin (B,) bool, where there was no decision; None after a decision.
+            view: The scenes now; where there was no decision, those that begin alone.
+            begun: Which scenes these are (N,) long; None after a decision.
         """
-        result: dict[str, Tensor] = {}
-        for sensor, late in zip(self._sensors, self._late, strict=True):
-            seen = sensor.observe(view)
-            if late:
-                seen = {name: self._delayed(name, value, late, begun) for name, value in seen.items()}
-            result |= seen
-        return result
+        if begun is None or len(begun):
+            for sensor, late in zip(self._sensors, self._late, strict=True):
+                for name, now in sensor.observe(view).items():
+                    self._last[name] = self._with(name, now.expand(late + 1, *now.shape), begun)
+        # a caller may write into what it gets
+        return {name: last[0].clone() for name, last in self._last.items()}
 
-    def _delayed(self, name: str, now: Tensor, late: int, begun: Tensor | None) -> Tensor:
-        whole = now.unsqueeze(0).expand(late + 1, *now.shape)
-        last = self._last.get(name, whole)
-        if begun is None:
-            last = torch.cat((last[1:], now.unsqueeze(0)))
-        else:
-            last = torch.where(begun.view(1, -1, *[1] * (now.dim() - 1)), whole, last)
-        self._last[name] = last
-        return last[0]
+    def _with(self, name: str, now: Tensor, begun: Tensor | None) -> Tensor:
+        """Return an entry of the last decisions (1 + late, B, R, ...), the oldest first."""
+        last = self._last.get(name, now)
+        return torch.cat((last[1:], now[:1])) if begun is None else last.index_copy(1, begun, now)
 
 
 def _spec(reading: Reading, shape: tuple[int, ...]) -> TensorSpec:

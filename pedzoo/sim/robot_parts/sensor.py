@@ -65,7 +65,10 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, view: RobotView) -> dict[str, Tensor]:
-        """Return the entries (B, R, ...) without noise, dropout and delay."""
+        """Return the entries (B, R, ...) without noise, dropout and delay.
+
+        Scenes that begin anew are asked for alone: B is that of the view, and nothing is remembered by row.
+        """
 
     def observe(self, view: RobotView) -> dict[str, Tensor]:
         """Return the entries with noise and dropout, which depend on scene, robot and clock alone."""

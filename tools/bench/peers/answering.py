@@ -47,16 +47,18 @@ def loop_cases(
     most: int,
     kinds: dict[str, tuple[Any, str]],
     note: str,
-    build: Callable[[int, int, Any], tuple[Step, Step | None]],
+    build: Callable[[dict[str, Any], Any], tuple[Step, Step | None]],
+    section: str = "loop",
 ) -> list[Case]:
-    """Return the cases of a simulator with steps of 0.1 s, each kind at every size of the section ``loop``.
+    """Return the cases of a simulator with steps of 0.1 s, each kind at every size of a section.
 
     Args:
         asked: The sizes that are asked about.
         most: More people than this are left out.
         kinds: By name, what ``build`` takes and what the reader is told about it.
         note: What is included; ``{about}`` stands for what is said of the kind.
-        build: Takes scenes, people and the kind's value.
+        build: Takes what is asked about, and the kind's value.
+        section: Other questions are left out.
     """
     return [
         Case(
@@ -65,10 +67,10 @@ def loop_cases(
             size["people"],
             0.1,
             note.format(about=about),
-            lambda size=size, value=value: build(size["scenes"], size["people"], value),
+            lambda size=size, value=value: build(size, value),
         )
         for size in asked
-        if size["section"] == "loop" and size["people"] <= most
+        if size["section"] == section and size["people"] <= most
         for kind, (value, about) in kinds.items()
     ]
 

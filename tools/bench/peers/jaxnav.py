@@ -8,6 +8,9 @@ rewards and resets are computed in each step of 0.1 s. A robot that touches some
 when all robots of its scene have touched something or arrived, or after 500 steps; the scene goes on from one
 of 64 starts drawn beforehand. JaxNav's own reset draws a map in every step, needed or not, and is slower.
 
+In the section ``robots`` the lidar has 64 rays: those of the last robot alone
+are computed, and all robots are told them; JaxNav itself computes those of each.
+
 One step of all scenes is one compiled program, on one thread and one processor.
 """
 
@@ -27,7 +30,11 @@ WARM = 3
 
 MOST = 100
 
-KINDS = {"lidar": (12, "12 rays each"), "no lidar": (2, "2 rays each, the fewest that it takes")}
+KINDS = {
+    "lidar": ((12, True), "12 rays each"),
+    "no lidar": ((2, True), "2 rays each, the fewest that it takes"),
+}
+ROBOTS = {"lidar": ((64, False), "64 rays of one robot among walls of its own")}
 
 
 def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
@@ -36,18 +43,27 @@ def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     note = "JaxNav, {about}, random actions, scenes that end go on from starts drawn beforehand"
-    return loop_cases(asked, MOST, KINDS, note, built)
+    every = ("loop", KINDS), ("robots", ROBOTS)
+    return [case for name, kinds in every for case in loop_cases(asked, MOST, kinds, note, built, name)]
 
 
-def built(scenes: int, people: int, rays: int) -> tuple[Step, None]:
-    """Return what makes one step of all scenes."""
+def built(size: dict[str, Any], lidars: tuple[int, bool]) -> tuple[Step, None]:
+    """Return what makes one step of all scenes; so many rays of each robot, or of the last one."""
     # XLA reads its flags when jax is first used.
     import jax  # pyright: ignore[reportMissingImports]
     from jax import numpy as jnp  # pyright: ignore[reportMissingImports]
     from jaxmarl.environments.jaxnav import JaxNav  # pyright: ignore[reportMissingImports]
 
+    class LastLidar(JaxNav):
+        """All robots are told what the last one's lidar says: it is computed once."""
+
+        def _lidar_sense(self, idx: Any, state: Any) -> Any:
+            return super()._lidar_sense(self.num_agents - 1, state)
+
+    scenes, people, (rays, each) = size["scenes"], size["people"], lidars
     side = max(11, math.ceil(11 * math.sqrt(people / 5)))
-    env = JaxNav(num_agents=people, lidar_num_beams=rays, map_params={"map_size": (side, side), "fill": 0.3})
+    make = JaxNav if each else LastLidar
+    env = make(num_agents=people, lidar_num_beams=rays, map_params={"map_size": (side, side), "fill": 0.3})
     split, tree_map = jax.random.split, jax.tree.map
     starts = jax.jit(jax.vmap(env.sample_test_case))(split(jax.random.PRNGKey(0), STARTS))
 
