@@ -133,7 +133,11 @@ def new_words(argv: list[str]) -> list[str]:
 
 def new_keys(protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return a protocol, as a card has it, with today's names of keys, backends and suites."""
-    result = {OLD_PROTOCOL.get(key, key): value for key, value in protocol.items()}
+    # ``people`` beside a robot are a list
+    result = {
+        OLD_PROTOCOL.get(key, key) if isinstance(value, str) else key: value
+        for key, value in protocol.items()
+    }
     if "world" in result:
         world = result.pop("world")
         result["physics"] = OLD_BACKENDS.get(world, world)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.renamed import OLD_SUITES
 from pedzoo.core.types import OBS_LEN
 from pedzoo.data.datamodule import PROTOCOL
@@ -21,6 +22,9 @@ WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "enco
 
 EMBEDDED = "embedded"
 """The fold that ships with pedzoo: its numbers can be redone anywhere."""
+
+ROBOT_EPISODES = 20
+"""Of every scene in which a card's robot has driven."""
 
 SAMPLES, SEED = 20, 0
 
@@ -107,6 +111,18 @@ def measure(
     return result
 
 
+def measure_robot(name: str, people: str, robot: str) -> Report:
+    """Return the report for a robot's card: every scene of the suite ``robots``, among its own people.
+
+    Args:
+        name: The weights.
+        people: Among whom it learned.
+        robot: Its body.
+    """
+    protocol = {"suites": ["robots"], "episodes": ROBOT_EPISODES, "people": [people], "robot": robot}
+    return _for_card(report_of("evaluate", Job(name, protocol, [SEED])), name)
+
+
 def again(
     card: ModelCard,
     model: str | None = None,
@@ -129,7 +145,8 @@ def again(
     model = model or card.name
     if not card.evaluations:
         raise UserError(f"the card of {card.name!r} has no evaluations: there is nothing to do again")
-    load(model)
+    if card.architecture not in ROBOT_POLICIES.names():
+        load(model)
     result = []
     for before in card.evaluations:
         job = Job(model, before["protocol"], before["seeds"], root, workers, progress)

@@ -90,8 +90,14 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     for suite in job.protocol["suites"]:
         if suite not in SUITES.names():  # a card never makes code of a file run
             raise unknown("suite", str(suite), SUITES.names())
-    asked = only(job.protocol, EvaluationOptions._fields)
-    options = EvaluationOptions(**asked | {"root": job.root, "maps": tuple(asked.get("maps", ()))})
+    asked: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in only(job.protocol, EvaluationOptions._fields).items()
+    }
+    for key in ("people", "robot"):
+        if ".py:" in str(asked.get(key, "")):
+            raise UserError(f"{key} {asked[key]}: a file of code, which no card runs: use pedzoo evaluate")
+    options = EvaluationOptions(**asked | {"root": job.root})
     still = job.protocol.get("deterministic", False)
     evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)
 
@@ -102,7 +108,11 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     evaluation.run(job.workers, progress=tell)
     result = evaluation.report()
     # a folder is not the same on another machine, and what was not asked for needs no word
-    protocol = {key: value for key, value in result["protocol"].items() if key != "root" and value}
+    protocol = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in result["protocol"].items()
+        if key != "root" and value
+    }
     rows = []
     for row in result["summary"]:
         shown = evaluation.shown[row["case"]["suite"]].columns
@@ -130,6 +140,8 @@ class _Walks(TypedDict):
     maps: NotRequired[list]
     episodes: NotRequired[int]
     rollouts: NotRequired[int]
+    people: NotRequired[list]
+    robot: NotRequired[str]
 
 
 _MAKERS = {"forecast": (_Forecast, _forecasts), "evaluate": (_Walks, _walks)}

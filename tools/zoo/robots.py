@@ -1,9 +1,10 @@
 """Train the robots in checkpoints/, and make their cards.
 
-    python tools/zoo/robots.py train | export [--only circle,orca] [--runs FOLDER] [--epochs N]
+    python tools/zoo/robots.py train | export | measure [--only circle,orca] [--runs FOLDER] [--epochs N]
 
 ``train`` runs ``pedzoo fit`` for every robot as a user would, one after the other: it skips what is finished
 and resumes what was interrupted. ``export`` writes weights and card of every run that has a best checkpoint.
+``measure`` adds the suite ``robots``, among the robot's own people, to cards without numbers.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,8 @@ from safetensors.torch import save
 
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_whole
-from pedzoo.models.zoo.card import ModelCard, write_card
+from pedzoo.eval.card_numbers import measure_robot
+from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.policies.robot_weights import PREFIX
 from pedzoo.train.run import RunFolder
 
@@ -99,12 +102,14 @@ def export(name: str, runs: Path) -> None:
     }
     home = shipped("checkpoints") / f"robot_ppo.{name}"
     home.mkdir(exist_ok=True)
+    earlier_card = read_card(home / CARD) if (home / CARD).is_file() else None
     write_whole(home / WEIGHTS, save(state, {"config": json.dumps(config, sort_keys=True)}))
+    digest = sha256_of(home / WEIGHTS)
     value = next(iter(checkpoint["callbacks"].values()))["best_model_score"]
     card = ModelCard(
         name=home.name,
         architecture=config["architecture"],
-        sha256=sha256_of(home / WEIGHTS),
+        sha256=digest,
         size=(home / WEIGHTS).stat().st_size,
         config=config,
         training=_training(checkpoint, settings, record["command"], value, epochs),
@@ -114,7 +119,7 @@ def export(name: str, runs: Path) -> None:
             "terms": "simulated: no recordings, but for those that people of the zoo learned from",
             "citation": "",
         },
-        evaluations=[],
+        evaluations=earlier_card.evaluations if earlier_card and earlier_card.sha256 == digest else [],
         versions=record["versions"],
         licence="MIT",
         file=WEIGHTS,
@@ -122,6 +127,17 @@ def export(name: str, runs: Path) -> None:
     )
     write_card(card, home / CARD)
     print(f"{home.name}: {settings['monitor']} {float(value):.3f} after epoch {checkpoint['epoch']}")
+
+
+def measure(name: str) -> None:
+    """Add numbers to a card that has none."""
+    path = shipped("checkpoints") / f"robot_ppo.{name}" / CARD
+    card = read_card(path)
+    if not card.evaluations:
+        known = card.config["protocol"]
+        report = measure_robot(card.name, known["crowd"], known["robot"])
+        write_card(replace(card, evaluations=[report]), path)
+        print(f"{card.name}: measured")
 
 
 def _settings(folder: Path) -> dict[str, Any]:
@@ -160,7 +176,7 @@ def _source(protocol: dict[str, Any]) -> str:
 def main() -> None:
     """Run one of the commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("command", choices=("train", "export"))
+    parser.add_argument("command", choices=("train", "export", "measure"))
     parser.add_argument("--only", default=",".join(ROBOTS), help="Names, between commas.")
     parser.add_argument("--runs", type=Path, default=Path("runs/robots"), help="Folder of the run folders.")
     parser.add_argument("--epochs", type=int, help="Instead of the config's.")
@@ -168,8 +184,10 @@ def main() -> None:
     for name in options.only.split(","):
         if options.command == "train":
             train(name, options.runs, options.epochs)
-        else:
+        elif options.command == "export":
             export(name, options.runs)
+        else:
+            measure(name)
 
 
 if __name__ == "__main__":
