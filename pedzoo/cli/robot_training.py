@@ -1,7 +1,5 @@
 """``pedzoo fit`` for robots: LightningCLI without recordings, with the run folders of all trainings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``pedzoo fit``, ``validate`` and ``test``: LightningCLI with run folders and readable errors."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import math

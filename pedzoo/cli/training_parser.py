@@ -1,7 +1,5 @@
 """What all trainings at the command line share: config files with what they inherit, and a progress bar."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Small pure functions on positions, velocities and poses: batched, differentiable, on any device."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

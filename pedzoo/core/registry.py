@@ -6,8 +6,6 @@ torch. From an installed wheel, write ``path/to/file.py:Class`` wherever a name 
 entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """Old spellings that still work, each with the new one."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache, wraps

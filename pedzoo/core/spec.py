@@ -7,8 +7,6 @@ has the defaults of the class's settings. Texts and files of weights name settin
 with them.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Mapping

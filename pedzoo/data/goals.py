@@ -5,8 +5,6 @@ FDE 0. It is the paper's Table I. ``destination`` is where the person was last r
 planner knows; ``random_future`` is any later point of the same track, for training only.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """People's own recordings: any files, cut in time into train, val and test, resampled to 0.4 s."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The recordings of a training, their sources and their terms, for model cards."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

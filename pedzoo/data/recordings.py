@@ -1,7 +1,5 @@
 """The contents of a dataset file: recordings of a split, each with its floor plan, and its description."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

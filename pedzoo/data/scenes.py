@@ -1,7 +1,5 @@
 """All windows of a split as tensors, and the scene batch of any of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The numbers on a model card: measured for it, and measured again on request."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple

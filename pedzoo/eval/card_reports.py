@@ -1,7 +1,5 @@
 """How the reports on model cards are made: from their protocol alone, so that they can be made again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, NotRequired, get_args
 

@@ -1,7 +1,5 @@
 """The closed-loop evaluation: policies on suites of cases, in parts that are kept, resumed and shared out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial

@@ -1,7 +1,5 @@
 """Open-loop tables: any models on one split, between the trivial baselines, under one named protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Scenarios are kept within a process: finding the ways on a floor plan can take longer than walking."""
 
-from __future__ import annotations
-
 from pedzoo.core.spec import Spec
 from pedzoo.sim.make import make_scenario, prepare_scenario
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario

@@ -6,8 +6,6 @@ over people, who are drawn with all that they did in all rounds and in the recor
 depend on each other is left out, so intervals are somewhat too narrow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple

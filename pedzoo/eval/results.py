@@ -1,7 +1,5 @@
 """What people read of an evaluation: the same tables on a terminal and on a page."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Robots drive whole episodes among people, and the same people walk for as long without them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Policies walk whole episodes, and everything that metrics and pictures need is kept."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any

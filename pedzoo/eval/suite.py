@@ -1,7 +1,5 @@
 """What every suite is: cases on which policies are evaluated, and the smallest parts of that work."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple

@@ -1,7 +1,5 @@
 """Several cases as one row: the mean over them, with its interval."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import groupby

@@ -1,7 +1,5 @@
 """Intervals of open-loop errors: windows overlap, so what is drawn again is stretches of time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -1,7 +1,5 @@
 """Units of an evaluation: how one is done in any process, and by what a finished one is known again."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

@@ -1,7 +1,5 @@
 """Where people can stand: free space away from walls, all of it within reach of all the rest."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

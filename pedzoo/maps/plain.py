@@ -6,8 +6,6 @@ A plan is a list of rectangles, which the helpers make and ``+`` joins::
     grid = rectangles(walls)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

@@ -5,8 +5,6 @@ truth is known. Minima over samples come in two forms that must never share a co
 sample for all people of a window together (Gupta et al., "Social GAN", CVPR 2018), and *per agent*.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

@@ -8,8 +8,6 @@ A pair is two people, one from each side, who are nearest to the door's centre w
 all come from one side there is no pair.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

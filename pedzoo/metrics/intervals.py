@@ -1,7 +1,5 @@
 """95 % intervals of closed-loop numbers: episodes are independent of each other, people in them are not."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ E episodes of A people (padded), T trace points; point t is the end of the t-th 
 Functions take what `pedzoo.sim.rollout.Rollout` holds under the same names.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

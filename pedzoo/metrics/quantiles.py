@@ -3,8 +3,6 @@
 N values of G groups (episodes, people); R resamples are weights (R, G), how often each group counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

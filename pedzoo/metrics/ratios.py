@@ -4,8 +4,6 @@ A metric is a function of a rollout with the decorator `metric`, in any file of 
 finds it, and its name is the metric's. Its docstring is the legend of pages.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Literal, NamedTuple, TypeVar

@@ -4,8 +4,6 @@ E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`
 all people who are present.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import torch

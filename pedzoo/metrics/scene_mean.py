@@ -1,7 +1,5 @@
 """Means over people: exact sums, over processes too, and those of each scene."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torchmetrics import Metric

@@ -7,8 +7,6 @@ one 0.1 s. Windows begin with the episode, as decisions do, and do not overlap: 
 is scored only in part, changes of velocity at their ends, headings of standing people.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -9,8 +9,6 @@ The policies of a crowd are joined by ``+``. The setting ``share`` belongs to th
   follows, or an address.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """Inputs and outputs of a robot's local planner. B robots, N people around each (padded)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, cast
 

@@ -1,7 +1,5 @@
 """Mixed crowds: several policies move the agents of a scene, each at its own decision interval."""
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias, cast
 
@@ -23,7 +21,7 @@ _ROUNDING = 1e-3
 """Seconds: clocks are sums of decisions."""
 
 
-Crowd: TypeAlias = "list[tuple[Policy | Walker, float]]"
+Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 """Policies and their shares of the agents."""
 
 

@@ -1,7 +1,5 @@
 """Fine-tuning: a training that begins with the weights of another one."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

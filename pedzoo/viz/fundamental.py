@@ -1,7 +1,5 @@
 """Density and speed of replayed crowds beside the real ones: the fundamental diagram as a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle, product
 from pathlib import Path

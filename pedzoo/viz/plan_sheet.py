@@ -1,7 +1,5 @@
 """Floor plans as one picture: rooms tinted by what they are for, furniture, doors and walls."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures of forecasts: what was seen, what happened, and what a model expected, on the floor plan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

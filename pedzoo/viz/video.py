@@ -1,7 +1,5 @@
 """Videos of an episode: what the physics' camera sees every 0.1 s, one panel per policy."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys

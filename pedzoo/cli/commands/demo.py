@@ -1,7 +1,5 @@
 """``pedzoo demo``: the first minutes with pretrained models. Its steps are commands to type."""
 
-from __future__ import annotations
-
 import shlex
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``pedzoo models``: what can be trained and what can be loaded, read without importing torch."""
 
-from __future__ import annotations
-
 from fnmatch import fnmatch
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``pedzoo robots``: bodies, sensors, rewards and policies of robots, read without importing torch."""
 
-from __future__ import annotations
-
 from fnmatch import fnmatch
 
 from pedzoo.cli.arguments import Arguments

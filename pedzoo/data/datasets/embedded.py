@@ -1,7 +1,5 @@
 """The synthetic plaza that ships with the package: for the demo, tests and first steps, never for results."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar

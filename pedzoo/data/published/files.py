@@ -1,7 +1,5 @@
 """Files that lie in public repositories at pinned commits, with a checksum each, and their mirrors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

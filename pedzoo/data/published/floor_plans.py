@@ -1,7 +1,5 @@
 """Floor plans of ETH/UCY, made from published image masks, homographies and recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

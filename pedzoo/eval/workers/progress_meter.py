@@ -1,7 +1,5 @@
 """How far an evaluation is, and how long the rest takes."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import NamedTuple

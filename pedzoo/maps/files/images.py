@@ -1,7 +1,5 @@
 """Images as floor plans: grey levels of a file, and plain images with a known resolution."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

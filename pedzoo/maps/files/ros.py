@@ -3,8 +3,6 @@
 The format: http://wiki.ros.org/map_server, mode trinary.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any

@@ -1,7 +1,5 @@
 """The carrot: the point ahead on agents' paths that they walk to."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Shortest paths through a floor plan by way of the corners of its open cells."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

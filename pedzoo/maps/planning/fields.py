@@ -1,7 +1,5 @@
 """Fields of next waypoints: for every open cell of a floor plan the path to a goal, one look-up away."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

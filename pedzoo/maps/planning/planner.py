@@ -1,7 +1,5 @@
 """The global planner: paths through floor plans to people's goals, looked up for all people at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

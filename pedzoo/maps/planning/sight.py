@@ -1,7 +1,5 @@
 """Lines of sight between the open cells of a floor plan, exact and for many pairs of cells at once."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt

@@ -1,7 +1,5 @@
 """Doors: every room within reach of every other one, and some loops."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Furniture put into rooms so that nothing blocks a door and all free space stays one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

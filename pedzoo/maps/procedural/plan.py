@@ -1,7 +1,5 @@
 """Floor plans from a seed: apartments and offices, with everything within reach of everything else."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from types import ModuleType

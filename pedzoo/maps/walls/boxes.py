@@ -1,7 +1,5 @@
 """Walls as few axis-aligned boxes, for physics engines and distance queries."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Outlines of walls: occupied cells as simplified polygons along cell edges."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

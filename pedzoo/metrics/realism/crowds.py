@@ -3,8 +3,6 @@
 A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -5,8 +5,6 @@ P people with N samples of a feature in all. Samples of one person are alike, so
 drawn. Distances of all resamples at once are taken on a grid; the one that is reported is exact.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

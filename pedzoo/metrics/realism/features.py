@@ -6,8 +6,6 @@ Every scored step of a person is one sample, if it has the feature. The change w
 over counts: the velocity before is the recorded one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Simulated walks against the recorded ones of the same people: displacement and dynamic time warping."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

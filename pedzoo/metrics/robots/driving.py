@@ -1,7 +1,5 @@
 """How robots drive: turning, standing, distance to the goal. See `pedzoo.metrics.robots` for E, R, T."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -4,8 +4,6 @@ Both begin alike: the robots are taken out after the warm start. People's noise 
 `pedzoo.metrics.robots` for E, N, R, T.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """Robots near people: distances, intrusions, forces. See `pedzoo.metrics.robots` for E, N, R, T."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

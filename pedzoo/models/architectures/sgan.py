@@ -5,8 +5,6 @@ Gupta et al., "Social GAN: Socially acceptable trajectories with generative adve
 variant: an option that is off costs nothing and leaves the published network.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 

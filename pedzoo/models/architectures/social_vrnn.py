@@ -12,8 +12,6 @@ conditional variational autoencoders (Sohn et al., NeurIPS 2015): with x alone, 
 means nothing. As in the published code, its diversity term is not part of the loss.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple

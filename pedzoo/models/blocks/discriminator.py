@@ -1,7 +1,5 @@
 """Social GAN's discriminator: is this trajectory a person's? It sees trajectories only."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from torch import Tensor, nn

@@ -6,8 +6,6 @@ probability that the future is of its kind. Given the component, steps are indep
     p(y) = sum_m pi_m prod_t N(y_t; mu_mt, diag(sigma_mt^2)).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

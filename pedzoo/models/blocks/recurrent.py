@@ -4,8 +4,6 @@ Both compute exactly what the paper's step-by-step networks do, in one LSTM call
 activation, so it disappears in the LSTM's input weights; so does the decoder's feedback, which is linear too.
 """
 
-from __future__ import annotations
-
 from typing import TypeAlias, cast
 
 import torch

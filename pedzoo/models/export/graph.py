@@ -1,7 +1,5 @@
 """A forecaster as a function of plain tensors, traced into a graph for programs without pedzoo."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Floor plans as inputs of a graph: an image, and where on it positions are."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Models as ONNX files: traced, checked against torch, and only then written."""
 
-from __future__ import annotations
-
 import io
 import json
 import logging

@@ -1,7 +1,5 @@
 """Whether an ONNX graph answers as torch does."""
 
-from __future__ import annotations
-
 import io
 from contextlib import redirect_stdout
 from typing import Any, NamedTuple, cast

@@ -1,7 +1,5 @@
 """Makes weights of the zoo and their model card, of a training run or of the weights' own metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

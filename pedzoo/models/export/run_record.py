@@ -1,7 +1,5 @@
 """The record of a checkpoint in the folder of a training run."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """A folder as the Hugging Face hub wants it: weights, card, and a README made of the card. Needs no torch."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a model's file says about it, however the model is named."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pedzoo.core.registry import MODELS

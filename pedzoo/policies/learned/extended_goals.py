@@ -1,7 +1,5 @@
 """Goals moved out to where people are 3.2 s later, also where the way bends before."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch

@@ -6,8 +6,6 @@ looks one step ahead and no farther: it plans nothing, does not wait and finds n
 which leave all of the avoidance to people, are seen from afar: `pedzoo.policies.learned.yielding`.
 """
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch

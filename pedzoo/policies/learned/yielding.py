@@ -5,8 +5,6 @@ contact. See van den Berg, Lin and Manocha, "Reciprocal velocity obstacles for r
 navigation" (ICRA 2008), section V. Here obstacles leave all of the avoidance to people.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

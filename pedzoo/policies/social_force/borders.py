@@ -16,8 +16,6 @@ two borders.
 Borders do not hide each other, and two obstacles are two for every gap between them.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -4,8 +4,6 @@ Equations are those of Helbing and Molnar, Phys. Rev. E 51, 4282 (1995). Coordin
 K others of N people: on a CPU several times faster than pairs of coordinates. Everything is differentiable.
 """
 
-from __future__ import annotations
-
 import math
 
 from torch import Tensor

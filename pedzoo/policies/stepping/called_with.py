@@ -1,7 +1,5 @@
 """Arguments of a controller: checked, and turned into arrays."""
 
-from __future__ import annotations
-
 import numbers
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass

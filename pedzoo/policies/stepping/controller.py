@@ -1,7 +1,5 @@
 """Policies for any simulator: positions of people by id in, velocities by id out."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast

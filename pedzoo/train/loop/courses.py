@@ -1,7 +1,5 @@
 """The courses of a training in the loop: environments, each with a share of the updates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import torch

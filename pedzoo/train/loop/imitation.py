@@ -1,7 +1,5 @@
 """Imitating recorded people while walking by oneself: losses on windows that are unrolled step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import cast
 

@@ -4,8 +4,6 @@ The features are those by which the suite ``replay`` judges a crowd (`pedzoo.met
 every step of 0.4 s, and so is the distance: Wasserstein-1, in units of how much recorded people differ.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, cast
 
 import torch

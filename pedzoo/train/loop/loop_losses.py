@@ -4,8 +4,6 @@ Each term is a mean over the people that the policy moves: it means the same in 
 counts x + x^2, so that neither small nor large contacts have a small gradient.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import torch

@@ -1,7 +1,5 @@
 """A differentiable piece of an episode: a policy's decisions in some environment, step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, cast
 

@@ -1,7 +1,5 @@
 """Adversarial training as in Social GAN (Gupta et al., CVPR 2018): a discriminator and a generator step."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import torch

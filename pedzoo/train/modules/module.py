@@ -1,7 +1,5 @@
 """Parts of all trainings: schedule, seeds, validation, and a checkpoint's description."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Set
 from typing import Any

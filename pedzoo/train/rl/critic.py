@@ -1,7 +1,5 @@
 """The critic of reinforcement learning: the reward that each person can still expect."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, ClassVar, cast
 

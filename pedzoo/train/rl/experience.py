@@ -1,7 +1,5 @@
 """A policy's experience: decisions in an environment, gathered by TorchRL, and their advantages."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """TorchRL's loss and advantages for agents of one policy: the keys, and which decisions count."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import torch

@@ -1,7 +1,5 @@
 """Reinforcement learning in the loop: PPO on the environment's rewards, which need no gradient."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Rewards of decisions, from the observations before and after: they need no gradient."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch

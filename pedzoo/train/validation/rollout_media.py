@@ -1,7 +1,5 @@
 """How people walked, where the metrics are looked at: pictures and videos for Weights & Biases."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from pathlib import Path

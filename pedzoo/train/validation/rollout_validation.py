@@ -1,7 +1,5 @@
 """Validation in the loop: the weights as they are walk through scenes, and the metrics stand beside ADE."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """The episodes that a process walks to validate weights in training, apart from that training."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager

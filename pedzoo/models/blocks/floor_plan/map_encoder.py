@@ -1,7 +1,5 @@
 """The interface of everything that turns the floor plan around a person into features."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import torch

@@ -1,7 +1,5 @@
 """How close and how soon a person comes to each other: features for avoidance."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional

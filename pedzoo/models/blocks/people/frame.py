@@ -1,7 +1,5 @@
 """Each person's own frame: directions relative to where a person is walking."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional

@@ -1,7 +1,5 @@
 """Pooled states of the others around a person, relative to that person and in their frame."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

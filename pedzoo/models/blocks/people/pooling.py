@@ -9,8 +9,6 @@ Then ReLU(u_j - v_i) = max(u_j, v_i) - v_i, which leaves one maximum and one pro
 Backwards, only the winning pair of each person and channel has a gradient.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, cast
 
 import torch
