@@ -31,12 +31,9 @@ def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
 
 
 def heading_of(velocity: Tensor, before: Tensor | None = None, slowest: float = 0.0) -> Tensor:
-    """Return the directions (...) of velocities (..., 2), radians from the x axis.
+    """Return the directions (...) of velocities (..., 2), m/s, radians from the x axis.
 
-    Args:
-        velocity: In m/s.
-        before: The answer (...) where a velocity is not faster than ``slowest``; None for 0.
-        slowest: In m/s.
+    It is ``before`` (...), or 0, where a velocity is not faster than ``slowest``, m/s.
     """
     moves = velocity.square().sum(-1) > slowest * slowest
     x, y = velocity.unbind(-1)

@@ -20,13 +20,7 @@ def positions(prediction: Tensor, history: Tensor) -> Tensor:
 
 
 def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> Tensor:
-    """Return distances (B, K, A, T) between predicted and true positions.
-
-    Args:
-        prediction: Displacements per step (B, K, A, T, 2).
-        history: Observed positions (B, A, 8, 2).
-        future: True positions (B, A, T, 2).
-    """
+    """Return distances (B, K, A, T) of predicted displacements (B, K, A, T, 2) from the true future."""
     return (positions(prediction, history) - future.unsqueeze(1)).norm(dim=-1)
 
 

@@ -278,13 +278,9 @@ class SGAN(Forecaster):
         encoded: Encoded | None = None,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the loss (see `VarietyLoss`) and one random sample (P, T, 2) for a discriminator.
+        """Return the loss and, if ``sample``, a random sample (P, T, 2) for a discriminator.
 
-        Args:
-            batch: Recorded scenes.
-            generator: Draws the noise.
-            encoded: The result of `encode` for this batch, if computed already.
-            sample: Whether the random sample is wanted.
+        See `VarietyLoss`. ``encoded`` is the result of `encode` for this batch, if computed already.
         """
         steps = agents_of(batch)["future"].shape[2]
         return self.losses(self, batch, encoded or self.encode(batch, steps), steps, generator, sample)

@@ -64,16 +64,7 @@ class VarietyLoss:
         generator: torch.Generator | None = None,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the loss, summed over scenes, and one random sample (P, T, 2) for a discriminator.
-
-        Args:
-            model: Decodes.
-            batch: Recorded scenes.
-            encoded: Their encoding.
-            steps: T.
-            generator: Draws the noise.
-            sample: Whether the random sample is wanted.
-        """
+        """Return the loss, summed over scenes, and, if ``sample``, a random sample (P, T, 2)."""
         crowd = encoded.crowd
         error = SceneError(self.error, batch, crowd)
         z = model.draw(encoded, max(self.best_k, 2), generator)

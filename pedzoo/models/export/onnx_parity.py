@@ -39,11 +39,6 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
 
     On one person, one scene, all scenes of a batch, and a single scene with all people of the batch.
 
-    Args:
-        data: The ONNX file.
-        model: The model.
-        graph: The traced graph.
-
     Raises:
         UserError: The graph cannot be run with these numbers of scenes and people, or differs from torch by
             more than `TOLERANCE`.

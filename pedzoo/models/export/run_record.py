@@ -44,11 +44,7 @@ class RunRecord(NamedTuple):
 
 
 def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
-    """Return the record of a checkpoint's run.
-
-    Args:
-        checkpoint: ``RUN/checkpoints/best.ckpt`` or another beside it.
-        content: Its content.
+    """Return the record of a checkpoint's run, given the checkpoint's content.
 
     Raises:
         UserError: It does not lie in the folder of a run.

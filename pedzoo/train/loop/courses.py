@@ -58,9 +58,6 @@ class ActiveCourse:
 
         Scenes that are over, or have gone on for ``max_segments`` segments, are replaced by new ones. Others
         go on where they are: agents that are stuck have to find the way out.
-
-        Args:
-            max_segments: Segments.
         """
         fresh = (self.age < 0) | (self.age >= max_segments)
         if len(self.age) == 0:
