@@ -169,13 +169,7 @@ class Evaluation:
         self.others = len(self._journal.done.keys() - set(self._digests))
 
     def run(self, workers: int = 1, backend: Backend = "processes", progress: Progress | None = None) -> None:
-        """Do all units that are not done; whatever interrupts it, finished ones are kept.
-
-        Args:
-            workers: As of `evaluate`.
-            backend: Likewise.
-            progress: Likewise.
-        """
+        """Do all units that are not done; whatever interrupts it, finished ones are kept. See `evaluate`."""
         meter = ProgressMeter(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]

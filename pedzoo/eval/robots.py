@@ -123,11 +123,7 @@ def run_robots(
 ) -> RobotRollout:
     """Return one episode of every scene of ``env``, beside that of ``alone``, which has no robots.
 
-    Args:
-        policy: Decides for the robots.
-        env: The scenes.
-        alone: The same scenes without robots.
-        ended: Called after every decision with the number of episodes that are over.
+    ``ended`` is called after every decision with the number of episodes that are over.
     """
     now = env.reset()
     recorder, robots = Recorder(env), _RobotRecorder(env)
@@ -208,11 +204,6 @@ def robot_row(name: str, rollout: RobotRollout, decision_dt: float) -> dict[str,
 
     ``n`` are episodes, intervals are over episodes; what the metrics are says
     `pedzoo.metrics.robots.legend.LEGEND`.
-
-    Args:
-        name: The policy as it was given.
-        rollout: Its episodes.
-        decision_dt: Seconds between its decisions.
     """
     metrics, intervals = summarised(robot_metrics(rollout))
     return {

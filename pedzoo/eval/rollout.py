@@ -114,10 +114,7 @@ def walk(
 def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None] | None = None) -> Rollout:
     """Return one episode of every scene of ``env``, from its reset to the end of the last one.
 
-    Args:
-        policy: Decides.
-        env: The scenes.
-        ended: Called after every decision with the number of episodes that are over.
+    ``ended`` is called after every decision with the number of episodes that are over.
     """
     now = env.reset()
     recorder = Recorder(env)
