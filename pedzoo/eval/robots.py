@@ -1,18 +1,19 @@
 """Robots drive whole episodes among people, and the same people walk for as long without them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, cast
 
 import torch
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.rollout import Recorder
+from pedzoo.eval.rollout import Recorder, in_parts
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots.table import robot_metrics
 from pedzoo.policies.load import load_robot_policy
@@ -72,8 +73,14 @@ def robot_rollout(
     joined, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
     joined.policy_name = robot_policy
     policy = policy.to(joined.device)
+
+    def ended(done: int) -> None:
+        if tell:
+            tell(done / episodes)
+
     try:
-        parts = list(_parts(policy, joined, alone, episodes, deterministic, tell))
+        run = partial(run_robots, policy, joined, alone)
+        parts = list(in_parts(run, episodes, deterministic, ended))
     finally:
         alone.physics.close()
     return joined_robots(parts), joined
@@ -93,29 +100,6 @@ def prepared_scenes(scenario: str | Spec, bodies: Sequence[str], robot_goals: in
 
 
 _kept: dict[str, PreparedScenario] = {}
-
-
-def _parts(
-    policy: RobotPolicy,
-    env: RobotEnv,
-    alone: RobotEnv,
-    episodes: int,
-    deterministic: bool,
-    tell: Tell | None,
-) -> Iterator[RobotRollout]:
-    """Yield the episodes of ``env``, as many at once as it has scenes, until there are ``episodes``."""
-    done = 0
-    while done < episodes:
-
-        def ended(number: int, done: int = done) -> None:
-            if tell:
-                tell(min(done + number, episodes) / episodes)
-
-        explores = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
-        with torch.no_grad(), set_exploration_type(explores):
-            part = run_robots(policy, env, alone, ended).episodes(slice(episodes - done))
-        done += len(part.walked.failed)
-        yield part
 
 
 def run_robots(
