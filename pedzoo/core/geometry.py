@@ -48,12 +48,7 @@ def direction_of(heading: Tensor) -> Tensor:
 
 
 def nearest_part(away: Tensor, move: Tensor) -> Tensor:
-    """Return at which part (...), 0 to 1, of a straight relative move (..., 2) two are nearest; no gradient.
-
-    Args:
-        away: Relative places at its beginning (..., 2).
-        move: How these change.
-    """
+    """Return at which part (...), 0 to 1, of a straight relative move two are nearest; no gradient."""
     part = -(away * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
     return part.detach().clamp(0, 1)
 

@@ -43,16 +43,7 @@ class SceneSet:
         people: KeptPeople = "complete",
         min_people: int = 2,
     ) -> None:
-        """Cut the windows of all recordings.
-
-        Args:
-            recordings: The recordings.
-            map_ids: Floor plan of each, -1 for none.
-            maps: The floor plans.
-            obs_len: Observed steps of 0.4 s.
-            pred_len: Predicted steps of 0.4 s.
-            people: As of `cut_windows`.
-            min_people: Windows with fewer people are dropped.
+        """Cut the windows of all recordings, see `cut_windows`; ``map_ids`` are -1 without a floor plan.
 
         Raises:
             UserError: No recording gives a single window.

@@ -116,19 +116,7 @@ class Evaluation:
         deterministic: bool = False,
         resume: str | Path | None = None,
     ) -> None:
-        """Say what is to be done; wrong names are refused here.
-
-        Args:
-            policies: As of `evaluate`.
-            suites: Likewise.
-            options: What suites differ by.
-            seeds: As of `evaluate`.
-            deterministic: Likewise.
-            resume: Likewise.
-
-        Raises:
-            UserError: As of `evaluate`.
-        """
+        """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
         self.options = options or EvaluationOptions()
         usable(self.options.device)
         if self.options.physics is not None:

@@ -11,16 +11,10 @@ _kept: dict[tuple[str, str], PreparedScenario] = {}
 
 
 def prepared(name: str | Spec, inputs: str = "") -> PreparedScenario:
-    """Return the prepared scenario of a name with settings.
+    """Return the prepared scenario of a name with settings; errors as of `pedzoo.make_env`.
 
-    One that was made before is returned again, and one whose ways were found for another takes those.
-
-    Args:
-        name: The scenario: a text, or its name and values.
-        inputs: Digest of the files that it reads: if they have changed, it is made anew.
-
-    Raises:
-        UserError: As of `pedzoo.make_env`.
+    One that was made before is returned again, and one whose paths were planned for another takes those. It
+    is made anew where ``inputs``, the digest of the files that it reads, has changed.
     """
     key = repr(name), inputs
     result = _kept.pop(key, None)

@@ -37,10 +37,9 @@ class Ratio(NamedTuple):
 
 
 def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
-    """Declare a function of a rollout as a metric; it returns a `Ratio`, or two sums per episode (E,) each.
+    """Declare a metric: a function of a rollout that returns a `Ratio`, or two sums per episode (E,).
 
-    Args:
-        scenes: Of which rollouts it is; it is not called with others.
+    It is not called with rollouts that are not of its ``scenes``.
     """
 
     def declare(function: Function) -> Function:

@@ -178,11 +178,7 @@ def _checked(
     furnished: float,
     doors: tuple[float, float],
 ) -> int:
-    """Return how many cells are as long as a unit.
-
-    Raises:
-        UserError: A setting is out of range.
-    """
+    """Return how many cells are as long as a unit. Raises UserError: a setting is out of range."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise UserError(f"{kind}: seed {seed!r}: expected a whole number of at least 0")
     low, high = KINDS[kind].SIDES

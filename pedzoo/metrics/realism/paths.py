@@ -24,13 +24,7 @@ def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
 
 
 def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
-    """Return positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,).
-
-    Args:
-        xy: All positions; those of one walk are in order, walks may alternate.
-        walk: Which walk each belongs to (N,) long.
-        walks: W.
-    """
+    """Return all positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,)."""
     length = torch.bincount(walk, minlength=walks)
     order = walk.argsort(stable=True)
     first = length.cumsum(0) - length

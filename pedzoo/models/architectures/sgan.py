@@ -94,11 +94,7 @@ class Architecture:
     residual: Literal["none", "constant_velocity", "bent_line"] = "none"
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: Settings that do not go together.
-        """
+        """Check the values. Raises UserError: settings that do not go together."""
         if not 0 < self.noise_dim < self.decoder_dim:
             raise UserError(
                 f"noise_dim {self.noise_dim}: expected 1 to {self.decoder_dim - 1}, a part of decoder_dim "

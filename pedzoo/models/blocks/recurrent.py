@@ -147,11 +147,7 @@ def _without_forget(gates: Tensor) -> Tensor:
 
 
 def _from_rest(gates: Tensor) -> tuple[Tensor, Tensor]:
-    """Return hidden and cell state (..., H) of an LSTM's first step: nothing is there to be forgotten.
-
-    Args:
-        gates: Input, output and cell gates before their activations (..., 3H).
-    """
+    """Return hidden and cell state (..., H) of an LSTM's first step, from its gates (..., 3H)."""
     i, o, g = gates.chunk(3, -1)
     cell = i.sigmoid() * g.tanh()
     return o.sigmoid() * cell.tanh(), cell

@@ -43,11 +43,7 @@ class VarietyLoss:
     map_dropout: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: No sample, or an energy score of squared errors.
-        """
+        """Check the values. Raises UserError: no sample, or an energy score of squared errors."""
         if self.best_k < 1:
             raise UserError(f"best_k {self.best_k}: expected at least 1 sample")
         if self.energy_weight and self.error != "distance":

@@ -27,11 +27,7 @@ class Course:
     share: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UserError: One of them gives no training.
-        """
+        """Check the numbers. Raises UserError: one of them gives no training."""
         if self.scenes < 1 or self.share <= 0:
             raise UserError(
                 f"course {self.scenario!r}: scenes {self.scenes}, share {self.share}: expected at least 1 and"
