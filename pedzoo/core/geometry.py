@@ -54,11 +54,7 @@ def nearest_part(away: Tensor, move: Tensor) -> Tensor:
 
 
 def opposed(ahead: Tensor) -> Tensor:
-    """Return which pairs of agents go opposite ways (..., A, A) bool, within 60 degrees.
-
-    Args:
-        ahead: Unit vectors in which people are going (..., A, 2); zero for nowhere.
-    """
+    """Return which pairs with directions (..., A, 2) go opposite ways (..., A, A), within 60 degrees."""
     return (ahead.unsqueeze(-2) * ahead.unsqueeze(-3)).sum(-1) < -0.5
 
 

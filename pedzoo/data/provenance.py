@@ -11,11 +11,7 @@ def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool
     """Return ``recordings``, ``source``, ``terms`` and ``citation`` of what a model was trained on.
 
     The dataset's class says them, see `pedzoo.data.recordings.Dataset`; a file is read, and never run.
-
-    Args:
-        fold: As of the data; None where it is not known.
-        files: Recordings of one's own.
-        plans: The model reads floor plans, too.
+    ``plans``: the model reads floor plans, too.
     """
     known = None if files else find_fold(fold)
     source = "recordings of one's own" if files else f"dataset {fold or 'unknown'}"

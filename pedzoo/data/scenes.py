@@ -88,13 +88,10 @@ class SceneSet:
         pose: Tensor | None = None,
         generator: torch.Generator | None = None,
     ) -> TensorDict:
-        """Return the scene batch (see `pedzoo.core.batch`) of ``scenes`` (B,).
+        """Return the scene batch of the scenes numbered ``scenes`` (B,), see `pedzoo.core.batch`.
 
-        Args:
-            scenes: Numbers of the scenes.
-            goal: The goal protocol; ``none`` leaves ``goal`` and ``desired_velocity`` out.
-            pose: Scene poses (B, 4) to apply, as `augmentation` draws them; None for the recorded frame.
-            generator: Draws the later points of ``random_future``.
+        The goal protocol ``none`` leaves ``goal`` and ``desired_velocity`` out. ``pose`` (B, 4) are scene
+        poses as `augmentation` draws them; ``generator`` draws the later points of ``random_future``.
         """
         sizes = self.offsets[scenes + 1] - self.offsets[scenes]
         slot = torch.arange(int(sizes.max()))

@@ -69,9 +69,9 @@ def measure(
 ) -> list[Report]:
     """Return the reports for a model's card.
 
-    Errors of forecasts on the windows that the weights did not see (on the validation windows where they
-    left no scene out), by the model's own goal protocol; the same on the embedded recordings, which ship
-    with pedzoo; and the closed loop at the door, from goal to goal and in encounters.
+    Errors of forecasts on the windows that the weights did not see (on the validation windows where they left
+    no scene out), by the model's own goal protocol; the same on the embedded recordings, which ship with
+    pedzoo; and the closed loop at the door, from goal to goal and in encounters.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.

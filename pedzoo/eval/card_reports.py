@@ -23,16 +23,7 @@ Report = dict[str, Any]
 
 
 class Job(NamedTuple):
-    """What a report is made of and with.
-
-    Attributes:
-        model: What `pedzoo.load` accepts.
-        protocol: Of the report.
-        seeds: Likewise.
-        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
-        workers: Processes that walk.
-        progress: Called with what is done, its parts done and parts in all.
-    """
+    """What a report is made of and with; ``progress`` is called as in `pedzoo.eval.card_numbers.measure`."""
 
     model: str
     protocol: Mapping[str, Any]
