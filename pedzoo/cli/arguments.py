@@ -1,7 +1,5 @@
 """The parser of commands that import nothing heavy."""
 
-from __future__ import annotations
-
 import argparse
 from typing import NoReturn
 

@@ -1,7 +1,5 @@
 """Commands whose code is in ``tools/`` of a checkout and in no wheel."""
 
-from __future__ import annotations
-
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROOT, folder_of, import_of_checkout
 

@@ -1,7 +1,5 @@
 """The terminal as every command writes to it: text as it is."""
 
-from __future__ import annotations
-
 from rich.console import Console
 
 

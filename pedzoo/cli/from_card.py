@@ -1,7 +1,5 @@
 """``pedzoo evaluate NAME --from-card``: the numbers on a model card, done again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any

@@ -4,8 +4,6 @@ Nothing heavy is imported here: the overview is read from files, and a command i
 Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one line); 130 interrupted.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 

@@ -83,12 +83,7 @@ def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[],
 
 
 def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> None:
-    """Print the rows of a report under their protocol, in as many tables as the terminal's width needs.
-
-    Args:
-        report: With metrics in every row.
-        only: The metrics that are shown, in this order; None for all.
-    """
+    """Print the rows of a report, with the metrics ``only``, in tables as wide as the terminal."""
     from pedzoo.cli.console import plain_console
     from pedzoo.eval.results import Page
 

@@ -3,8 +3,6 @@
 jsonargparse checks everything; what it says about nested options is long, so it is translated here.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,15 +1,12 @@
 """``pedzoo fit`` for robots: LightningCLI without recordings, with the run folders of all trainings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import yaml
-from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.cli import LightningArgumentParser
 
-from pedzoo.cli.parsing import PARSER_SETTINGS, given, parse
-from pedzoo.cli.training_parser import ConfigParser, ProgressBar
+from pedzoo.cli.parsing import given, parse
+from pedzoo.cli.training_parser import ProgressBar, RunCLI
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.train.robots.ppo import RobotPPO
@@ -28,7 +25,7 @@ def trains_robots(argv: list[str]) -> bool:
     return isinstance(model, dict) and str(model.get("class_path")).startswith("pedzoo.train.robots.")
 
 
-class RobotTrainingCLI(LightningCLI):
+class RobotTrainingCLI(RunCLI):
     """Its trainer writes into a run folder, ``runs/CONFIG/SCENARIO-seedN``."""
 
     def __init__(self, typed: list[str], about: str, example: str) -> None:
@@ -45,20 +42,9 @@ class RobotTrainingCLI(LightningCLI):
         super().__init__(
             RobotPPO,
             args=argv,
-            run=False,
-            parser_class=ConfigParser,
-            subclass_mode_model=True,
-            seed_everything_default=0,
-            auto_configure_optimizers=False,
-            load_from_checkpoint_support=False,
-            save_config_callback=None,
-            trainer_defaults={"logger": None, "enable_model_summary": False},
-            parser_kwargs={
-                **PARSER_SETTINGS,
-                "prog": "pedzoo fit",
-                "usage": f"pedzoo fit --config robot/ppo [...]\nexample: {example}",
-                "description": about,
-            },
+            prog="pedzoo fit",
+            usage=f"pedzoo fit --config robot/ppo [...]\nexample: {example}",
+            description=about,
         )
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
@@ -76,9 +62,6 @@ class RobotTrainingCLI(LightningCLI):
         """Parse, with errors in one line."""
         self.config = parse(parser, args, [("model", RobotPPO)])
 
-    def _parse_ckpt_path(self) -> None:
-        """Leave the command line alone: it wins over what a checkpoint remembers."""
-
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
         self.run = self.run or RunFolder.claim(self._base())
@@ -86,7 +69,7 @@ class RobotTrainingCLI(LightningCLI):
             self.run.keep_earlier()
         options = self.config_init["trainer"]
         callbacks = self.run.callbacks(
-            self._plain(),
+            self.plain_config(),
             ["pedzoo", "fit", *self.typed],
             self.config["monitor"],
             self.config["monitor_mode"],
@@ -112,8 +95,3 @@ class RobotTrainingCLI(LightningCLI):
         name = run_name(Path(str(config["config"][-1])))
         scenario = config["model"]["init_args"]["scenarios"][0].partition(":")[0]
         return Path(config["runs"]) / name / f"{scenario}-seed{int(config['seed_everything'])}"
-
-    def _plain(self) -> dict[str, Any]:
-        """Return the resolved configuration as plain values, without what belongs to this call only."""
-        result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
-        return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}

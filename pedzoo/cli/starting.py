@@ -1,7 +1,5 @@
 """Where a training starts from: what ``--resume``, ``--weights`` and checkpoints stand for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

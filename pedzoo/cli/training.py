@@ -1,7 +1,5 @@
 """``pedzoo fit``, ``validate`` and ``test``: LightningCLI with run folders and readable errors."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import math
@@ -13,16 +11,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import yaml
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.cli import LightningArgumentParser
 from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import classes_named, parse
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
-from pedzoo.cli.training_parser import ConfigParser, ProgressBar
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.renamed import new_options
@@ -63,8 +60,8 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
             raise UserError(str(error)) from error
 
 
-class TrainingCLI(LightningCLI):
-    """LightningCLI for one command: its trainer writes into a run folder, and errors are `UserError`."""
+class TrainingCLI(RunCLI):
+    """Trains, validates or tests forecasters; errors are `UserError`."""
 
     def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
         """Parse the command line as it was ``typed``, and build trainer, model and data."""
@@ -77,19 +74,9 @@ class TrainingCLI(LightningCLI):
             ForecastModule,
             TrajectoryDataModule,
             args=argv,
-            run=False,
-            parser_class=ConfigParser,
-            subclass_mode_model=True,
-            seed_everything_default=0,
-            auto_configure_optimizers=False,
-            load_from_checkpoint_support=False,  # a checkpoint names its model itself, see `pedzoo.load`
-            save_config_callback=None,
-            trainer_defaults={"logger": None, "enable_model_summary": False},
-            parser_kwargs={
-                "prog": f"pedzoo {command}",
-                "usage": f"pedzoo {command} {_USAGE[command]} [--data.X ...] [...]\nexample: {example}",
-                "description": about,
-            },
+            prog=f"pedzoo {command}",
+            usage=f"pedzoo {command} {_USAGE[command]} [--data.X ...] [...]\nexample: {example}",
+            description=about,
         )
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
@@ -135,9 +122,6 @@ class TrainingCLI(LightningCLI):
                 raise cause from None
             raise
 
-    def _parse_ckpt_path(self) -> None:
-        """Leave the command line alone: it wins over what a checkpoint remembers."""
-
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
         if file := self.config["ckpt_path"]:
@@ -164,7 +148,7 @@ class TrainingCLI(LightningCLI):
             if self.resuming:
                 self.run.keep_earlier()
             typed = ["pedzoo", self.command, *self.typed]
-            callbacks += self.run.callbacks(self._plain(), typed, monitor, self.config["monitor_mode"])
+            callbacks += self.run.callbacks(self.plain_config(), typed, monitor, self.config["monitor_mode"])
             if options.get("logger") in (None, True):
                 kwargs |= {"logger": self.run.loggers(self.config["wandb"])}
         with ExitStack() as if_it_fails:
@@ -240,11 +224,6 @@ class TrainingCLI(LightningCLI):
         files, fold = config["data"].get("files"), config["data"]["fold"]
         data = Path(str(files[0])).stem if files else (known.name if (known := find_fold(fold)) else fold)
         return Path(config["runs"]) / name / f"{data}-seed{int(config['seed_everything'])}"
-
-    def _plain(self) -> dict[str, Any]:
-        """Return the resolved configuration as plain values, without what belongs to this call only."""
-        result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
-        return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}
 
     def _data_options(self) -> str:
         """Return the data options that differ from the defaults, but for those of training alone."""

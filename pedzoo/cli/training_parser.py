@@ -1,7 +1,5 @@
 """What all trainings at the command line share: config files with what they inherit, and a progress bar."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -10,7 +8,7 @@ from typing import Any
 import yaml
 from jsonargparse import Namespace
 from lightning.pytorch.callbacks import RichProgressBar
-from lightning.pytorch.cli import LightningArgumentParser
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.core.configs import load_config
@@ -41,3 +39,31 @@ class ConfigParser(LightningArgumentParser):
         """Parse a config file; arguments as of jsonargparse's."""
         whole = yaml.safe_dump(load_config(os.fspath(path), self.classes), sort_keys=False)
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
+
+
+class RunCLI(LightningCLI):
+    """LightningCLI of one command, whose trainer writes into a run folder."""
+
+    def __init__(self, *classes: type, args: list[str], **texts: str) -> None:
+        """Parse ``args`` and build trainer and ``classes``; ``texts`` are prog, usage and description."""
+        super().__init__(
+            *classes,
+            args=args,
+            run=False,
+            parser_class=ConfigParser,
+            subclass_mode_model=True,
+            seed_everything_default=0,
+            auto_configure_optimizers=False,
+            load_from_checkpoint_support=False,  # a checkpoint names its model itself, see `pedzoo.load`
+            save_config_callback=None,
+            trainer_defaults={"logger": None, "enable_model_summary": False},
+            parser_kwargs=texts,
+        )
+
+    def _parse_ckpt_path(self) -> None:
+        """Leave the command line alone: it wins over what a checkpoint remembers."""
+
+    def plain_config(self) -> dict[str, Any]:
+        """Return the resolved configuration as plain values, without what belongs to this call only."""
+        result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
+        return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}

@@ -159,11 +159,7 @@ def ids_of(batch: TensorDictBase) -> Tensor:
 
 
 def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
-    """Return goal and desired velocity (B, A, 2) of a batch.
-
-    Args:
-        batch: The scenes.
-        who: Name of the part that needs them, for the message.
+    """Return goal and desired velocity (B, A, 2) of a batch; messages say that ``who`` needs them.
 
     Raises:
         UserError: The batch has none.

@@ -54,11 +54,7 @@ class RobotBody:
     reverse: bool = True
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: One is out of range.
-        """
+        """Check the values. Raises UserError: one is out of range."""
         if self.drive not in DRIVES:
             raise UserError(
                 f"drive {self.drive!r} of {type(self).__name__}: expected one of {', '.join(DRIVES)}"

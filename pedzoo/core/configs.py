@@ -1,7 +1,5 @@
 """Config files with the values that they inherit (``base: sgan_goal``), and scenarios as texts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Errors that a person can act on: the given value, the expected one, and the fix."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import get_close_matches
 

@@ -1,7 +1,8 @@
 """Downloads into the user's cache, checked and atomic: a file is there whole or not at all.
 
 What breaks off goes on where it was, today or tomorrow; what a mirror does not have comes from the next. With
-the environment variable ``PEDZOO_OFFLINE`` set, nothing asks the network.
+the environment variable ``PEDZOO_OFFLINE`` set, nothing asks the network. pooch has neither resume nor
+mirrors, and huggingface_hub serves its own hub alone: so this is not one of them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Small pure functions on positions, velocities and poses: batched, differentiable, on any device."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -33,12 +31,9 @@ def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
 
 
 def heading_of(velocity: Tensor, before: Tensor | None = None, slowest: float = 0.0) -> Tensor:
-    """Return the directions (...) of velocities (..., 2), radians from the x axis.
+    """Return the directions (...) of velocities (..., 2), m/s, radians from the x axis.
 
-    Args:
-        velocity: In m/s.
-        before: The answer (...) where a velocity is not faster than ``slowest``; None for 0.
-        slowest: In m/s.
+    It is ``before`` (...), or 0, where a velocity is not faster than ``slowest``, m/s.
     """
     moves = velocity.square().sum(-1) > slowest * slowest
     x, y = velocity.unbind(-1)
@@ -53,22 +48,13 @@ def direction_of(heading: Tensor) -> Tensor:
 
 
 def nearest_part(away: Tensor, move: Tensor) -> Tensor:
-    """Return at which part (...), 0 to 1, of a straight relative move (..., 2) two are nearest; no gradient.
-
-    Args:
-        away: Relative places at its beginning (..., 2).
-        move: How these change.
-    """
+    """Return at which part (...), 0 to 1, of a straight relative move two are nearest; no gradient."""
     part = -(away * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
     return part.detach().clamp(0, 1)
 
 
 def opposed(ahead: Tensor) -> Tensor:
-    """Return which pairs of agents go opposite ways (..., A, A) bool, within 60 degrees.
-
-    Args:
-        ahead: Unit vectors in which people are going (..., A, 2); zero for nowhere.
-    """
+    """Return which pairs with directions (..., A, 2) go opposite ways (..., A, A), within 60 degrees."""
     return (ahead.unsqueeze(-2) * ahead.unsqueeze(-3)).sum(-1) < -0.5
 
 

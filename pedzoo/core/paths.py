@@ -1,7 +1,5 @@
 """Where things are: shipped configs and checkpoints, the user's data and cache."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

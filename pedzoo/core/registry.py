@@ -6,14 +6,13 @@ torch. From an installed wheel, write ``path/to/file.py:Class`` wherever a name 
 entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
 import inspect
 import sys
 from collections.abc import Callable
+from fnmatch import fnmatch
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -52,6 +51,11 @@ class Registry:
         """Return the first line of the drop-in's docstring, without importing it."""
         package = self._package_of(name)
         return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
+
+    def described(self, pattern: str) -> list[dict[str, str]]:
+        """Return ``name`` and ``about``, the description, of all whose name matches ``pattern``."""
+        names = (name for name in self.names() if fnmatch(name, pattern))
+        return [{"name": name, "about": self.describe(name)} for name in names]
 
     def constant(self, name: str, variable: str) -> Any:
         """Return a literal constant of a drop-in's module or class, without importing it, or None.
@@ -95,7 +99,7 @@ class Registry:
 
     def _class(self, name: str) -> type:
         if ".py:" in name:
-            return _class_in_file(name)
+            return _in_file(name, "class", inspect.isclass)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
         package = self._package_of(name)
@@ -202,27 +206,19 @@ def function_in_file(spec: str) -> Callable[..., Any]:
     Raises:
         UserError: No such file or function.
     """
+    return _in_file(spec, "function", inspect.isfunction)
+
+
+def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
+    """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind."""
     file, _, name = spec.rpartition(":")
-    functions = {key: value for key, value in _in_file(file, spec).items() if inspect.isfunction(value)}
-    if name not in functions:
-        raise unknown(f"function in {file}", name, functions)
-    return functions[name]
-
-
-def _class_in_file(spec: str) -> type:
-    file, _, name = spec.rpartition(":")
-    classes = {key: value for key, value in _in_file(file, spec).items() if isinstance(value, type)}
-    if name not in classes:
-        raise unknown(f"class in {file}", name, classes)
-    return classes[name]
-
-
-def _in_file(file: str, spec: str) -> dict[str, Any]:
-    """Return all that a file defines; ``spec`` is what errors quote."""
     path = Path(file).expanduser().resolve()
     if not path.is_file():
         raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:NAME")
-    return _executed(path)
+    known = {key: value for key, value in _executed(path).items() if wanted(value)}
+    if name not in known:
+        raise unknown(f"{kind} in {file}", name, known)
+    return known[name]
 
 
 @cache

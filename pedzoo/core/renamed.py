@@ -1,7 +1,5 @@
 """Old spellings that still work, each with the new one."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache, wraps
@@ -177,12 +175,7 @@ def class_paths(config: Any, place: str = "") -> dict[str, str]:
 
 
 def new_options(argv: list[str], classes: Mapping[str, str] = MappingProxyType({})) -> list[str]:
-    """Return a command line of a training with the names of options as they are now.
-
-    Args:
-        argv: Its words.
-        classes: The classes at places of the configuration, as of `class_paths`.
-    """
+    """Return a command line of a training with the names of options of today; classes as of `class_paths`."""
     words = list(argv)
     for i, word in enumerate(argv):
         flag, joined, value = word.partition("=")

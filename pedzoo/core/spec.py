@@ -7,8 +7,6 @@ has the defaults of the class's settings. Texts and files of weights name settin
 with them.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Mapping
@@ -217,11 +215,9 @@ def setting_types(cls: type) -> dict[str, Any]:
 
 
 def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with those of a group in a mapping under its name; others stay as they are.
+    """Return settings of a class, those of a group in a mapping under its name; others stay as they are.
 
-    Args:
-        cls: The class that takes them.
-        given: Values by name. Mappings of groups may be among them; a name without its group wins.
+    Mappings of groups may be among the given; a name without its group wins.
     """
     home = homes(cls)
     result = {key: value for key, value in given.items() if key not in home}

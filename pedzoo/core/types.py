@@ -1,7 +1,5 @@
 """The constants that all parts share; `pedzoo.core.batch` describes the scene batch."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 STEP_SECONDS = 0.4

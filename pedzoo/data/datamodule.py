@@ -1,7 +1,5 @@
 """The LightningDataModule: one fold of recordings as scene batches."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

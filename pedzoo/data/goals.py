@@ -5,8 +5,6 @@ FDE 0. It is the paper's Table I. ``destination`` is where the person was last r
 planner knows; ``random_future`` is any later point of the same track, for training only.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -24,15 +22,10 @@ def recorded_goals(
     window_end: Tensor,
     generator: torch.Generator | None,
 ) -> Tensor:
-    """Return goals (B, A, 2).
+    """Return goals (B, A, 2) by a protocol other than ``none``.
 
-    Args:
-        protocol: Any but ``none``.
-        xy: Positions of the recordings (N, 2).
-        last: Row of each person's last observed position (B, A).
-        end: Row of their last recorded position (B, A).
-        window_end: Their last known position in the window (B, A, 2).
-        generator: Draws ``random_future``.
+    They are rows of positions ``xy`` (N, 2) between the last observed one, ``last`` (B, A), and the last
+    recorded one, ``end`` (B, A), or ``window_end`` (B, A, 2), the last known one of the window.
     """
     if protocol == "window_end":
         return window_end

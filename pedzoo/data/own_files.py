@@ -1,7 +1,5 @@
 """People's own recordings: any files, cut in time into train, val and test, resampled to 0.4 s."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -27,15 +25,7 @@ class OwnFiles:
         plan: str | None = None,
         homography: str | None = None,
     ) -> None:
-        """Check the settings.
-
-        Args:
-            files: Text or CSV files (see `pedzoo.data.tracks`).
-            dt: Seconds between two consecutive frame numbers.
-            split: Shares of the recorded time for train, val and test, in this order.
-            plan: Floor plan of all files, as `pedzoo.maps.library.load_plan` takes it.
-            homography: Text file of a 3x3 matrix from the files' (x, y, 1) to world metres.
-        """
+        """Check the settings, which are those of `TrajectoryDataModule`; ``plan`` is its ``map``."""
         if dt is None or not 0 < dt < 5:
             raise UserError(
                 f"--data.dt is {dt}: give the seconds between two consecutive frame numbers of --data.files "

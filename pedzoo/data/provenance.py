@@ -1,7 +1,5 @@
 """The recordings of a training, their sources and their terms, for model cards."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +11,7 @@ def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool
     """Return ``recordings``, ``source``, ``terms`` and ``citation`` of what a model was trained on.
 
     The dataset's class says them, see `pedzoo.data.recordings.Dataset`; a file is read, and never run.
-
-    Args:
-        fold: As of the data; None where it is not known.
-        files: Recordings of one's own.
-        plans: The model reads floor plans, too.
+    ``plans``: the model reads floor plans, too.
     """
     known = None if files else find_fold(fold)
     source = "recordings of one's own" if files else f"dataset {fold or 'unknown'}"

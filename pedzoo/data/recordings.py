@@ -1,7 +1,5 @@
 """The contents of a dataset file: recordings of a split, each with its floor plan, and its description."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,11 +40,7 @@ class Dataset(Protocol):
     FOLDS: ClassVar[Mapping[str, Sequence[str]]]
 
     def __init__(self, fold: str, root: str | None, clock: TimeBase) -> None:
-        """Find the fold's files below ``root``.
-
-        Raises:
-            UserError: There are none.
-        """
+        """Find the fold's files below ``root``. Raises UserError: there are none."""
         ...
 
     def recordings(self, split: Split) -> list[Recording]:

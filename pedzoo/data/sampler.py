@@ -1,7 +1,5 @@
 """Which scenes go into a batch together, and with which seed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

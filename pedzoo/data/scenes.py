@@ -1,7 +1,5 @@
 """All windows of a split as tensors, and the scene batch of any of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -45,16 +43,7 @@ class SceneSet:
         people: KeptPeople = "complete",
         min_people: int = 2,
     ) -> None:
-        """Cut the windows of all recordings.
-
-        Args:
-            recordings: The recordings.
-            map_ids: Floor plan of each, -1 for none.
-            maps: The floor plans.
-            obs_len: Observed steps of 0.4 s.
-            pred_len: Predicted steps of 0.4 s.
-            people: As of `cut_windows`.
-            min_people: Windows with fewer people are dropped.
+        """Cut the windows of all recordings, see `cut_windows`; ``map_ids`` are -1 without a floor plan.
 
         Raises:
             UserError: No recording gives a single window.
@@ -99,13 +88,10 @@ class SceneSet:
         pose: Tensor | None = None,
         generator: torch.Generator | None = None,
     ) -> TensorDict:
-        """Return the scene batch (see `pedzoo.core.batch`) of ``scenes`` (B,).
+        """Return the scene batch of the scenes numbered ``scenes`` (B,), see `pedzoo.core.batch`.
 
-        Args:
-            scenes: Numbers of the scenes.
-            goal: The goal protocol; ``none`` leaves ``goal`` and ``desired_velocity`` out.
-            pose: Scene poses (B, 4) to apply, as `augmentation` draws them; None for the recorded frame.
-            generator: Draws the later points of ``random_future``.
+        The goal protocol ``none`` leaves ``goal`` and ``desired_velocity`` out. ``pose`` (B, 4) are scene
+        poses as `augmentation` draws them; ``generator`` draws the later points of ``random_future``.
         """
         sizes = self.offsets[scenes + 1] - self.offsets[scenes]
         slot = torch.arange(int(sizes.max()))

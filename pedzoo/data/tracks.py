@@ -35,14 +35,11 @@ class Tracks:
     ) -> Tracks:
         """Return the tracks of rows (N, 4) of frame, agent, x, y in any order.
 
-        Args:
-            name: The recording's name in messages.
-            table: The rows.
-            place: Says where in its source a row of the table is, for messages.
+        Messages have the recording's ``name``, and ``place`` says where in its source a row is.
 
         Raises:
-            UserError: No rows; a NaN or infinite value; a frame or agent that is not a whole number; an
-                agent twice in a frame.
+            UserError: No rows; a NaN or infinite value; a frame or agent that is not a whole number; an agent
+                twice in a frame.
         """
         if len(table) == 0:
             raise UserError(f"recording {name!r} is empty: expected rows of {', '.join(COLUMNS)}")

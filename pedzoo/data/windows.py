@@ -71,13 +71,9 @@ def cut_windows(
 ) -> Windows:
     """Return all windows of ``obs_len + pred_len`` frames, stride 1, people sorted by number.
 
-    Args:
-        tracks: The recording.
-        obs_len: Observed steps.
-        pred_len: Predicted steps.
-        people: ``complete`` keeps people seen in all frames of a window (Social GAN); ``present`` keeps
-            people seen in the last observed frame and in one before it.
-        min_people: A window with fewer of them is dropped (2 in Social GAN, whose own option says 1).
+    ``people``: ``complete`` keeps people seen in all frames of a window (Social GAN), ``present`` those seen
+    in the last observed frame and in one before it. A window with fewer than ``min_people`` is dropped (2 in
+    Social GAN, whose own option says 1).
     """
     length = obs_len + pred_len
     frames, step = np.unique(tracks.frame, return_inverse=True)

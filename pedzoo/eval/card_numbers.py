@@ -1,7 +1,5 @@
 """The numbers on a model card: measured for it, and measured again on request."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -75,9 +73,9 @@ def measure(
 ) -> list[Report]:
     """Return the reports for a model's card.
 
-    Errors of forecasts on the windows that the weights did not see (on the validation windows where they
-    left no scene out), by the model's own goal protocol; the same on the embedded recordings, which ship
-    with pedzoo; and the closed loop at the door, from goal to goal and in encounters.
+    Errors of forecasts on the windows that the weights did not see (on the validation windows where they left
+    no scene out), by the model's own goal protocol; the same on the embedded recordings, which ship with
+    pedzoo; and the closed loop at the door, from goal to goal and in encounters.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.
@@ -130,14 +128,7 @@ def again(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> list[Again]:
-    """Do every evaluation of a card as the card says it was done.
-
-    Args:
-        card: The card.
-        model: Where its model is, for `pedzoo.load`; None for the card's name.
-        root: As of `measure`.
-        workers: Processes that walk.
-        progress: As of `measure`.
+    """Do every evaluation of a card as the card says it was done; arguments as of `measure`.
 
     Raises:
         UserError: The card has no evaluation, or there is no such model.
@@ -165,14 +156,10 @@ def _check_fold(protocol: Report) -> None:
 
 
 def compare(before: Report, now: Report) -> list[Compared]:
-    """Return every number of a card's report beside today's.
+    """Return every number of a card's report, ``before``, beside today's.
 
     Numbers are the same within `RELATIVE` or `ABSOLUTE`. Those of the closed loop need not be on another
     machine, where a rounded digit sends an episode another way: they are the same inside the card's interval.
-
-    Args:
-        before: The card's report.
-        now: Today's.
     """
     walks = before["command"] == "evaluate"
     today = {_case(row): row for row in now["rows"]}

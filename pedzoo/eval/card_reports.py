@@ -1,7 +1,5 @@
 """How the reports on model cards are made: from their protocol alone, so that they can be made again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, NotRequired, get_args
 
@@ -25,16 +23,7 @@ Report = dict[str, Any]
 
 
 class Job(NamedTuple):
-    """What a report is made of and with.
-
-    Attributes:
-        model: What `pedzoo.load` accepts.
-        protocol: Of the report.
-        seeds: Likewise.
-        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
-        workers: Processes that walk.
-        progress: Called with what is done, its parts done and parts in all.
-    """
+    """What a report is made of and with; ``progress`` is called as in `pedzoo.eval.card_numbers.measure`."""
 
     model: str
     protocol: Mapping[str, Any]

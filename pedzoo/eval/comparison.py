@@ -104,11 +104,7 @@ class Comparison:
             env.physics.close()
 
     def run(self, progress: Progress | None = None) -> None:
-        """Let all policies walk; episodes that are over are kept whatever interrupts it.
-
-        Args:
-            progress: Called with the policy, episodes done and episodes in all.
-        """
+        """Let all policies walk; episodes that are over are kept whatever interrupts it."""
         for name, (policy, env) in self._prepared.items():
             parts: list[Rollout] = []
             try:

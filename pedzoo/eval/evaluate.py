@@ -1,7 +1,5 @@
 """The closed-loop evaluation: policies on suites of cases, in parts that are kept, resumed and shared out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
@@ -118,19 +116,7 @@ class Evaluation:
         deterministic: bool = False,
         resume: str | Path | None = None,
     ) -> None:
-        """Say what is to be done; wrong names are refused here.
-
-        Args:
-            policies: As of `evaluate`.
-            suites: Likewise.
-            options: What suites differ by.
-            seeds: As of `evaluate`.
-            deterministic: Likewise.
-            resume: Likewise.
-
-        Raises:
-            UserError: As of `evaluate`.
-        """
+        """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
         self.options = options or EvaluationOptions()
         usable(self.options.device)
         if self.options.physics is not None:
@@ -171,13 +157,7 @@ class Evaluation:
         self.others = len(self._journal.done.keys() - set(self._digests))
 
     def run(self, workers: int = 1, backend: Backend = "processes", progress: Progress | None = None) -> None:
-        """Do all units that are not done; whatever interrupts it, finished ones are kept.
-
-        Args:
-            workers: As of `evaluate`.
-            backend: Likewise.
-            progress: Likewise.
-        """
+        """Do all units that are not done; whatever interrupts it, finished ones are kept. See `evaluate`."""
         meter = ProgressMeter(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]

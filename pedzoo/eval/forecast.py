@@ -1,7 +1,5 @@
 """Open-loop tables: any models on one split, between the trivial baselines, under one named protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -67,19 +65,7 @@ def forecast_row(
 ) -> dict[str, Any]:
     """Return one row: ``n`` people, each counted in every window, and errors with their 95 % intervals.
 
-    Intervals are over time: see `pedzoo.eval.time_blocks`.
-
-    Args:
-        name: What the row is called.
-        model: The forecaster.
-        data: As of `forecast`, like all that follows.
-        samples: K of the best-of-K errors.
-        seed: Of the samples.
-        split: Which part of the fold.
-        progress: Called with the name, batches done and batches in all.
-
-    Raises:
-        UserError: The model needs a goal where the data give none, or the data have no window.
+    Intervals are over time: see `pedzoo.eval.time_blocks`. Arguments and errors are those of `forecast`.
     """
     if "goal" in model.needs and data.goal == "none":
         raise UserError(f"{name} needs a goal: set --data.goal (it was trained on {model.goal_protocol})")

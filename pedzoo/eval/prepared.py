@@ -1,7 +1,5 @@
 """Scenarios are kept within a process: finding the ways on a floor plan can take longer than walking."""
 
-from __future__ import annotations
-
 from pedzoo.core.spec import Spec
 from pedzoo.sim.make import make_scenario, prepare_scenario
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
@@ -13,16 +11,10 @@ _kept: dict[tuple[str, str], PreparedScenario] = {}
 
 
 def prepared(name: str | Spec, inputs: str = "") -> PreparedScenario:
-    """Return the prepared scenario of a name with settings.
+    """Return the prepared scenario of a name with settings; errors as of `pedzoo.make_env`.
 
-    One that was made before is returned again, and one whose ways were found for another takes those.
-
-    Args:
-        name: The scenario: a text, or its name and values.
-        inputs: Digest of the files that it reads: if they have changed, it is made anew.
-
-    Raises:
-        UserError: As of `pedzoo.make_env`.
+    One that was made before is returned again, and one whose paths were planned for another takes those. It
+    is made anew where ``inputs``, the digest of the files that it reads, has changed.
     """
     key = repr(name), inputs
     result = _kept.pop(key, None)

@@ -6,8 +6,6 @@ over people, who are drawn with all that they did in all rounds and in the recor
 depend on each other is left out, so intervals are somewhat too narrow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -124,11 +122,7 @@ def reference_rows(scenario: PreparedReplay, metrics: Sequence[str] = ()) -> lis
     ``real`` has the recording's own rates and spreads, and distances of 0. ``real halves`` is the noise
     floor: half of the people, drawn at random, against the other half. Its values are means over `SPLITS`
     splits, its intervals hold 95 % of them. People are met by all others in either half: only who is counted
-    differs.
-
-    Args:
-        scenario: The replay.
-        metrics: Of ``real``, too; as of `replay_row`.
+    differs. ``metrics`` of ``real`` are those of `replay_row`.
     """
     recorded = _recorded(scenario)
     real, seen = recorded.crowd, recorded.tracks.scene >= 0

@@ -1,7 +1,5 @@
 """What people read of an evaluation: the same tables on a terminal and on a page."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -76,12 +74,7 @@ class Page(NamedTuple):
 
 
 def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
-    """Return the headline, and for each table of a suite its metrics, and the cases where it has several.
-
-    Args:
-        report: Of `pedzoo.eval.evaluate.evaluate`.
-        shown: Which metrics.
-    """
+    """Return the headline, and for each table of a suite its metrics, and the cases where it has several."""
     rows, summary = report["rows"], report["summary"]
     result = [_headline(summary, shown)]
     for table in dict.fromkeys(row["table"] for row in summary):

@@ -1,20 +1,19 @@
 """Robots drive whole episodes among people, and the same people walk for as long without them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, cast
 
 import torch
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.rollout import Recorder
+from pedzoo.eval.rollout import Recorder, in_parts
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots.table import robot_metrics
 from pedzoo.policies.load import load_robot_policy
@@ -74,8 +73,14 @@ def robot_rollout(
     joined, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
     joined.policy_name = robot_policy
     policy = policy.to(joined.device)
+
+    def ended(done: int) -> None:
+        if tell:
+            tell(done / episodes)
+
     try:
-        parts = list(_parts(policy, joined, alone, episodes, deterministic, tell))
+        run = partial(run_robots, policy, joined, alone)
+        parts = list(in_parts(run, episodes, deterministic, ended))
     finally:
         alone.physics.close()
     return joined_robots(parts), joined
@@ -97,39 +102,12 @@ def prepared_scenes(scenario: str | Spec, bodies: Sequence[str], robot_goals: in
 _kept: dict[str, PreparedScenario] = {}
 
 
-def _parts(
-    policy: RobotPolicy,
-    env: RobotEnv,
-    alone: RobotEnv,
-    episodes: int,
-    deterministic: bool,
-    tell: Tell | None,
-) -> Iterator[RobotRollout]:
-    """Yield the episodes of ``env``, as many at once as it has scenes, until there are ``episodes``."""
-    done = 0
-    while done < episodes:
-
-        def ended(number: int, done: int = done) -> None:
-            if tell:
-                tell(min(done + number, episodes) / episodes)
-
-        explores = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
-        with torch.no_grad(), set_exploration_type(explores):
-            part = run_robots(policy, env, alone, ended).episodes(slice(episodes - done))
-        done += len(part.walked.failed)
-        yield part
-
-
 def run_robots(
     policy: RobotPolicy, env: RobotEnv, alone: RobotEnv, ended: Callable[[int], None] | None = None
 ) -> RobotRollout:
     """Return one episode of every scene of ``env``, beside that of ``alone``, which has no robots.
 
-    Args:
-        policy: Decides for the robots.
-        env: The scenes.
-        alone: The same scenes without robots.
-        ended: Called after every decision with the number of episodes that are over.
+    ``ended`` is called after every decision with the number of episodes that are over.
     """
     now = env.reset()
     recorder, robots = Recorder(env), _RobotRecorder(env)
@@ -210,11 +188,6 @@ def robot_row(name: str, rollout: RobotRollout, decision_dt: float) -> dict[str,
 
     ``n`` are episodes, intervals are over episodes; what the metrics are says
     `pedzoo.metrics.robots.legend.LEGEND`.
-
-    Args:
-        name: The policy as it was given.
-        rollout: Its episodes.
-        decision_dt: Seconds between its decisions.
     """
     metrics, intervals = summarised(robot_metrics(rollout))
     return {

@@ -1,10 +1,9 @@
 """Policies walk whole episodes, and everything that metrics and pictures need is kept."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -21,11 +20,14 @@ from pedzoo.policies.teams import Teams
 from pedzoo.sim.arrival import planned
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
+from pedzoo.sim.robot_parts.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
 
 Progress = Callable[[str, int, int], None]
+
+Episodes = TypeVar("Episodes", Rollout, RobotRollout)
 
 
 @renamed.takes_world
@@ -99,16 +101,34 @@ def walk(
     progress: Progress | None = None,
 ) -> Iterator[Rollout]:
     """Yield the episodes of ``env``, as many at once as it has scenes, until there are ``episodes``."""
+
+    def tell(done: int) -> None:
+        if progress:
+            progress(env.policy_name, done, episodes)
+
+    return in_parts(partial(run, policy, env), episodes, deterministic, tell)
+
+
+def in_parts(
+    run: Callable[[Callable[[int], None]], Episodes],
+    episodes: int,
+    deterministic: bool,
+    tell: Callable[[int], None],
+) -> Iterator[Episodes]:
+    """Yield what ``run`` returns without gradients, until there are ``episodes``, the last part cut.
+
+    ``run`` takes a function to call with the number of its episodes that are over; ``tell`` is called with
+    that of all.
+    """
     done = 0
     while done < episodes:
 
-        def tell(ended: int, done: int = done) -> None:
-            if progress:
-                progress(env.policy_name, min(done + ended, episodes), episodes)
+        def ended(number: int, done: int = done) -> None:
+            tell(min(done + number, episodes))
 
         exploration = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
         with torch.no_grad(), set_exploration_type(exploration):
-            part = run(policy, env, tell).episodes(slice(episodes - done))
+            part = run(ended).episodes(slice(episodes - done))
         done += len(part.failed)
         yield part
 
@@ -116,10 +136,7 @@ def walk(
 def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None] | None = None) -> Rollout:
     """Return one episode of every scene of ``env``, from its reset to the end of the last one.
 
-    Args:
-        policy: Decides.
-        env: The scenes.
-        ended: Called after every decision with the number of episodes that are over.
+    ``ended`` is called after every decision with the number of episodes that are over.
     """
     now = env.reset()
     recorder = Recorder(env)

@@ -1,7 +1,5 @@
 """What every suite is: cases on which policies are evaluated, and the smallest parts of that work."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -182,14 +180,7 @@ class Suite(ABC):
     def units(
         self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
     ) -> list[WorkUnit]:
-        """Return the work on a case.
-
-        Args:
-            case: One of `cases`.
-            policies: Names with settings.
-            seeds: Of the scenes.
-            deterministic: Without noise.
-        """
+        """Return the work on a case: ``policies`` with settings on scenes of ``seeds``."""
         return [WorkUnit(policy, policy, case, seeds, deterministic) for policy in policies]
 
     def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
@@ -212,12 +203,7 @@ def walked(
 ) -> Iterator[tuple[Rollout, PedestrianEnv]]:
     """Yield some episodes after the other, and where they were: large crowds do not fit memory together.
 
-    Args:
-        unit: What walks, and how.
-        scenario: The scenario of its case, prepared.
-        seeds: Of the scenes.
-        episodes: Of every seed.
-        tell: Called with the share that is done.
+    ``episodes`` are those of every seed; ``tell`` is called with the share that is done.
     """
     for number, seed in enumerate(seeds):
         policy, env = prepare(unit.walks, scenario, unit.case.physics, episodes, seed, device=unit.device)

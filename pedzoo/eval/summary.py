@@ -1,7 +1,5 @@
 """Several cases as one row: the mean over them, with its interval."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import groupby
@@ -16,9 +14,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     A metric that a case has no value of (no arrivals, no meetings) has none in the summary either: a mean
     over the other cases could not be compared with those of other policies.
-
-    Args:
-        rows: Of an evaluation.
     """
     order = {key: number for number, key in enumerate(dict.fromkeys(map(_place, rows)))}
     result = []
@@ -55,13 +50,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]]) -> Interval:
     """Return the interval of the mean of independent estimates, each with an interval of its own.
 
-    The method of variance estimates recovery (Zou and Donner, "Construction of confidence limits about
-    effect measures", Statistics in Medicine 27, 2008): deviations to either side add up in squares. Of
-    Wilson's intervals it keeps that they are longer towards the middle.
-
-    Args:
-        values: The estimates.
-        intervals: The lower and upper end of each.
+    The method of variance estimates recovery (Zou and Donner, "Construction of confidence limits about effect
+    measures", Statistics in Medicine 27, 2008): deviations to either side add up in squares. Of Wilson's
+    intervals it keeps that they are longer towards the middle.
     """
     mean = sum(values) / len(values)
     below, above = (

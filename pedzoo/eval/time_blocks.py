@@ -1,7 +1,5 @@
 """Intervals of open-loop errors: windows overlap, so what is drawn again is stretches of time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch
@@ -58,11 +56,8 @@ class BlockSums:
 def blocks(windows: list[int], length: int) -> Tensor:
     """Return the number of each window's block (S,): ``length`` windows in a row, of one recording.
 
-    What is left at the end of a recording joins its last block, unless it is the only one.
-
-    Args:
-        windows: Of each recording; they come one recording after the other.
-        length: Of a block.
+    ``windows`` are those of each recording, which come one after the other. What is left at the end of a
+    recording joins its last block, unless it is the only one.
     """
     result, before = [], 0
     for number in windows:

@@ -1,7 +1,5 @@
 """Units of an evaluation: how one is done in any process, and by what a finished one is known again."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time
@@ -23,12 +21,7 @@ _NO_MATTER = ("cli", "train", "viz", "configs")
 
 
 def work(unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
-    """Do a unit and return its rows, as they are in JSON.
-
-    Args:
-        unit: What to do.
-        tell: Called with the share that is done.
-    """
+    """Do a unit and return its rows, as they are in JSON; ``tell`` gets the share that is done."""
     wall, cpu = time.perf_counter(), time.process_time()
     rows = SUITES.get(unit.case.suite)(unit.case.suite).rows(unit, tell)
     spent = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}

@@ -1,7 +1,5 @@
 """Which recordings the weights of a policy were trained on, and which others of the zoo were not."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pedzoo.core import renamed

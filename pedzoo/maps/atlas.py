@@ -37,13 +37,10 @@ class Atlas:
     def stack(
         cls, images: Sequence[Tensor], to_pixel: Sequence[NDArray[np.float64]], nowhere: Tensor
     ) -> Atlas:
-        """Return the atlas of ``images``.
+        """Return the atlas of ``images`` (C, h, w), one per map.
 
-        Args:
-            images: One (C, h, w) per map.
-            to_pixel: Per map, the affine (2, 3) from its frame (metres) to (column, row), whole at pixel
-                centres.
-            nowhere: Values for people without a map (C,).
+        ``to_pixel`` (2, 3) leads from a map's frame (metres) to (column, row), whole at pixel centres.
+        ``nowhere`` (C,): values for people without a map.
         """
         # "No map" is a last image of one pixel that every position falls on: index -1 finds it.
         everything = [*images, nowhere.view(-1, 1, 1)]
@@ -80,16 +77,11 @@ class Atlas:
         return Atlas(*(part.to(device) for part in parts))
 
     def sample(self, points: Tensor, row: Tensor, pose: Tensor) -> Tensor:
-        """Return the images' values (N, ..., C) at scene positions, read bilinearly between pixel centres.
+        """Return the images' values (N, ..., C) at scene positions, bilinear between pixel centres.
 
         Beyond its outermost pixel centres an image goes on with its border's value. Differentiable with
-        respect to ``points`` and ``pose``; always computed in float32, because half precision cannot tell
-        neighbouring cells apart.
-
-        Args:
-            points: Scene positions (N, ..., 2), metres.
-            row: Which map (N,) long, -1 for none.
-            pose: Scene poses (N, 4).
+        respect to ``points`` (N, ..., 2) and ``pose`` (N, 4); always computed in float32, because half
+        precision cannot tell neighbouring cells apart.
         """
         with torch.autocast(points.device.type, enabled=False):
             points, pose = points.float(), pose.float()

@@ -161,11 +161,6 @@ class MapBank:
 
         Read bilinearly between cell centres and differentiable with respect to ``points``. Without a map it
         is plus ``max_distance``; outside the map it is the value at its border, with gradient zero.
-
-        Args:
-            points: Scene positions (N, ..., 2), metres.
-            map_id: Floor plan of each entry (N,) long, -1 for none.
-            pose: Scene poses (N, 4).
         """
         return self._atlas.sample(points, self.index(map_id), pose)[..., 0]
 
@@ -192,21 +187,11 @@ class MapBank:
         return self.walls_around(map_id, pose).closest(points)
 
     def walls_around(self, map_id: Tensor, pose: Tensor) -> LocalWalls:
-        """Return what `closest_wall` asks of N entries, for callers that ask about the same entries again.
-
-        Args:
-            map_id: Floor plan of each entry (N,) long, -1 for none.
-            pose: Scene poses (N, 4).
-        """
+        """Return what `closest_wall` asks of N entries, for callers that ask about the same entries again."""
         return LocalWalls.around(self.walls, self.index(map_id), pose)
 
     def walls_of_scenes(self, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Return how walls lie in B scenes, `LocalWalls.frame` (B, 7) and `LocalWalls.place` (B, 3).
-
-        Args:
-            row: Row of each scene's floor plan (B,) long, -1 for none.
-            pose: Scene poses (B, 4).
-        """
+        """Return how walls lie in B scenes, `LocalWalls.frame` (B, 7) and `LocalWalls.place` (B, 3)."""
         walls = LocalWalls.around(self.walls, row, pose)
         return walls.frame.float().t().contiguous(), walls.place.t().contiguous()
 

@@ -4,8 +4,6 @@ A homography takes a pixel (u to the right, v down, 1) to the ground (x, y, 1) i
 computed by single additions and multiplications, so that every machine finds the same cells.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

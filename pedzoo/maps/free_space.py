@@ -1,7 +1,5 @@
 """Where people can stand: free space away from walls, all of it within reach of all the rest."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,19 +8,11 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 
 def free_points(grid: OccupancyGrid, unknown: Unknown, clearance: float) -> NDArray[np.float64]:
-    """Return the centres of the cells in the largest connected part of the free space.
+    """Return the centres (F, 2) of the cells in the largest connected part of the free space, row by row.
 
     Cells are free if their centre is at least ``clearance`` from every wall by
     `OccupancyGrid.signed_distance`; they are connected through their four sides. Unreachable places, such as
     closed courtyards, are left out.
-
-    Args:
-        grid: The floor plan.
-        unknown: Meaning of its unknown cells.
-        clearance: Metres.
-
-    Returns:
-        Map-frame positions (F, 2), row by row.
 
     Raises:
         UserError: No cell is that far from all walls.
@@ -44,20 +34,10 @@ def free_points(grid: OccupancyGrid, unknown: Unknown, clearance: float) -> NDAr
 def spread_points(
     grid: OccupancyGrid, unknown: Unknown, clearance: float, spacing: float, seed: int
 ) -> NDArray[np.float64]:
-    """Return some of `free_points` in random order, ``spacing`` apart and as many as then fit.
+    """Return some of `free_points` (S, 2) in random order, ``spacing`` metres apart and as many as then fit.
 
     A point is taken unless one taken before it is nearer than ``spacing``: no further one could be added. The
     same seed gives the same points.
-
-    Args:
-        grid: The floor plan.
-        unknown: Meaning of its unknown cells.
-        clearance: Metres to the nearest wall.
-        spacing: Least distance between two points, metres.
-        seed: Of the random order.
-
-    Returns:
-        Map-frame positions (S, 2).
 
     Raises:
         UserError: No cell is that far from all walls.

@@ -1,7 +1,5 @@
 """Floor plans by name or file: the maps of scenarios, controllers and datamodules."""
 
-from __future__ import annotations
-
 import re
 from difflib import get_close_matches
 from pathlib import Path

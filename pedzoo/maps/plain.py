@@ -6,8 +6,6 @@ A plan is a list of rectangles, which the helpers make and ``+`` joins::
     grid = rectangles(walls)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 
@@ -136,13 +134,7 @@ def rectangles(
 
 
 def check_lengths(what: str, resolution: float, *, instead: str = "", **lengths: float) -> None:
-    """Check that lengths are whole cells.
-
-    Args:
-        what: Object with these lengths, for messages.
-        resolution: Side of a cell, metres.
-        instead: Another fix, for messages.
-        lengths: By name, metres.
+    """Check that ``lengths`` of ``what`` are whole cells; ``instead`` is another fix for the message.
 
     Raises:
         UserError: A length or the resolution is not above 0, or a length is no multiple of it.

@@ -1,7 +1,5 @@
 """Metrics of goals: whether and when people arrive, and by which way."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

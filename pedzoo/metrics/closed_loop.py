@@ -1,7 +1,5 @@
 """All closed-loop metrics of a rollout, each as a ratio of two sums over episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Metrics of contacts and distances between people, and to walls."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from pedzoo.metrics import safety

@@ -5,13 +5,8 @@ truth is known. Minima over samples come in two forms that must never share a co
 sample for all people of a window together (Gupta et al., "Social GAN", CVPR 2018), and *per agent*.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
-from torchmetrics import Metric
 
 from pedzoo.metrics.scene_mean import SceneMean
 
@@ -22,13 +17,7 @@ def positions(prediction: Tensor, history: Tensor) -> Tensor:
 
 
 def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> Tensor:
-    """Return distances (B, K, A, T) between predicted and true positions.
-
-    Args:
-        prediction: Displacements per step (B, K, A, T, 2).
-        history: Observed positions (B, A, 8, 2).
-        future: True positions (B, A, T, 2).
-    """
+    """Return distances (B, K, A, T) of predicted displacements (B, K, A, T, 2) from the true future."""
     return (positions(prediction, history) - future.unsqueeze(1)).norm(dim=-1)
 
 
@@ -67,16 +56,15 @@ def mean_over_samples(per_agent: Tensor, there: Tensor) -> Tensor:
 
 
 class AgentMean(SceneMean):
-    """Mean over agents of an error, metres, reduced over samples."""
+    """Mean over agents of an error, metres, reduced over samples.
 
-    def __init__(
-        self,
-        of: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
-        over_samples: Callable[[Tensor, Tensor], Tensor] = mean_over_samples,
-    ) -> None:
-        """Combine ``of`` (average, final, next_step) with a reduction ``over_samples``."""
-        super().__init__()
-        self.of, self.over_samples = of, over_samples
+    Attributes:
+        of: Which error: `average`, `final` or `next_step`.
+        over_samples: How samples are reduced.
+    """
+
+    of = staticmethod(average)
+    over_samples = staticmethod(mean_over_samples)
 
     def update(self, error: Tensor, valid: Tensor) -> None:
         """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
@@ -87,74 +75,50 @@ class AgentMean(SceneMean):
 class ADE(AgentMean):
     """Average displacement error: mean over agents and steps (and samples)."""
 
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__(average)
-
 
 class FDE(AgentMean):
     """Final displacement error: at the last predicted step."""
 
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__(final)
+    of = staticmethod(final)
 
 
 class NextStepError(AgentMean):
     """Displacement error of the first predicted step."""
 
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__(next_step)
+    of = staticmethod(next_step)
 
 
 class MinADEScene(AgentMean):
     """ADE of the sample that is best for all people of a scene together (Social GAN's best-of-K)."""
 
-    def __init__(self) -> None:
-        """Nothing to set; K is the number of samples that it is shown."""
-        super().__init__(average, min_per_scene)
+    over_samples = staticmethod(min_per_scene)
 
 
-class MinFDEScene(AgentMean):
+class MinFDEScene(FDE):
     """FDE likewise; its best sample is chosen by FDE and may be another one."""
 
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__(final, min_per_scene)
+    over_samples = staticmethod(min_per_scene)
 
 
 class MinADEAgent(AgentMean):
     """ADE of each person's own best sample."""
 
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__(average, min_per_agent)
+    over_samples = staticmethod(min_per_agent)
 
 
-class MinFDEAgent(AgentMean):
+class MinFDEAgent(FDE):
     """FDE of each person's own best sample."""
 
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__(final, min_per_agent)
+    over_samples = staticmethod(min_per_agent)
 
 
-class SampleDistance(Metric):
-    """Mean distance between the positions of two samples of the same person at the same step.
+class SampleDistance(SceneMean):
+    """Mean distance between the positions of two samples of the same person at the same step, metres.
 
     It shows whether samples differ: 0 for a deterministic model.
     """
 
-    full_state_update = False
-    total: Tensor
-    count: Tensor
-
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__()
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+    higher_is_better = None
 
     def update(self, prediction: Tensor, mask: Tensor) -> None:
         """Add a batch: ``prediction`` displacements (B, K, A, T, 2), ``mask`` (B, A)."""
@@ -169,7 +133,3 @@ class SampleDistance(Metric):
             self.total += (
                 (some[..., first, :] - some[..., second, :]).norm(dim=-1).mean(-1).sum(dtype=torch.float64)
             )
-
-    def compute(self) -> Tensor:
-        """Return the mean distance, metres; NaN before the first batch."""
-        return self.total / self.count

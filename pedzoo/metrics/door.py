@@ -1,14 +1,16 @@
 """Order and flow of people through a door: metrics, and pure functions over the trace of their episodes.
 
-E episodes of A people (padded), T trace points. A gate (E, 5) is the door's centre c, x and y, the unit
-normal of its wall, x and y, and its clear width: the door line goes through c along the wall, jamb to jamb.
-Nothing here depends on which way the normal points, nor on how people are numbered.
+E episodes of A people (padded), T trace points. Nothing here depends on which way a normal points, nor on how
+people are numbered. Arguments of many functions:
 
-A pair is two people, one from each side, who are nearest to the door's centre when the episode begins. Where
-all come from one side there is no pair.
+* ``path`` (E, A, 1 + T, 2): positions from where the episode begins, metres.
+* ``scored`` (E, A, T) bool: which people count at each point but the first.
+* ``gate`` (E, 5): the door's centre c, x and y, the unit normal of its wall, x and y, and its clear width.
+  The door line goes through c along the wall, jamb to jamb.
+* ``pair`` (E, 2) long: two people, one from each side, who are nearest to c when the episode begins. Where
+  all come from one side there is no pair.
+* ``seconds`` (E, A), of a pair (E, 2): when they passed the door, infinite for people not through.
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 
@@ -26,11 +28,6 @@ def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
 
     That is the last of an odd number of crossings of the door line, interpolated between two trace points.
     People who come back are not through.
-
-    Args:
-        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Which people are at each point but the first (E, A, T) bool.
-        gate: Doors (E, 5).
     """
     ahead, beside = _from_door(path, gate)
     side = ahead >= 0
@@ -44,13 +41,7 @@ def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
 
 
 def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the two people who meet at the door (E, 2) long, and where there are two (E,) bool.
-
-    Args:
-        start: Where each person begins (E, A, 2), metres.
-        mask: Which people took part (E, A) bool.
-        gate: Doors (E, 5).
-    """
+    """Return the pair of an episode's people ``mask`` (E, A), and where there is one (E,) bool."""
     ahead, _ = _from_door(start.unsqueeze(2), gate)
     away = (start - gate[:, None, :2]).norm(dim=-1)
     sides = torch.stack((ahead[..., 0] < 0, ahead[..., 0] >= 0), dim=1) & mask.unsqueeze(1)
@@ -61,16 +52,9 @@ def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
     """Return how far a pair is from walking point-symmetrically (E,), and where that is known (E,) bool.
 
-    The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are present. r is their mean distance from
-    the door's centre c when the episode begins, so the index has no unit. 0: they are mirror images in c all
-    the time, and neither yields (ORCA, started alike). About 1: one waits at the start until the other is
-    through.
-
-    Args:
-        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Which people are at each point but the first (E, A, T) bool.
-        gate: Doors (E, 5).
-        pair: The two people who meet (E, 2) long.
+    The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are present. r is their mean distance from c
+    when the episode begins. 0: they are mirror images in c all the time, and neither yields (ORCA, started
+    alike). About 1: one waits at the start until the other is through.
     """
     metres, known = asymmetry(path, scored, gate, pair)
     size = (of_pair(path, pair)[:, :, 0] - gate[:, None, :2]).norm(dim=-1).mean(1)
@@ -78,17 +62,7 @@ def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) 
 
 
 def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the mean of ``|p1 + p2 - 2c|`` as long as both are there (E,), metres, and where it is known.
-
-    This is `index_of_symmetry` in metres. To judge how the pair came through the door, let ``there`` end
-    with the first arrival.
-
-    Args:
-        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        there: Which people count at each point but the first (E, A, T) bool.
-        gate: Doors (E, 5).
-        pair: The two people who meet (E, 2) long.
-    """
+    """Return `index_of_symmetry` in metres (E,), and where it is known. ``there`` is like ``scored``."""
     two, both = of_pair(path, pair), of_pair(there, pair).all(1)
     off = (two.sum(1) - 2 * gate[:, None, :2]).norm(dim=-1)[:, 1:]
     points = both.sum(1)
@@ -96,25 +70,14 @@ def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[
 
 
 def delay(seconds: Tensor) -> Tensor:
-    """Return how much later than the first the second of a pair passes (E,), seconds.
-
-    Infinite where not both are through.
-
-    Args:
-        seconds: When they passed the door (E, 2), infinite for people not through.
-    """
+    """Return how much later the second of a pair passes (E,), seconds; infinite unless both are through."""
     return torch.where(seconds.isfinite().all(1), seconds.diff(dim=1).abs().squeeze(1), torch.inf)
 
 
 def faster_is_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -> tuple[Tensor, Tensor]:
-    """Return where the one who likes to walk faster passes first (E,) bool, and where that is known.
+    """Return where the person who prefers the higher speed passes first (E,) bool, and where that is known.
 
-    Known where both are through and their preferred speeds differ by more than ``differ``.
-
-    Args:
-        seconds: When they passed the door (E, 2), infinite for people not through.
-        pref_speed: The speeds that they like (E, 2), m/s.
-        differ: m/s.
+    Known where both are through and their preferred speeds (E, 2) differ by more than ``differ``, all in m/s.
     """
     faster = pref_speed.diff(dim=1).squeeze(1)
     known = seconds.isfinite().all(1) & (faster.abs() > differ)
@@ -125,13 +88,9 @@ def faster_is_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -
 def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor, dt: float) -> Tensor:
     """Return the least speed of the second of a pair before passing the door (E,), m/s.
 
-    Infinite where not both are through, or the second is after less than a window.
-
-    Args:
-        velocity: Of the pair in windows (E, 2, S, 2), m/s, see `pedzoo.metrics.smoothness`.
-        known: In which windows (E, 2, S) bool.
-        seconds: When they passed the door (E, 2), infinite for people not through.
-        dt: Length of a window, seconds.
+    Infinite where not both are through, or the second is after less than a window. The pair's ``velocity``
+    (E, 2, S, 2), m/s, and ``known`` (E, 2, S) are of windows of ``dt`` seconds, see
+    `pedzoo.metrics.smoothness`.
     """
     end = dt * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
     before = known & (end <= seconds.unsqueeze(2))
@@ -143,13 +102,8 @@ def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor, dt: float) -
 def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     """Return how many people got through (E,) long, and the door's width times the time they took (E,), m s.
 
-    Their ratio is the specific flow: persons per metre of clear width and second between the first and the
-    last passing. 0 and 0 where fewer than two got through, or all in the same moment. The first of N people
-    passes at the beginning of that time: for small N it is larger than of a steady stream, by N / (N - 1).
-
-    Args:
-        seconds: When each person passed the door (E, A), infinite for people not through.
-        gate: Doors (E, 5).
+    Their ratio is the specific flow between the first and the last passing. 0 and 0 where fewer than two got
+    through, or all in the same moment. For N people it is N / (N - 1) times that of a steady stream.
     """
     through = seconds.isfinite()
     last = seconds.where(through, -torch.inf).amax(1)

@@ -1,7 +1,5 @@
 """All displacement metrics of a forecaster in one pass over scene batches."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch

@@ -1,7 +1,5 @@
 """95 % intervals of closed-loop numbers: episodes are independent of each other, people in them are not."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 
@@ -19,10 +17,6 @@ def wilson(share: float, trials: int) -> Interval:
     """Return Wilson's score interval of a share; it has a width even where nothing or everything succeeded.
 
     With episodes as trials it is on the safe side for shares of people, who meet each other in an episode.
-
-    Args:
-        share: Between 0 and 1.
-        trials: Independent ones, at least 1.
     """
     square = _NORMAL_95**2
     middle = share + square / (2 * trials)
@@ -32,14 +26,7 @@ def wilson(share: float, trials: int) -> Interval:
 
 
 def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, seed: int = 0) -> Interval:
-    """Return the percentile bootstrap interval of ``numerator.sum() / denominator.sum()`` over episodes.
-
-    Args:
-        numerator: One value per episode (E,).
-        denominator: Likewise, at least one of them above 0; a mean has 1 for each episode that counts.
-        resamples: Drawn with replacement.
-        seed: Of the draws.
-    """
+    """Return the percentile bootstrap interval over episodes of a ratio of sums, (E,) each."""
     times = _resampled(len(numerator), resamples, seed)
     below = times @ denominator.double()
     result = (times @ numerator.double() / below)[below > 0]
@@ -50,15 +37,9 @@ def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, see
 def bootstrap_quantile(
     value: Tensor, episode: Tensor, episodes: int, at: float, resamples: int = 2000, seed: int = 0
 ) -> Interval:
-    """Return the percentile bootstrap interval of a quantile over episodes, of which each has several values.
+    """Return the percentile bootstrap interval over episodes of the quantile ``at`` of values (N,).
 
-    Args:
-        value: Of people (N,), at least one.
-        episode: Episode of each value (N,) long.
-        episodes: How many there are, E.
-        at: Which quantile, 0.5 for the median.
-        resamples: Of episodes, drawn with replacement.
-        seed: Of the draws.
+    ``episode`` (N,) is the episode of each value.
     """
     result = quantiles(value, episode, _resampled(episodes, resamples, seed), (at,))[:, 0]
     ends = torch.nanquantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64))

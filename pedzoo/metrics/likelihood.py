@@ -1,7 +1,5 @@
 """How likely the truth was under a forecaster's own density."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from pedzoo.metrics.scene_mean import SceneMean

@@ -4,8 +4,6 @@ E episodes of A people (padded), T trace points; point t is the end of the t-th 
 Functions take what `pedzoo.sim.rollout.Rollout` holds under the same names.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -16,38 +14,19 @@ STILL_POINTS, STILL_METRES, AWAY = round(5.0 / TRACE_SECONDS), 0.1, 0.5
 
 
 def arrived_in_time(reached: Tensor, goals: int, late: Tensor, failed: Tensor, mask: Tensor) -> Tensor:
-    """Return which people have reached all goals in time (E, A) bool; none in an episode that failed.
-
-    Args:
-        reached: Goals reached until each point (E, A, T) long.
-        goals: Number that each person had to reach.
-        late: A goal was not reached in time (E, A) bool.
-        failed: The policy gave no number (E,) bool.
-        mask: Which people took part (E, A) bool.
-    """
+    """Return which people have reached all goals in time (E, A) bool; none in an episode that failed."""
     return (reached[..., -1] >= goals) & ~late & ~failed.unsqueeze(1) & mask
 
 
 def finish_seconds(reached: Tensor, goals: int) -> Tensor:
-    """Return when each person had reached all goals (E, A), seconds, infinite where they never had.
-
-    Args:
-        reached: Goals reached until each point (E, A, T) long.
-        goals: Number that each person had to reach.
-    """
+    """Return when each person had reached all goals (E, A), seconds, infinite where they never had."""
     missing = (reached < goals).sum(-1)
     seconds = (missing + 1).double() * TRACE_SECONDS
     return torch.where(missing < reached.shape[-1], seconds, torch.inf)
 
 
 def episode_seconds(seconds: Tensor, success: Tensor, mask: Tensor) -> Tensor:
-    """Return when the last person had finished (E,), seconds; infinite unless all had in time.
-
-    Args:
-        seconds: When each person had finished (E, A).
-        success: Whether in time (E, A) bool.
-        mask: Which people took part (E, A) bool.
-    """
+    """Return when the last person had finished (E,), seconds; infinite unless all had in time."""
     all_in_time = (success | ~mask).all(1)
     last = seconds.masked_fill(~mask, 0.0).amax(1)
     return torch.where(all_in_time, last, torch.inf)
@@ -56,13 +35,8 @@ def episode_seconds(seconds: Tensor, success: Tensor, mask: Tensor) -> Tensor:
 def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Return the time that all people of an episode walked (E,), seconds, and the goals they reached (E,).
 
-    0 and 0 unless all people had reached all goals in time. People who finish early walk on to further
-    goals: their time and those goals count.
-
-    Args:
-        seconds: When the last person had finished (E,), see `episode_seconds`.
-        reached: Goals reached until each point (E, A, T) long.
-        mask: Which people took part (E, A) bool.
+    0 and 0 unless all finished in time, after ``seconds`` (E,), see `episode_seconds`. People who finish
+    early walk on to further goals: their time and those goals count.
     """
     known = seconds.isfinite()
     goals = reached[..., -1].where(mask, 0).sum(1)
@@ -72,26 +46,15 @@ def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Te
 def planned_metres(planned: Tensor, reached: Tensor, goals: int) -> Tensor:
     """Return the length of the planner's paths of all goals that each person had to reach (E, A), metres.
 
-    For people who never reached all goals, the paths end with the goal that they were walking to at the end.
-
-    Args:
-        planned: Paths of all goals until the one being walked to (E, A, T), metres.
-        reached: Goals reached until each point (E, A, T) long.
-        goals: Number that each person had to reach.
+    ``planned`` (E, A, T): all until the one being walked to. People who never reached all goals have theirs
+    until the goal they had at the end.
     """
     last = (reached < goals).sum(-1, keepdim=True).clamp_max(reached.shape[-1] - 1)
     return planned.gather(2, last).squeeze(2)
 
 
 def walked_metres(path: Tensor, scored: Tensor, reached: Tensor, goals: int) -> Tensor:
-    """Return how far each person walked until they had reached all goals (E, A), metres.
-
-    Args:
-        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Which people are at each point but the first (E, A, T) bool.
-        reached: Goals reached until each point (E, A, T) long.
-        goals: Number that each person had to reach.
-    """
+    """Return how far each person walked until they had reached all goals (E, A), metres."""
     until = reached[..., :-1] < goals  # the step in which the last goal is reached counts
     counts = torch.cat((torch.ones_like(scored[..., :1]), until), dim=2) & scored
     return path.diff(dim=2).norm(dim=-1).where(counts, 0.0).sum(2)
@@ -102,25 +65,14 @@ def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
 
     With lengths of the planned and of the walked path this is SPL (Anderson et al., "On evaluation of
     embodied navigation agents", 2018, arXiv 1807.06757). With times it is STL: iGibson takes ORCA's time as
-    the least, pedzoo that of the planned path at the preferred speed. 1 for people who arrive and need no
-    more.
-
-    Args:
-        success: Which people arrived in time (E, A) bool.
-        least: Length or time that is needed (E, A).
-        taken: Length or time that it took (E, A).
+    the least, pedzoo that of the planned path at the preferred speed.
     """
     most = torch.maximum(least, taken)
     return torch.where(most > 0, least / most, 1.0).where(success, 0.0)
 
 
 def fewest_goals(reached: Tensor, mask: Tensor) -> Tensor:
-    """Return how many goals the person with the fewest reached in each episode (E,) long.
-
-    Args:
-        reached: Goals reached until each point (E, A, T) long.
-        mask: Which people took part (E, A) bool.
-    """
+    """Return how many goals the person with the fewest reached in each episode (E,) long."""
     last = reached[..., -1]
     return last.masked_fill(~mask, int(last.max())).amin(1)
 
@@ -133,12 +85,8 @@ def most_goals(reached: Tensor, mask: Tensor) -> Tensor:
 def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     """Return which people once stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A) bool.
 
-    A person who comes back to a place within 5 s has not stayed there.
-
-    Args:
-        trace: Positions (E, A, T, 2), metres.
-        goal: Current goal of each person (E, A, T, 2), metres.
-        scored: Which people are scored (E, A, T) bool; it must hold for all of the 5 s.
+    They are ``scored`` all of the 5 s, and do not come back to a place within them. Current goals: (E, A, T,
+    2), metres.
     """
     return stuck(trace, goal, scored).any(-1)
 

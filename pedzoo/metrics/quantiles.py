@@ -3,8 +3,6 @@
 N values of G groups (episodes, people); R resamples are weights (R, G), how often each group counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch
@@ -15,16 +13,10 @@ _AT_ONCE = 4_000_000
 
 
 def quantiles(value: Tensor, group: Tensor, weights: Tensor, at: Sequence[float]) -> Tensor:
-    """Return quantiles (R, Q) of weighted values, float64; NaN for a resample without any.
+    """Return quantiles (R, Q) of values (N,) of groups (N,), float64; NaN for a resample without any.
 
     Each is the least value at which the share of the values up to it is no smaller than asked for: the
-    inverse of the cumulative distribution.
-
-    Args:
-        value: (N,).
-        group: Group of each value (N,) long, 0 to G - 1.
-        weights: How often each group counts (R, G).
-        at: Shares, above 0 and at most 1.
+    inverse of the cumulative distribution. ``weights`` (R, G): how often each group counts.
     """
     shares = torch.tensor(at, dtype=torch.float64)
     if not len(value):

@@ -4,8 +4,6 @@ A metric is a function of a rollout with the decorator `metric`, in any file of 
 finds it, and its name is the metric's. Its docstring is the legend of pages.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Literal, NamedTuple, TypeVar
@@ -39,10 +37,9 @@ class Ratio(NamedTuple):
 
 
 def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
-    """Declare a function of a rollout as a metric; it returns a `Ratio`, or two sums per episode (E,) each.
+    """Declare a metric: a function of a rollout that returns a `Ratio`, or two sums per episode (E,).
 
-    Args:
-        scenes: Of which rollouts it is; it is not called with others.
+    It is not called with rollouts that are not of its ``scenes``.
     """
 
     def declare(function: Function) -> Function:

@@ -1,10 +1,9 @@
 """Contacts and distances between people: pure functions over the 0.1 s trace of closed-loop episodes.
 
-E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`. Scored people may come near
-all people who are present.
+E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`. Scored people (E, A, T) may
+come near all people who are present (E, A, T). ``nearest`` (E, A, T) are distances to the nearest other,
+metres.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 
@@ -27,12 +26,9 @@ _AT_ONCE = 100_000
 
 
 def contact_events(contact: Tensor) -> Tensor:
-    """Return how often each person begins to touch (E, A) long; a touch that lasts counts once.
+    """Return how often each person begins to touch (E, A) long, for touches in 0.1 s (E, A, T) bool.
 
-    Two people who touch each other have one event each.
-
-    Args:
-        contact: Touching within each 0.1 s (E, A, T) bool, false where no person is.
+    A touch that lasts counts once. Two people who touch each other have one event each.
     """
     return begins(contact).sum(-1)
 
@@ -44,23 +40,12 @@ def begins(when: Tensor) -> Tensor:
 
 
 def person_minutes(scored: Tensor) -> Tensor:
-    """Return how long each person was scored (E, A), minutes.
-
-    Args:
-        scored: Which people are at each point (E, A, T) bool.
-    """
+    """Return how long each person was scored (E, A), minutes."""
     return scored.sum(-1) * TRACE_SECONDS / 60
 
 
 def nearest(trace: Tensor, present: Tensor) -> Tensor:
-    """Return the distance to the nearest other at each point (E, A, T), metres between centres.
-
-    Infinite for people alone or absent.
-
-    Args:
-        trace: Positions (E, A, T, 2), metres.
-        present: Which people are present in a running episode (E, A, T) bool.
-    """
+    """Return the distance between centres to the nearest other (E, A, T), metres; infinite without one."""
     parts = []
     for x, y, absent in _frames(present, trace):
         apart = (x.unsqueeze(2) - x.unsqueeze(1)).square_()
@@ -72,12 +57,7 @@ def nearest(trace: Tensor, present: Tensor) -> Tensor:
 
 
 def least_distance(nearest: Tensor, scored: Tensor) -> Tensor:
-    """Return the least distance to another (E, A), metres between centres; infinite for a person alone.
-
-    Args:
-        nearest: Distance to the nearest other at each point (E, A, T), metres.
-        scored: Which people are at each point (E, A, T) bool.
-    """
+    """Return the least distance to another (E, A), metres between centres; infinite for a person alone."""
     return nearest.masked_fill(~scored, torch.inf).amin(-1)
 
 
@@ -85,10 +65,6 @@ def keeps_distance(nearest: Tensor, scored: Tensor) -> Tensor:
     """Return at which points no other is within 0.5 m of each scored person (E, A, T) bool.
 
     Their share of all scored points is personal-space compliance per frame.
-
-    Args:
-        nearest: Distance to the nearest other at each point (E, A, T), metres.
-        scored: Which people are at each point (E, A, T) bool.
     """
     return (nearest >= PERSONAL_SPACE) & scored
 
@@ -98,10 +74,6 @@ def compliance_igibson(nearest: Tensor, scored: Tensor) -> Tensor:
 
     ``1 - points with another person within 0.5 m / 500``, not below 0. 500 is the number of 0.1 s steps that
     an episode of iGibson's social navigation may take, so short episodes look better.
-
-    Args:
-        nearest: Distance to the nearest other at each point (E, A, T), metres.
-        scored: Which people are at each point (E, A, T) bool.
     """
     intruded = (nearest < PERSONAL_SPACE) & scored
     return (1 - intruded.sum(-1) / IGIBSON_POINTS).clamp_min(0.0)
@@ -112,16 +84,10 @@ def time_to_collision(
 ) -> Tensor:
     """Return after how long each person would touch another if all kept their velocities (E, A, S), seconds.
 
-    Two people are ``p`` apart, with relative velocity ``v`` and the sum ``R`` of their radii. Their time is
-    the smaller root of ``|p + v t| = R``: 0 where they touch already, 10 for later than 10 s and for never.
-    A person's time is the least over all others that are there. It is infinite for people who are alone or
-    not there.
-
-    Args:
-        position: (E, A, S, 2), metres.
-        velocity: (E, A, S, 2), m/s.
-        there: Which people are present, with a known velocity (E, A, S) bool.
-        radius: Radii of the bodies (E, A), metres; None for those of people.
+    The smaller root of ``|p + v t| = R``: 0 where they touch already, 10 for later than 10 s and for never. R
+    is the sum of two radii (E, A), those of people if None. A person's time is the least over all others
+    ``there`` (E, A, S), infinite for people alone or absent. Positions and velocities (E, A, S, 2), metres
+    and m/s.
     """
     own = position.new_full(position.shape[:2], BODY_RADIUS) if radius is None else radius.to(position)
     own = own[..., None, None].expand(*position.shape[:3], 1)
@@ -136,14 +102,10 @@ def time_to_collision(
 
 
 def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: Tensor) -> Tensor:
-    """Return when pairs that keep their velocities touch, at most 10 s; see `time_to_collision`.
+    """Return when pairs (...) that keep their velocities touch, at most 10 s; see `time_to_collision`.
 
-    Args:
-        x: From one to the other (...), metres; its memory is used for the result, as is that of all others.
-        y: Likewise.
-        vx: Velocity of the other less that of the one (...), m/s.
-        vy: Likewise.
-        reach: Distance at which they touch (...), metres.
+    Positions and velocities are those of the other less those of the one, and ``reach`` is the sum of radii.
+    The memory of all arguments is used for the result.
     """
     closing = (x * vx).addcmul_(y, vy).neg_()  # -p.v
     gap = x.square_().addcmul_(y, y).sub_(reach**2)  # |p|^2 - R^2

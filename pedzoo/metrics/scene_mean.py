@@ -1,7 +1,5 @@
 """Means over people: exact sums, over processes too, and those of each scene."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torchmetrics import Metric
@@ -14,7 +12,7 @@ class SceneMean(Metric):
         latest: Sums and counts (B,) of each scene of the last update, for intervals over scenes.
     """
 
-    higher_is_better = False
+    higher_is_better: bool | None = False
     full_state_update = False
     total: Tensor
     count: Tensor

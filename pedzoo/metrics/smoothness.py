@@ -4,10 +4,9 @@ E episodes of A people (padded), T trace points. Speeds and their changes are ta
 people of a learned model walk straight on between two decisions, so all of a change of velocity falls into
 one 0.1 s. Windows begin with the episode, as decisions do, and do not overlap: window s of S is from point
 ``4 s`` to ``4 s + 4`` of the path. Missing values are left out, not counted as 0: windows in which a person
-is scored only in part, changes of velocity at their ends, headings of standing people.
+is scored only in part, changes of velocity at their ends, headings of standing people. ``path`` (E, A, 1 + T,
+2) is in metres, ``velocity`` (E, A, S, 2) in m/s; ``known`` (E, A, S) are windows that count.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -26,13 +25,7 @@ STANDS = 0.1
 
 
 def velocities(path: Tensor, scored: Tensor, every: int = WINDOW) -> tuple[Tensor, Tensor]:
-    """Return velocities (E, A, S, 2), m/s, and which of them are known (E, A, S) bool.
-
-    Args:
-        path: Positions from where the episode begins (E, A, 1 + T, 2), metres.
-        scored: Which people are at each point but the first (E, A, T) bool, see `Rollout.scored`.
-        every: Points in a window; S is ``T // every``.
-    """
+    """Return velocities (E, A, S, 2) in windows of ``every`` points, m/s, and which are known."""
     windows = scored.shape[2] // every
     known = scored[..., : windows * every].unflatten(2, (windows, every)).all(-1)
     corners = path[:, :, : windows * every + 1 : every]
@@ -40,13 +33,7 @@ def velocities(path: Tensor, scored: Tensor, every: int = WINDOW) -> tuple[Tenso
 
 
 def acceleration(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:
-    """Return the amount of acceleration (E, A, S - 1), m/s^2, and where it is known.
-
-    Args:
-        velocity: In windows (E, A, S, 2), m/s.
-        known: In which (E, A, S) bool.
-        dt: Length of a window, seconds.
-    """
+    """Return the amount of acceleration (E, A, S - 1), m/s^2, windows of ``dt``, and where it is known."""
     return velocity.diff(dim=2).norm(dim=-1) / dt, known[..., 1:] & known[..., :-1]
 
 
@@ -70,10 +57,6 @@ def turning(velocity: Tensor, known: Tensor) -> Tensor:
 
     Divided by the `length` of the path this is path irregularity, rad/m. Corners of the planned path count:
     they are the same for every policy. People who stop and walk on in another direction have turned.
-
-    Args:
-        velocity: In windows (E, A, S, 2), m/s.
-        known: In which (E, A, S) bool.
     """
     angle, walks = _headings(velocity, known)
     number = torch.arange(walks.shape[2], device=walks.device).expand_as(walks)

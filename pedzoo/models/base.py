@@ -32,10 +32,8 @@ class Walking:
     """How a model walks, unless its policy has other settings.
 
     Attributes:
-        safety: Whether walking people are kept clear of others and walls: see
-            `pedzoo.policies.learned.safety`.
-        extend_goal: Whether walking people do not slow down for goals round a corner: see
-            `pedzoo.policies.learned.extended_goals`.
+        safety: Keep clear of others and walls, see `pedzoo.policies.learned.safety`.
+        extend_goal: Do not slow down round corners, see `pedzoo.policies.learned.extended_goals`.
     """
 
     safety: bool = False
@@ -87,12 +85,8 @@ class Forecaster(nn.Module):
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first ``steps`` of one future of ``horizon`` steps (B, A, steps, 2): what is walked.
 
-        Args:
-            batch: Scenes.
-            noise: Each person's noise (B, A, noise_dim); None for the most likely future. A stochastic model
-                that takes no noise draws its own.
-            steps: Steps that are wanted.
-            horizon: Steps that the short-term goal lies ahead.
+        Without noise (B, A, noise_dim) it is the most likely future. A stochastic model that takes no noise
+        draws its own. The short-term goal lies ``horizon`` steps ahead.
         """
         future = self.sample(batch, 1, horizon) if noise is not None else self.mode(batch, horizon)
         return future[:, 0, :, :steps]

@@ -9,8 +9,6 @@ The policies of a crowd are joined by ``+``. The setting ``share`` belongs to th
   follows, or an address.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -83,11 +81,7 @@ def teams(people: str | Policy | Walker, robots: str | Policy | Walker | None = 
 
 
 def crowd_of(name: str) -> Crowd:
-    """Return the policies of a mixed crowd, or of one policy, and their shares.
-
-    Args:
-        name: Such as ``orca:share=0.5+sgan_goal_map.indoor``.
-    """
+    """Return the policies of a mixed crowd, or of one policy, and their shares."""
     return [(load_policy(one.policy), one.share) for one in members(name)]
 
 

@@ -1,7 +1,5 @@
 """Inputs and outputs of a robot's local planner. B robots, N people around each (padded)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, cast
 
@@ -81,11 +79,9 @@ class LocalPlanner(Protocol):
 
 
 def load_local_planner(name: str, time_step: float) -> LocalPlanner:
-    """Return a new local planner of a robot.
+    """Return a new local planner of a robot that decides every ``time_step`` seconds.
 
-    Args:
-        name: A name with settings, ``crowdnav_orca:safety_space=0.15``, or ``path/to/file.py:Class``.
-        time_step: Seconds between its decisions.
+    The name may have settings, ``crowdnav_orca:safety_space=0.15``, or be ``path/to/file.py:Class``.
 
     Raises:
         UserError: Unknown name, setting or file, or a class whose objects cannot be called.

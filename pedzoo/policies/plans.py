@@ -82,12 +82,7 @@ class Memory:
         self._others: Plans | None = None
 
     def recall(self, like: Plans, person: Tensor) -> Plans:
-        """Return the kept values of scenes.
-
-        Args:
-            like: Plans in which nothing was decided, for the scenes that are unknown.
-            person: Number of the person in each slot (S, A) long.
-        """
+        """Return the stored plans of scenes; ``like`` stands for unknown scenes."""
         if self._last is None:
             return like
         if _same(self._last.key, like.key):

@@ -1,7 +1,5 @@
 """The interface of policies."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from tensordict.nn import TensorDictModuleBase

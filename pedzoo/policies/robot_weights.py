@@ -1,7 +1,5 @@
 """Learned robots by name: weights of the zoo whose architecture is a policy of robots."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Mixed crowds: several policies move the agents of a scene, each at its own decision interval."""
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias, cast
 
@@ -23,7 +21,7 @@ _ROUNDING = 1e-3
 """Seconds: clocks are sums of decisions."""
 
 
-Crowd: TypeAlias = "list[tuple[Policy | Walker, float]]"
+Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 """Policies and their shares of the agents."""
 
 
@@ -50,12 +48,9 @@ class Team(nn.Module):
         return drawn if self.kind is None else drawn & (kind == self.kind)
 
     def velocity(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
-        """Return the velocities (B, A, 2) of its agents, m/s; anything for others.
+        """Return the velocities (B, A, 2) of the agents ``mine`` (B, A), m/s; anything for others.
 
-        Args:
-            scenes: The scene batch.
-            mine: Which agents the team moves now (B, A) bool.
-            dt: Seconds between two decisions of the crowd.
+        ``dt``: seconds between two decisions of the crowd.
         """
         if self.every > 1:
             return self._planned(scenes, mine, dt)

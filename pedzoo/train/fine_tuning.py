@@ -1,7 +1,5 @@
 """Fine-tuning: a training that begins with the weights of another one."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -20,14 +18,10 @@ from pedzoo.train.run import RunFolder
 
 
 def start_from(module: ForecastModule, weights: str) -> None:
-    """Fill the generator of ``module`` with ``weights``.
+    """Fill the generator of ``module`` with ``weights``, a name that `pedzoo.load` accepts.
 
-    All else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo weights
-    do not have. The goal protocol, the noise and the losses may differ from theirs.
-
-    Args:
-        module: About to be trained.
-        weights: A name that `pedzoo.load` accepts.
+    All else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo weights do
+    not have. The goal protocol, the noise and the losses may differ from theirs.
 
     Raises:
         UserError: No such weights, or they are of another architecture.
@@ -85,10 +79,6 @@ def architecture_options(weights: str, config: str) -> list[str]:
     A config with ``weights``, such as those in ``closed_loop``, is for any generator. It takes architecture,
     losses and data of the weights that it is given, and decides itself how a model walks and about dropout.
     To other configs weights have to fit.
-
-    Args:
-        weights: A name that `pedzoo.load` accepts.
-        config: Name or file.
     """
     settings = load_config(config)
     if not settings.get("weights"):

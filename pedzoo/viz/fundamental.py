@@ -1,7 +1,5 @@
 """Density and speed of replayed crowds beside the real ones: the fundamental diagram as a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle, product
 from pathlib import Path
@@ -28,12 +26,8 @@ PANEL = (4.2, 3.4)
 def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simulated: str = "all") -> None:
     """Draw the mean speed at every density, a panel for each recording, a line for each policy.
 
-    The real crowd is the thick line; bars say how often a density occurs in it.
-
-    Args:
-        rows: Of `pedzoo.evaluate`; those of replays are drawn.
-        path: The picture.
-        simulated: Which of the two variants, ``all`` or ``one``.
+    The real crowd is the thick line; bars say how often a density occurs in it. Of the rows of
+    `pedzoo.evaluate` those of replays are drawn, with ``all`` or ``one`` person simulated.
 
     Raises:
         UserError: No row is of a replay.

@@ -1,7 +1,5 @@
 """Floor plans as one picture: rooms tinted by what they are for, furniture, doors and walls."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,11 +40,9 @@ _LINE = 22  # pixels of a line of text
 
 
 def sheet(plans: Sequence[FloorPlan], width: int = 1600) -> NDArray[np.uint8]:
-    """Return a picture of floor plans (height, width, RGB), one pixel per 5 cm, in rows with their names.
+    """Return a picture of floor plans (height, width, RGB), one pixel per 5 cm, with their names.
 
-    Args:
-        plans: What is drawn, in this order.
-        width: Pixels; more where one plan is wider.
+    It is wider than ``width`` where one plan is.
     """
     width = max([width, *(round(plan.size[0] / UNIT) + 2 * _GAP for plan in plans)])
     rows: list[list[FloorPlan]] = [[]]

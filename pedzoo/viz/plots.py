@@ -1,7 +1,5 @@
 """Pictures of forecasts: what was seen, what happened, and what a model expected, on the floor plan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +28,10 @@ def plot_forecasts(
     samples: int = 20,
     seed: int = 0,
 ) -> None:
-    """Draw ``panels`` scenes, evenly spread over the test split, into a PNG.
+    """Draw ``panels`` scenes, evenly spread over the test split, into a PNG, under the data's protocol.
 
-    Only scenes with at least three people are drawn; which ones depends on nothing else.
-
-    Args:
-        model: The forecaster.
-        data: Its data; the protocol is theirs.
-        path: The picture.
-        panels: Number of scenes.
-        samples: Random futures drawn per person, beside the mode.
-        seed: Of the random futures.
+    Only scenes with at least three people are drawn; which ones depends on nothing else. ``samples`` random
+    futures per person, of ``seed``, stand beside the mode.
     """
     data.setup("test")
     scenes = data.sets["test"]

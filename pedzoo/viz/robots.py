@@ -1,7 +1,5 @@
 """Robots among people from above, with what their lidar sees."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ In the manner of Fig. 4 of the paper on iGibson: a star where an agent is, dots 
 steps of 0.4 s before, time as colour, and the walls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path

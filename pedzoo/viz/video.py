@@ -1,7 +1,5 @@
 """Videos of an episode: what the physics' camera sees every 0.1 s, one panel per policy."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys
@@ -100,12 +98,9 @@ def check_episode(walked: PolicyRollout, episode: int) -> None:
 
 
 def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
-    """Write pictures (H, W, 3) uint8 RGB, whole or not at all, and read the file back.
+    """Write pictures (H, W, 3) uint8 RGB at ``rate`` per second, whole or not at all, and read the file back.
 
-    Args:
-        path: ``.webm`` or ``.mp4``; its folder is made where it is missing.
-        frames: At least one, all of the same even height and width.
-        rate: Frames per second.
+    All have the same even height and width; the folder of ``path``, .webm or .mp4, is made.
 
     Raises:
         UserError: Another suffix, or what was written is not what is read.

@@ -1,7 +1,5 @@
 """``pedzoo bench``: every speed figure of the project, measured in one run."""
 
-from __future__ import annotations
-
 HELP = "every speed figure, as ratios measured in one run, beside other programs where they are given"
 EXAMPLE = "pedzoo bench loop orca --peer tools/bench/peers/pyrvo_orca.py --json speed.json --compare old.json"
 

@@ -1,7 +1,5 @@
 """``pedzoo demo``: the first minutes with pretrained models. Its steps are commands to type."""
 
-from __future__ import annotations
-
 import shlex
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,13 +20,7 @@ FILM_SECONDS = 8
 
 
 def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[tuple[str, str]]:
-    """Return the commands of the demo: what each shows, and what to type behind ``pedzoo``.
-
-    Args:
-        out: Folder of everything that is written.
-        epochs: Of fine-tuning.
-        physics: ``bullet``, or ``compiled`` where there is no pybullet.
-    """
+    """Return the commands of the demo: what each shows, and what to type behind ``pedzoo``."""
     common = f"--physics {physics} --episodes {EPISODES} --metrics {METRICS}"
     files = f"--plot {out}/door.png --json {out}/door.json"
     film = f"--video {out}/door.webm --video_seconds {FILM_SECONDS}"

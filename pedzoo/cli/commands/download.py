@@ -1,7 +1,5 @@
 """``pedzoo download``: datasets, AlexNet's weights and models, to where pedzoo finds them."""
 
-from __future__ import annotations
-
 import os
 from importlib import import_module
 from pathlib import Path

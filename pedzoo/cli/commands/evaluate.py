@@ -1,7 +1,5 @@
 """``pedzoo evaluate``: the closed-loop table of policies on suites of cases."""
 
-from __future__ import annotations
-
 HELP = "the closed-loop table: policies on suites of cases, with intervals"
 EXAMPLE = "pedzoo evaluate orca:radius=0.3 sgan_goal_map.zara1 --suite door,goals --quick --json out.json"
 

@@ -1,7 +1,5 @@
 """``pedzoo export``: models for others, as weights with a card, as a folder for the hub, as an ONNX graph."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

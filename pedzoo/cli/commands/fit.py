@@ -1,7 +1,5 @@
 """``pedzoo fit``."""
 
-from __future__ import annotations
-
 HELP = "train a model; ends by printing the next command"
 EXAMPLE = "pedzoo fit --config sgan_goal --data.fold zara1 --model.lr 1e-3"
 

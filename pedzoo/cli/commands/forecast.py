@@ -1,7 +1,5 @@
 """``pedzoo forecast``: open-loop errors of models between the trivial baselines."""
 
-from __future__ import annotations
-
 HELP = "ADE and FDE of models beside constant velocity and the lines to the goal"
 EXAMPLE = "pedzoo forecast sgan_goal.zara1 --data.fold zara1 --samples 20 --json out.json"
 

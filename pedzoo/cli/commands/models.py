@@ -1,7 +1,5 @@
 """``pedzoo models``: what can be trained and what can be loaded, read without importing torch."""
 
-from __future__ import annotations
-
 from fnmatch import fnmatch
 from typing import Any
 
@@ -43,11 +41,7 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--json", metavar="FILE", help="also write the tables to this file")
     options = parser.parse_args(argv)
     check_outputs(json=options.json)
-    architectures = [
-        {"name": name, "about": MODELS.describe(name)}
-        for name in MODELS.names()
-        if fnmatch(name, options.pattern)
-    ]
+    architectures = MODELS.described(options.pattern)
     weights = [_row(name) for name in names() if fnmatch(name, options.pattern)]
     report = {"command": "models", "architectures": architectures, "weights": weights}
     write_and_print(report, options.json, lambda: _print(architectures, weights))

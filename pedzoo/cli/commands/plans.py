@@ -1,7 +1,5 @@
 """``pedzoo plans``: floor plans drawn from seeds, as ROS map files and as one picture."""
 
-from __future__ import annotations
-
 from pedzoo.maps.files.ros import write_ros
 
 HELP = "draw apartments and offices from seeds: ROS maps, and a picture of them"

@@ -1,7 +1,5 @@
 """``pedzoo reproduce``: the paper's tables and its Figure 4 beside ours; controllers; CrowdNav."""
 
-from __future__ import annotations
-
 HELP = "the paper's tables and figure beside ours and baselines; what controllers have to show; CrowdNav"
 EXAMPLE = "pedzoo reproduce table2 --quick --out results"
 

@@ -1,9 +1,5 @@
 """``pedzoo robots``: bodies, sensors, rewards and policies of robots, read without importing torch."""
 
-from __future__ import annotations
-
-from fnmatch import fnmatch
-
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, write_and_print
 from pedzoo.core.registry import ROBOT_POLICIES, ROBOT_REWARDS, ROBOTS, SENSORS
@@ -27,14 +23,7 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--json", metavar="FILE", help="also write the lists to this file")
     options = parser.parse_args(argv)
     check_outputs(json=options.json)
-    lists = {
-        kind: [
-            {"name": name, "about": registry.describe(name)}
-            for name in registry.names()
-            if fnmatch(name, options.pattern)
-        ]
-        for kind, (registry, _) in LISTS.items()
-    }
+    lists = {kind: registry.described(options.pattern) for kind, (registry, _) in LISTS.items()}
     write_and_print({"command": "robots", **lists}, options.json, lambda: _print(lists))
     return 0
 

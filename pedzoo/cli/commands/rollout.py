@@ -1,7 +1,5 @@
 """``pedzoo rollout``: policies walk through the same scenes, and one can look at it."""
 
-from __future__ import annotations
-
 HELP = "policies walk through the same scenes: table, trajectories, video"
 EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --video door.webm"
 

@@ -1,7 +1,5 @@
 """``pedzoo test``."""
 
-from __future__ import annotations
-
 HELP = "open-loop metrics on the scene that was left out"
 EXAMPLE = "pedzoo test --ckpt_path runs/sgan_goal/zara1-seed0/checkpoints/best.ckpt"
 

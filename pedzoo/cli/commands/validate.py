@@ -1,7 +1,5 @@
 """``pedzoo validate``."""
 
-from __future__ import annotations
-
 HELP = "open-loop metrics on the validation windows"
 EXAMPLE = "pedzoo validate --ckpt_path runs/sgan_goal/zara1-seed0/checkpoints/best.ckpt"
 

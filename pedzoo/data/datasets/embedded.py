@@ -1,7 +1,5 @@
 """The synthetic plaza that ships with the package: for the demo, tests and first steps, never for results."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
@@ -23,13 +21,7 @@ class Embedded:
     def __init__(
         self, fold: str = "embedded", root: str | None = None, clock: TimeBase = "benchmark"
     ) -> None:
-        """Find the shipped files.
-
-        Args:
-            fold: Only ``embedded``.
-            root: Not used: the files lie in the package.
-            clock: Not used: a step is 0.4 s by both.
-        """
+        """Find the shipped files; only ``fold`` matters: they lie in the package, and a step is 0.4 s."""
         self.folder = Path(str(files("pedzoo.data") / "embedded"))
 
     def recordings(self, split: Split) -> list[Recording]:

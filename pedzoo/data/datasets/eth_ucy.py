@@ -6,8 +6,6 @@ of Gupta et al., "Social GAN", CVPR 2018. Two layouts of the data root are read.
 floor plan of every recording and the true time between two annotated steps.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """ETH/UCY from public repositories, in the layout that `pedzoo.data.datasets.eth_ucy` reads."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from string import Template

@@ -1,7 +1,5 @@
 """Files that lie in public repositories at pinned commits, with a checksum each, and their mirrors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,12 +62,7 @@ def files_of(name: str) -> list[PublishedFile]:
 
 
 def bring(files: list[PublishedFile], folder: Path, name: str) -> None:
-    """Download files into a folder; those that are there and right are kept.
-
-    Args:
-        files: What is wanted.
-        folder: The dataset's own.
-        name: What the progress bar says.
+    """Download files into a dataset's folder; those that are there and right stay. ``name`` is in the bar.
 
     Raises:
         UserError: A file cannot be had from any mirror. What is there stays for the next call.

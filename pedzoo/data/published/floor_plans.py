@@ -1,7 +1,5 @@
 """Floor plans of ETH/UCY, made from published image masks, homographies and recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -48,11 +46,7 @@ def plan_of_recording() -> dict[str, str | None]:
 
 
 def floor_plan(scene: str, folder: Path) -> OccupancyGrid:
-    """Return the floor plan of a scene; people fix its extent, and none of them opens or closes a cell.
-
-    Args:
-        scene: One of `FRAMES`.
-        folder: With ``maps/source/``, ``homography/`` and ``raw/``.
+    """Return the floor plan of a scene of `FRAMES`; people fix its extent, not its cells.
 
     Raises:
         UserError: A mask is missing, or the plan is not the one of `DIGESTS`.

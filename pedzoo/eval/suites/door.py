@@ -1,7 +1,5 @@
 """The narrow door: two people meet at it from both sides."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite

@@ -1,7 +1,5 @@
 """The encounters of Francis et al. 2023, one case each: people meet in corridors, at corners, in the open."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from pedzoo.core.registry import SCENARIOS

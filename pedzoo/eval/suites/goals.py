@@ -1,7 +1,5 @@
 """From goal to goal through buildings, as in Table II of the paper on iGibson."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Recorded crowds: people walk from their real entry to their real exit, beside the real ones."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast

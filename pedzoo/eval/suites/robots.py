@@ -1,7 +1,5 @@
 """A robot among people: doors, corridors, crossings, apartments, an office, the open; and recorded crowds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 

@@ -1,7 +1,5 @@
 """What runs inside a worker: jobs arrive once, and the number of a job brings back its outcome."""
 
-from __future__ import annotations
-
 import traceback
 import warnings
 from collections.abc import Callable, Sequence

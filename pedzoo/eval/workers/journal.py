@@ -1,7 +1,5 @@
 """Finished units in a file, line by line: an evaluation that was interrupted goes on where it was."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Many workers for a list of jobs: processes of this machine, or a Ray cluster."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait

@@ -1,7 +1,5 @@
 """Workers that are processes of this machine. Each has its own executor, which gives it its own jobs."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

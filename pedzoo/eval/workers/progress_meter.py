@@ -1,7 +1,5 @@
 """How far an evaluation is, and how long the rest takes."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -36,13 +34,7 @@ class ProgressMeter:
     """Reports how far an evaluation is, and estimates how long the rest takes."""
 
     def __init__(self, units: list[WorkUnit], done: set[int], progress: Progress | None) -> None:
-        """Start.
-
-        Args:
-            units: All of the evaluation.
-            done: Numbers of those that were done before.
-            progress: Called at every change.
-        """
+        """Start with all ``units``, of which those numbered ``done`` are finished."""
         self._units, self._done, self._progress = units, set(done), progress
         self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
         self._before = sum(self._weights[number] for number in done)

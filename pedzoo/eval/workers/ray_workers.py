@@ -1,7 +1,5 @@
 """Workers that are actors of a Ray cluster."""
 
-from __future__ import annotations
-
 import os
 import sys
 from concurrent.futures import Future

@@ -3,8 +3,6 @@
 Source: the scene classes of StanfordVL/iGibson, branch igibson_challenge_2022.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Images as floor plans: grey levels of a file, and plain images with a known resolution."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +10,7 @@ from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 
 
 def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
-    """Return an image's grey levels (H, W), row 0 at the top.
-
-    Args:
-        file: Anything that OpenCV reads: png, pgm (plain and binary), jpg.
-        owner: The file's name in messages: ``"plan.yaml: its "``.
+    """Return an image's grey levels (H, W), row 0 at the top, of any format that OpenCV reads.
 
     Raises:
         UserError: The file does not exist or is no image.

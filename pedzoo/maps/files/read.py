@@ -1,7 +1,5 @@
 """Floor plans in files of all formats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pedzoo.core.errors import UserError

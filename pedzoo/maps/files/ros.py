@@ -3,8 +3,6 @@
 The format: http://wiki.ros.org/map_server, mode trinary.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -54,11 +52,7 @@ def read_ros(path: str | Path) -> OccupancyGrid:
 
 
 def write_ros(grid: OccupancyGrid, path: Path) -> None:
-    """Write a floor plan as yaml and png, each whole or not at all; read again it has the same content.
-
-    Args:
-        grid: The floor plan.
-        path: Where the yaml goes; the png gets the same name. The folder is made where it is missing.
+    """Write a floor plan as yaml and png beside it, each whole or not at all; read again it is the same.
 
     Raises:
         UserError: The path does not end in ``.yaml`` or ``.yml``.

@@ -1,7 +1,5 @@
 """The carrot: the point ahead on agents' paths that they walk to."""
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -25,15 +23,8 @@ def seen_beyond(
     """Return how far beyond the waypoint agents see their carrot (*E): ``rest``, a half, a quarter, or not.
 
     It is seen if points of the straight line to it, 0.3 m apart, keep a body's radius from walls; on coarse
-    floor plans up to 0.71 cells more.
-
-    Args:
-        walls: As agents see them from their positions on the map.
-        home: Where agents are, in the map's frame (2, *E), metres.
-        waypoint: Their next waypoints (2, *E), which they see.
-        beyond: Unit vectors of where the path goes from there (2, *E).
-        rest: Metres that the carrot is beyond the waypoint (*E), not negative.
-        farthest: Length of the longest line, metres.
+    floor plans up to 0.71 cells more. Places ``home`` and ``waypoint`` (2, *E) are in the map's frame, and
+    ``beyond`` (2, *E) is where the path goes from the waypoint. No line is longer than ``farthest``, metres.
     """
     end = waypoint + beyond * rest
     spacing = _SPACING / torch.hypot(*(end - home)).clamp_min(_SPACING)

@@ -1,7 +1,5 @@
 """The planner's compiled loop: tensors on the CPU become arrays without a copy."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Shortest paths through a floor plan by way of the corners of its open cells."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np
@@ -94,11 +92,7 @@ class CornerGraph:
     ) -> NDArray[np.int32]:
         """Return the open cells (W,) that a shortest path bends at, in their order; empty for a straight one.
 
-        Args:
-            start: Number of the open cell where the path begins, in one component with ``goal``.
-            goal: Where it ends.
-            start_place: Column and row of the start itself (2,), whole at cell centres.
-            goal_place: Of the goal itself (2,).
+        Start and goal are numbers of open cells of one component; their places (2,) are columns and rows.
         """
         ends = self.graph.place[[start, goal]]
         if self.graph.sight.clear(ends[:1], ends[1:])[0]:

@@ -1,7 +1,5 @@
 """Fields of next waypoints: for every open cell of a floor plan the path to a goal, one look-up away."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -39,17 +37,12 @@ class Fields:
 
 
 def build_fields(graph: OpenGraph, cells: NDArray[np.int64], points: NDArray[np.float64]) -> Fields:
-    """Return the fields of goals in the open cells ``cells`` (G,) at the places ``points`` (G, 2).
+    """Return the fields of goals in the open cells ``cells`` (G,) at columns and rows ``points`` (G, 2).
 
     Dijkstra's distances on the graph give an order in which cells come after their path to the goal. In this
     order every cell takes the best of its neighbours' waypoints that is in sight, as in Theta* (Nash et al.,
     AAAI 2007), and goes by way of the best neighbour if none is. All goals are swept together, so a step of
     the sweep is as wide as all their wave fronts.
-
-    Args:
-        graph: The open cells.
-        cells: Number of the open cell that each goal is in.
-        points: Column and row of the goals, whole at cell centres.
     """
     per = max(1, _AT_ONCE // graph.open.size)
     parts = [_sweep(graph, cells[i : i + per], points[i : i + per]) for i in range(0, len(cells), per)]
@@ -193,12 +186,7 @@ def _surely(
 
     The line leaves a cell between two neighbours, one straight and one diagonal. If both see the candidate,
     the cell sees it between them: nothing that keeps two cells' clearance around it fits into the wedge.
-
-    Args:
-        offered: Waypoints of all neighbours (8, M), which they see; -1 for missing ones.
-        candidate: The waypoints in question (M,).
-        way: Columns and rows from the cells to them (2, M).
-        legal: Bits of the steps that the cells can take (M,).
+    ``offered`` (8, M) are the waypoints of neighbours, -1 for missing ones.
     """
     right, up = np.sign(way)
     level = np.abs(way[0]) >= np.abs(way[1])

@@ -1,7 +1,5 @@
 """The open cells of a floor plan as a graph, and shortest paths on it."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import cv2

@@ -1,7 +1,5 @@
 """The planner's answer: people's paths, and the guidance along them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """The global planner: paths through floor plans to people's goals, looked up for all people at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -97,10 +95,7 @@ class Planner:
         """Return the ids (G,) of goals at map-frame ``points`` (G, 2); a known point keeps its id.
 
         A goal that is not in an open cell is moved to the centre of the nearest one, by ``snap`` at most.
-
-        Args:
-            row: Row of the map in the bank, -1 for goals without a map.
-            points: Where the goals are, metres.
+        ``row`` is that of the map in the bank, -1 for goals without a map.
 
         Raises:
             UserError: A goal is not finite, in or too near a wall, or outside the map.
@@ -273,12 +268,8 @@ class Planner:
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest path in the map's frame: the goal is the last.
 
-        Start and goal are moved like goals in `add_goals` when they are not in open cells.
-
-        Args:
-            start: Where the path begins (2,), metres.
-            goal: Where it ends (2,).
-            row: Row of the map in the bank, -1 for none: straight to the goal.
+        Start and goal (2,), metres, are moved like goals in `add_goals`. Without a map, row -1, it is
+        straight.
 
         Raises:
             UserError: No path leads there, or an end of it is in a wall or outside the map.

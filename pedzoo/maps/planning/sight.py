@@ -1,7 +1,5 @@
 """Lines of sight between the open cells of a floor plan, exact and for many pairs of cells at once."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -37,12 +35,7 @@ class Sight:
         self._leap = np.concatenate((squares.ravel(), cells.ravel())).astype(np.int16)
 
     def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return which lines (M,) are clear.
-
-        Args:
-            origin: Column and row of the open cells that they begin in (M, 2).
-            target: Of those that they end in (M, 2).
-        """
+        """Return which lines (M,) are clear, from and to columns and rows of open cells (M, 2)."""
         way = (target - origin).astype(np.int64)
         size = np.abs(way)
         steep = size[:, 1] > size[:, 0]

@@ -74,12 +74,7 @@ class WaypointTable:
 
     @classmethod
     def build(cls, maps: Sequence[OpenGraph | None], clearance: float) -> WaypointTable:
-        """Return the table of maps without goals.
-
-        Args:
-            maps: Open cells of each map of the bank; None for maps without goals.
-            clearance: Metres that paths keep from walls.
-        """
+        """Return the table of maps without goals; paths keep ``clearance`` metres from walls."""
         # "no map" is a single cell
         to_cell, begin = [np.zeros(9)], [(1, 0, 0)]
         nearest, places, cells, opens = [np.zeros(1, np.int32)], [np.zeros((1, 2))], 1, 1
@@ -110,13 +105,7 @@ class WaypointTable:
     def with_goals(
         self, goals: Sequence[Goal], fields: Sequence[Fields], which: Sequence[int]
     ) -> WaypointTable:
-        """Return the table with more goals.
-
-        Args:
-            goals: The goals.
-            fields: Fields (1, N) each; (1, 0) without a map.
-            which: Number of the field that each goal has.
-        """
+        """Return the table with more goals; goal i has field ``which[i]`` of ``fields`` (1, N) or (1, 0)."""
         counts = np.array([field.waypoint.shape[1] for field in fields])
         starts = len(self.waypoint) + np.cumsum([0, *(counts + 1)[:-1]])
         starts, counts = starts[list(which)], counts[list(which)]
@@ -160,14 +149,7 @@ class WaypointTable:
         return tuple(getattr(self, part.name).numpy() for part in fields(self))
 
     def lookup(self, points: Tensor, goal: Tensor, row: Tensor) -> WaypointLookup:
-        """Return where the paths of people at map-frame ``points`` lead.
-
-        Args:
-            points: Positions (2, P), metres.
-            goal: Ids of their goals (P,), -1 for none.
-            row: Rows of their maps (P,), -1 for none.
-
-        """
+        """Return where the paths of people lead from points (2, P) to goals (P,) on maps ``row`` (P,)."""
         # index_select is several times faster than indexing with a tensor
         start, count, of_map = self.goal.index_select(1, goal + 1)
         has_goal = goal >= 0

@@ -1,7 +1,5 @@
 """Apartments: a hall, and four to seven rooms around it."""
 
-from __future__ import annotations
-
 from pedzoo.maps.procedural.dice import Dice
 from pedzoo.maps.procedural.shapes import WALL, Rect, Room, units
 

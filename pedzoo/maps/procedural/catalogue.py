@@ -1,7 +1,5 @@
 """Furniture by the use of a room: its kinds, sizes and places."""
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 from pedzoo.maps.procedural.dice import Dice

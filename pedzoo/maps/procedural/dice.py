@@ -1,7 +1,5 @@
 """Random numbers of floor plans, the same on every machine and for every version of numpy."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TypeVar
 from zlib import crc32

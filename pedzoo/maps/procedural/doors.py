@@ -1,7 +1,5 @@
 """Doors: every room within reach of every other one, and some loops."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
@@ -59,13 +57,7 @@ class _Wall(NamedTuple):
 def draw_doors(dice: Dice, rooms: Sequence[Room], widths: tuple[int, int]) -> list[Door] | None:
     """Return doors that join all rooms: a tree that prefers halls and corridors, and some more.
 
-    Args:
-        dice: Random numbers.
-        rooms: All rooms of the floor plan.
-        widths: Least and largest width of a door, units.
-
-    Returns:
-        The doors; None where the rooms cannot be joined.
+    Their ``widths`` are in units, least and largest. None where the rooms cannot be joined.
     """
     walls = [wall for wall in _walls(rooms) if wall.length >= widths[0] + 2 * JAMB]
 

@@ -1,7 +1,5 @@
 """Furniture put into rooms so that nothing blocks a door and all free space stays one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -94,11 +92,7 @@ class RoomFloor:
 def furnish(dice: Dice, room: Room, doors: Sequence[Door], furnished: float) -> list[Piece] | None:
     """Return the furniture of a room; None where even the empty room is not one piece.
 
-    Args:
-        dice: Random numbers.
-        room: Where it goes.
-        doors: Those of the room.
-        furnished: From 0, nothing, to 1, everything that belongs there and fits.
+    ``furnished`` goes from 0, nothing, to 1, everything that belongs there and fits.
     """
     floor = RoomFloor(room, doors)
     if not floor.connected():

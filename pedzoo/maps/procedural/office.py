@@ -1,7 +1,5 @@
 """Offices: corridors with rooms on both sides, some of them open-plan."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from pedzoo.maps.procedural.dice import Dice

@@ -1,7 +1,5 @@
 """Floor plans from a seed: apartments and offices, with everything within reach of everything else."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from types import ModuleType
@@ -180,11 +178,7 @@ def _checked(
     furnished: float,
     doors: tuple[float, float],
 ) -> int:
-    """Return how many cells are as long as a unit.
-
-    Raises:
-        UserError: A setting is out of range.
-    """
+    """Return how many cells are as long as a unit. Raises UserError: a setting is out of range."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise UserError(f"{kind}: seed {seed!r}: expected a whole number of at least 0")
     low, high = KINDS[kind].SIDES

@@ -1,7 +1,5 @@
 """Walls as few axis-aligned boxes, for physics engines and distance queries."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,13 +9,8 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 def boxes(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
     """Return the walls of a floor plan as rectangles that do not overlap and leave no wall cell out.
 
-    Args:
-        grid: The floor plan.
-        unknown: Meaning of its unknown cells.
-
-    Returns:
-        Boxes (M, 4): x0, y0, x1, y1 in metres in the grid's own frame, where the outer corner of cell (0, 0)
-        is zero: the grid's origin and yaw are not applied.
+    Boxes (M, 4): x0, y0, x1, y1 in metres from the outer corner of cell (0, 0); the grid's origin and yaw are
+    not applied.
     """
     return merge_cells(grid.occupied(unknown)) * np.float64(grid.resolution)
 

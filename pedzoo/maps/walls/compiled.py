@@ -3,8 +3,6 @@
 For tensors on the CPU; callers add gradients. Every function has its equal in torch, and tests compare them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os

@@ -1,7 +1,5 @@
 """Loops over segments and cells of walls compiled by numba: buckets of segments, their look-up, and rays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lengths and roundings that torch and the compiled loops share."""
 
-from __future__ import annotations
-
 import math
 
 INTO = 1e-5

@@ -11,8 +11,6 @@ a box that is no nearer than another at all four corners is no nearer anywhere b
   row without holding any; tests count how rare that is.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Outlines of walls: occupied cells as simplified polygons along cell edges."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np
@@ -15,19 +13,12 @@ _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
 def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[NDArray[np.float64]]:
-    """Return the borders between occupied and free cells as polygons.
+    """Return the borders between occupied and free cells (H, W) as polygons (V, 2), x and y in cells.
 
-    Walls lie to the left of every edge: solids run counter-clockwise, free spaces inside them clockwise.
-    The world outside the map is free, so walls that touch its border are closed there. Solids that touch at
-    a corner only are polygons of their own.
-
-    Args:
-        occupied: Which cells (H, W) are walls.
-        tolerance: How many cells a simplified border may depart from the exact one; 0: not at all. Borders
-            that would lose their area keep their exact form.
-
-    Returns:
-        Corners (V, 2) of each, x (columns) and y (rows) in cells from the outer corner of cell (0, 0).
+    Walls lie to the left of every edge: solids run counter-clockwise, free spaces inside them clockwise. The
+    world outside the map is free, so walls that touch its border are closed there. Solids that touch at a
+    corner only are polygons of their own. A simplified border departs from the exact one by ``tolerance``
+    cells at most, unless it would lose its area.
     """
     return [_simplified(polygon, tolerance) for polygon in _trace(occupied)]
 

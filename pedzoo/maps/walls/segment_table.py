@@ -104,13 +104,7 @@ class SegmentTable:
 
     @classmethod
     def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
-        """Return the table of the segments of each map.
-
-        Args:
-            maps: For each map its segments (S, 13), in its frame; see `edges`.
-            reach: Metres up to which segments are asked for.
-            most: How many segments one position gets; None for all.
-        """
+        """Return the table of the segments (S, 13) of each map; see `edges` and `Walls.segments`."""
         from pedzoo.maps.walls.compiled_walls import bucket_lists
 
         segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
@@ -149,18 +143,11 @@ class SegmentTable:
 
     @torch.no_grad()
     def nearest(self, place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the nearest segments that positions are outside of and within reach of, nearest first.
+        """Return the nearest segments (K, N) long that positions (2, N) are outside of and within reach.
 
-        Nothing is read back to the host. On the CPU single precision is looked up by compiled loops.
-
-        Args:
-            place: Positions in the maps' frames (2, N), metres.
-            row: Which map (N,) long, -1 for none.
-            reach: Metres (N,), at most the table's.
-
-        Returns:
-            The numbers of the segments (K, N) long, and which of the K there are (K, N), 1 or 0; the others
-            are `NOWHERE`.
+        The nearest are first; others are `NOWHERE`, and the second answer says which of the K there are (K,
+        N), 1 or 0. ``reach`` (N,) is at most the table's, metres. Nothing is read back to the host. On the
+        CPU single precision is looked up by compiled loops.
         """
         if compiles(place):
             from pedzoo.maps.walls.compiled_walls import nearest

@@ -3,8 +3,6 @@
 A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -195,13 +193,9 @@ def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Return the mean speed (R, C) at every density, m/s, NaN for a density without people, and the steps.
 
     The density is that of the circle of 2 m around a person, see `densities`, with a bin for every number of
-    others in it. Real and simulated people are counted alike: people outside the camera's view lower both.
-    In the RMSE of two curves a density weighs as much as it occurs in the real crowd. Densities that only
-    one crowd has do not count.
-
-    Args:
-        crowd: The crowd.
-        weights: How often each person counts (R, P).
+    others in it. Real and simulated people are counted alike: people outside the camera's view lower both. In
+    the RMSE of two curves a density weighs as much as it occurs in the real crowd. Densities that only one
+    crowd has do not count. ``weights`` (R, P): how often each person counts.
     """
     steps = weights @ crowd.steps_at
     return weights @ crowd.speeds_at / steps, steps

@@ -5,8 +5,6 @@ P people with N samples of a feature in all. Samples of one person are alike, so
 drawn. Distances of all resamples at once are taken on a grid; the one that is reported is exact.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -57,12 +55,8 @@ def grid(first: Tensor, second: Tensor, size: int = EDGES) -> Tensor:
     """Return edges (G,), G at most ``size``, float64, increasing, from the least value to the largest.
 
     A quarter are evenly spaced over the range (they bound the error in tails), the others at even ranks of
-    the first and of the second values. All values are edges where there are not more, which is exact.
-
-    Args:
-        first: Values (N,), at least one.
-        second: Values (M,), likewise.
-        size: The most edges.
+    the first (N,) and of the second values (M,). All values are edges where there are not more, which is
+    exact.
     """
     values = torch.cat((first, second)).double().unique()
     if len(values) <= size:
@@ -92,15 +86,8 @@ def counted(samples: Samples, edges: Tensor, people: int) -> Counts:
 def resampled(first: Counts, second: Counts, edges: Tensor, mine: Tensor, theirs: Tensor) -> Tensor:
     """Return the Wasserstein-1 distance (R,) of two crowds in every resample, NaN where one is empty.
 
-    Between two edges the cumulative distributions are taken to differ evenly. The error is at most the
-    larger crowd's share between them.
-
-    Args:
-        first: Samples of one crowd.
-        second: Of the other, at the same edges.
-        edges: (G,).
-        mine: How often each person counts (R, P) in the first crowd; people without samples do not matter.
-        theirs: In the second.
+    Between two edges the cumulative distributions are taken to differ evenly. The error is at most the larger
+    crowd's share between them. ``mine`` and ``theirs`` (R, P): how often each person counts.
     """
     until = _shares(first.until, first.until, mine) - _shares(second.until, second.until, theirs)
     before = _shares(first.before, first.until, mine) - _shares(second.before, second.until, theirs)

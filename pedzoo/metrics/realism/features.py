@@ -6,8 +6,6 @@ Every scored step of a person is one sample, if it has the feature. The change w
 over counts: the velocity before is the recorded one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -107,14 +105,8 @@ def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) ->
       heading.
     * ``nearest_distance`` to the centre of any other person, and ``time_to_collision``, at most 10 s; of
       people who are not alone.
-    * ``lateral_deviation`` from the straight line between start and goal, positive to the left of it; of
-      people with `LINE` or more between them.
-
-    Args:
-        steps: Every 0.4 s.
-        around: Their `surroundings`.
-        start: Where the line of each person begins (P, 2), metres.
-        goal: Where it ends (P, 2), metres.
+    * ``lateral_deviation`` from the straight line between start and goal (P, 2), positive to the left of it;
+      of people with `LINE` or more between them.
     """
     change, has_change = acceleration(steps.velocity, steps.known)
     turn, has_turn = heading_rate(steps.velocity, steps.known)
@@ -165,15 +157,7 @@ def _around(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return distance, time to collision and number of others close to the person in each ``slot`` (N,).
 
-    Args:
-        x: Where all A slots are (N, A), metres.
-        y: Likewise.
-        vx: Their velocities (N, A), m/s.
-        vy: Likewise.
-        there: Which slots hold a person (N, A) bool.
-        known: Whether they have a velocity (N, A) bool.
-        radius: Radii of the bodies (N, A), metres.
-        slot: Slots whose surroundings are wanted (N,) long.
+    All else is of the A slots (N, A): places, velocities, whether there is a person with a known one, radii.
     """
     own = slot.unsqueeze(1)
     x, y, vx, vy = (value - value.gather(1, own) for value in (x, y, vx, vy))

@@ -1,7 +1,5 @@
 """Simulated walks against the recorded ones of the same people: displacement and dynamic time warping."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -12,12 +10,8 @@ _AT_ONCE = 4_000_000
 def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
     """Return each walk's mean distance (W,) to the recorded one at the same times, metres; NaN of none.
 
-    Nothing is ever set back to the recording: errors add up, as they do not in a forecast.
-
-    Args:
-        walk: Simulated positions from when the policy took over (W, L, 2), metres.
-        true: Recorded ones of the same times (W, M, 2).
-        shared: How many both have (W,) long: the common duration.
+    Nothing is ever set back to the recording: errors add up, as they do not in a forecast. Walks (W, L, 2)
+    and (W, M, 2) have ``shared`` (W,) points in common.
     """
     length = min(walk.shape[1], true.shape[1])
     error = (walk[:, :length] - true[:, :length]).norm(dim=-1).double()
@@ -26,13 +20,7 @@ def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
 
 
 def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
-    """Return positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,).
-
-    Args:
-        xy: All positions; those of one walk are in order, walks may alternate.
-        walk: Which walk each belongs to (N,) long.
-        walks: W.
-    """
+    """Return all positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,)."""
     length = torch.bincount(walk, minlength=walks)
     order = walk.argsort(stable=True)
     first = length.cumsum(0) - length
@@ -47,14 +35,9 @@ def dtw(first: Tensor, points: Tensor, second: Tensor, others: Tensor) -> Tensor
 
     Points are matched in order, each at least once, so that the sum of distances is least. A match that goes
     on in both walks counts twice: all weights add up to the number of points, by which the sum is divided.
-    This is the symmetric form of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken
-    word recognition", 1978) without a window. The same path at another pace is near 0.
-
-    Args:
-        first: Walks (W, L, 2), metres.
-        points: How many points each has (W,) long.
-        second: The walks to compare them with (W, M, 2).
-        others: How many points these have (W,) long.
+    This is the symmetric form of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken word
+    recognition", 1978) without a window. The same path at another pace is near 0. Walks (W, L, 2) have
+    ``points`` (W,), the others (W, M, 2) ``others`` (W,).
     """
     result = torch.full((len(first),), torch.nan, dtype=torch.float64)
     order = (points + others).argsort()

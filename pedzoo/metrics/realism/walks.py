@@ -152,10 +152,7 @@ def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
 def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
     """Return the times at which people reached their goals (W,), seconds, NaN for never.
 
-    Args:
-        rollout: Episodes.
-        number: Walk of each person in each of them (E, P) long.
-        count: W.
+    ``number`` (E, P) is the walk of each person in each episode.
     """
     first = []
     for when in (rollout.controlled, rollout.controlled & (rollout.reached > 0)):

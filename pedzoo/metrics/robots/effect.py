@@ -4,8 +4,6 @@ Both begin alike: the robots are taken out after the warm start. People's noise 
 `pedzoo.metrics.robots` for E, N, R, T.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -74,12 +72,8 @@ def delay(joined: Walk, alone: Walk, pref_speed: Tensor, ended: Tensor) -> Tenso
 def detour(joined: Walk, alone: Walk) -> Tensor:
     """Return how much farther people walk for the same progress (E, N), metres; below 0: less far.
 
-    What they walked less what they covered of the planner's ways, with the robot less without. So a person
+    What they walked less what they covered of the planner's paths, with the robot less without. So a person
     who only waits has a delay, and no detour.
-
-    Args:
-        joined: With the robot.
-        alone: Without.
     """
     return (joined.walked - joined.covered) - (alone.walked - alone.covered)
 
@@ -119,14 +113,7 @@ def encounters(robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, rea
     An encounter of a pair begins where the time after which they would touch, if both kept their velocities,
     first falls below 3 s, but not in the first second, in which robots set out. It ends at the closest
     approach of the next 6 s. A change is the largest ``|v(t) - v(begin)|`` in between. A pair has one
-    encounter in an episode, the first.
-
-    Args:
-        robots: Positions from where the episode begins (E, R, 1 + T, 2), metres.
-        people: Likewise (E, N, 1 + T, 2), metres.
-        there: The robot is on its way (E, R, T) bool.
-        moved: A policy moves the person (E, N, T) bool: who is played back cannot yield.
-        reach: Sums of radii (E, R, N), metres.
+    encounter in an episode, the first. Only people that a policy ``moved`` can yield.
     """
     mine, theirs = robots.diff(dim=2) / TRACE_SECONDS, people.diff(dim=2) / TRACE_SECONDS
     apart = people[:, :, 1:].unsqueeze(1) - robots[:, :, 1:].unsqueeze(2)

@@ -1,7 +1,5 @@
 """What each metric of robots is, in a line."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 LEGEND: Mapping[str, str] = {

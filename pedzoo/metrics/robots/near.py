@@ -1,6 +1,9 @@
-"""Robots near people: distances, intrusions, forces. See `pedzoo.metrics.robots` for E, N, R, T."""
+"""Robots near people: distances, intrusions, forces. See `pedzoo.metrics.robots` for E, N, R, T.
 
-from __future__ import annotations
+Positions are (E, R, T, 2) and (E, N, T, 2), metres. ``there`` (E, R, T): the robot is on its way; ``present``
+(E, N, T): the person is there. ``reach`` (E, R, N) are sums of radii, ``distance`` (E, R, N, T) is between
+centres, metres.
+"""
 
 import torch
 from torch import Tensor
@@ -21,27 +24,15 @@ SOCIAL_FACTOR, LAMBDA, GAMMA, ANGULAR, VELOCITY = 2.1, 2.0, 0.35, 2.0, 3.0
 
 
 def distances(robots: Tensor, people: Tensor, there: Tensor, present: Tensor) -> Tensor:
-    """Return distances between centres (E, R, N, T), metres; infinite where either is not there.
-
-    Args:
-        robots: Positions (E, R, T, 2), metres.
-        people: Positions (E, N, T, 2), metres.
-        there: The robot is on its way (E, R, T) bool.
-        present: The person is there (E, N, T) bool.
-    """
+    """Return distances between centres (E, R, N, T), metres; infinite where either is not there."""
     apart = (robots.unsqueeze(2) - people.unsqueeze(1)).norm(dim=-1)
     return apart.masked_fill(~(there.unsqueeze(2) & present.unsqueeze(1)), torch.inf)
 
 
 def in_space(distance: Tensor, radius: Tensor, space: str) -> Tensor:
-    """Return when the nearest person is in a space of the robot (E, R, T) bool (HuNav).
+    """Return when the nearest person is in a space, one of `SPACES`, of the robot (E, R, T) bool (HuNav).
 
     The share of a robot's points is HuNav's intrusion: distances from the robot's body to people's centres.
-
-    Args:
-        distance: To all people (E, R, N, T), metres between centres.
-        radius: Of the robots (E, R), metres.
-        space: One of `SPACES`.
     """
     low, high = SPACES[space]
     away = distance.amin(2) - radius.unsqueeze(-1)
@@ -54,14 +45,7 @@ def intrusions(robots: Tensor, people: Tensor, present: Tensor, reach: Tensor) -
     At point t a robot intrudes whose body touches a person's body of 0.25, 0.5, ... 1.25 s later. The share
     of an episode's points, mean over episodes, is CrowdNav++'s intrusion ratio. The distance is the least one
     between centres of those that touch, infinite for none; its mean over intrusions is CrowdNav++'s, too.
-    There people's future is simulated ahead; here it is what they really did. What lies after the episode's
-    end is left out.
-
-    Args:
-        robots: Positions (E, R, T, 2), metres.
-        people: Positions (E, N, T, 2), metres.
-        present: The person is there (E, N, T) bool.
-        reach: Sums of radii (E, R, N), metres.
+    There people's future is simulated ahead; here it is what they really did until the episode's end.
     """
     points = people.shape[2]
     least = torch.full(robots.shape[:3], torch.inf)
@@ -105,14 +89,9 @@ def social_force(apart: Tensor, velocity: Tensor) -> Tensor:
 
 
 def drives_into(apart: Tensor, robot: Tensor, person: Tensor) -> Tensor:
-    """Return where it is the robot that drives into the person (...) bool, and not the other way round.
+    """Return where it is the robot that drives into the person (...) bool: it moves faster towards them.
 
-    The one that moves faster towards the other. After SEAN 2.0's "robot on person collision" (Tsoi et al.,
-    RA-L 2022) and "person on robot collision", which HuNav has, too.
-
-    Args:
-        apart: From the robot to the person (..., 2), metres.
-        robot: Velocity of the robot (..., 2), m/s.
-        person: Of the person (..., 2), m/s.
+    After SEAN 2.0's "robot on person collision" (Tsoi et al., RA-L 2022), which HuNav has, too. ``apart`` is
+    from the robot to the person, metres.
     """
     return (robot * apart).sum(-1) >= -(person * apart).sum(-1)

@@ -1,7 +1,5 @@
 """Baseline: people start with their last velocity and bend to where the straight walk ends."""
 
-from __future__ import annotations
-
 from pedzoo.models.architectures.straight_line import StraightLine
 from pedzoo.models.blocks.people import lines
 

@@ -1,7 +1,5 @@
 """Baseline: people repeat their last displacement."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 from torch import Tensor

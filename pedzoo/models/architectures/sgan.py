@@ -5,8 +5,6 @@ Gupta et al., "Social GAN: Socially acceptable trajectories with generative adve
 variant: an option that is off costs nothing and leaves the published network.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 
@@ -96,11 +94,7 @@ class Architecture:
     residual: Literal["none", "constant_velocity", "bent_line"] = "none"
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: Settings that do not go together.
-        """
+        """Check the values. Raises UserError: settings that do not go together."""
         if not 0 < self.noise_dim < self.decoder_dim:
             raise UserError(
                 f"noise_dim {self.noise_dim}: expected 1 to {self.decoder_dim - 1}, a part of decoder_dim "
@@ -280,13 +274,9 @@ class SGAN(Forecaster):
         encoded: Encoded | None = None,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the loss (see `VarietyLoss`) and one random sample (P, T, 2) for a discriminator.
+        """Return the loss and, if ``sample``, a random sample (P, T, 2) for a discriminator.
 
-        Args:
-            batch: Recorded scenes.
-            generator: Draws the noise.
-            encoded: The result of `encode` for this batch, if computed already.
-            sample: Whether the random sample is wanted.
+        See `VarietyLoss`. ``encoded`` is the result of `encode` for this batch, if computed already.
         """
         steps = agents_of(batch)["future"].shape[2]
         return self.losses(self, batch, encoded or self.encode(batch, steps), steps, generator, sample)

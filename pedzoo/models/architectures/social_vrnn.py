@@ -12,8 +12,6 @@ conditional variational autoencoders (Sohn et al., NeurIPS 2015): with x alone, 
 means nothing. As in the published code, its diversity term is not part of the loss.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -83,11 +81,7 @@ class Architecture:
     min_scale: float = 0.02
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: A value is out of range.
-        """
+        """Check the values. Raises UserError: a value is out of range."""
         if self.latent_dim < 1 or self.components < 1 or self.min_scale <= 0:
             raise UserError(
                 f"latent_dim {self.latent_dim}, components {self.components}, min_scale {self.min_scale}: "

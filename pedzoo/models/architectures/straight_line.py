@@ -1,7 +1,5 @@
 """Baseline: people walk straight to their goal."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 from torch import Tensor

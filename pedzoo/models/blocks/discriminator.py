@@ -1,7 +1,5 @@
 """Social GAN's discriminator: is this trajectory a person's? It sees trajectories only."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from torch import Tensor, nn
@@ -45,21 +43,16 @@ class Discriminator(nn.Module):
     def forward(self, displacements: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
         """Return scores (P,), never negative unless ``signed``; real people should score high.
 
-        Args:
-            displacements: Observed and then predicted ones (P, T, 2), metres; before them goes a zero.
-            start: World positions at the start of the window (P, 2).
-            crowd: Which people share a scene.
+        Observed and then predicted displacements (P, T, 2), metres, after a zero; world positions (P, 2) at
+        the start.
         """
         return self._classify(self.encoder(displacements), start, crowd)
 
     def of_futures(self, observed: Tensor, futures: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
         """Return scores (N * P,) of N futures of the same people; the observed part is read only once.
 
-        Args:
-            observed: Displacements (P, 7, 2), metres.
-            futures: Displacements after them (N, P, T, 2).
-            start: World positions at the start of the window (P, 2).
-            crowd: Which people share a scene, in N copies of all scenes.
+        Observed displacements (P, 7, 2) and futures (N, P, T, 2), metres; the crowd has N copies of all
+        scenes.
         """
         hidden, cell = (state.repeat(1, len(futures), 1) for state in self.encoder.states(observed))
         hidden, _ = self.encoder.states(futures.flatten(0, 1), (hidden, cell))

@@ -1,7 +1,5 @@
 """Products of Social GAN's parameters that do not depend on people."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pedzoo.models.blocks.mlp import MLP, Layers

@@ -1,7 +1,5 @@
 """Gaussian latent variables of variational models."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.distributions import Normal

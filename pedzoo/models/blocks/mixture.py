@@ -6,8 +6,6 @@ probability that the future is of its kind. Given the component, steps are indep
     p(y) = sum_m pi_m prod_t N(y_t; mu_mt, diag(sigma_mt^2)).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -30,12 +28,7 @@ class FutureMixture(NamedTuple):
     scale: Tensor
 
     def component_log_prob(self, path: Tensor, known: Tensor) -> Tensor:
-        """Return log densities (..., M) of a path under each component, nats.
-
-        Args:
-            path: Displacements (..., T, 2).
-            known: Which of them count (..., T) bool; the density is that of these alone.
-        """
+        """Return log densities (..., M) of ``known`` steps of a path (..., T, 2), nats."""
         off = (path.unsqueeze(-3) - self.mean) / self.scale
         nats = -0.5 * off.square() - self.scale.log() - 0.5 * math.log(2 * math.pi)
         return (nats.sum(-1) * known.unsqueeze(-2)).sum(-1)
@@ -93,13 +86,7 @@ class MixtureDecoder(nn.Module):
         self.logits = nn.Linear(hidden_dim, components)
 
     def forward(self, context: Tensor, latent: Tensor, base: Tensor) -> FutureMixture:
-        """Return each person's mixture.
-
-        Args:
-            context: Features of each person (P, context_dim).
-            latent: The latent (P, latent_dim).
-            base: Displacements (P, T, 2) that the means are added to.
-        """
+        """Return each person's mixture; its means are added to displacements ``base`` (P, T, 2)."""
         people, steps = base.shape[:2]
         start = self.start(torch.cat((context, latent), -1)).tanh()
         state = start.unsqueeze(0), torch.zeros_like(start).unsqueeze(0)

@@ -1,7 +1,5 @@
 """Social GAN's multi-layer perceptron and its initialisation."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import TypeAlias
 

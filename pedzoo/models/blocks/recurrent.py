@@ -4,8 +4,6 @@ Both compute exactly what the paper's step-by-step networks do, in one LSTM call
 activation, so it disappears in the LSTM's input weights; so does the decoder's feedback, which is linear too.
 """
 
-from __future__ import annotations
-
 from typing import TypeAlias, cast
 
 import torch
@@ -48,12 +46,9 @@ class DisplacementEncoder(nn.Module):
         start: tuple[Tensor, Tensor] | None = None,
         fused: EncoderWeights | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Return hidden and cell state (1, P, hidden_dim) after ``displacements``.
+        """Return hidden and cell state (1, P, H) after displacements (P, T, 2), from ``start`` or from zero.
 
-        Args:
-            displacements: Displacements of people (P, T, 2), metres per step.
-            start: The states before it; None where nothing was before but the zero.
-            fused: What `fuse` returned for the same parameters.
+        ``fused`` is what `fuse` returned for the same parameters.
         """
         hidden, cell, weights = fused or self.fuse()
         people, steps = displacements.shape[:2]
@@ -103,14 +98,10 @@ class DisplacementDecoder(nn.Module):
         folded_first: FirstWeights | None = None,
         fused: DecoderWeights | None = None,
     ) -> Tensor:
-        """Return the next displacements (P, steps, 2), metres per step.
+        """Return the next displacements (P, steps, 2), metres per step, after ``first`` (P, 2).
 
-        Args:
-            hidden: Initial hidden state (P, hidden_dim); the cell state starts at zero.
-            first: Last observed displacement (P, 2).
-            steps: How many displacements are wanted.
-            folded_first: What `fuse_first` returned for the same parameters; used if ``steps`` is 1.
-            fused: What `fuse` returned for them; used otherwise.
+        The cell state starts at zero. ``folded_first`` and ``fused`` are what `fuse_first` and `fuse`
+        returned for the same parameters; the first is used if ``steps`` is 1.
         """
         if steps == 1:
             weight, bias, w_out, b_out = folded_first or self.fuse_first()
@@ -156,11 +147,7 @@ def _without_forget(gates: Tensor) -> Tensor:
 
 
 def _from_rest(gates: Tensor) -> tuple[Tensor, Tensor]:
-    """Return hidden and cell state (..., H) of an LSTM's first step: nothing is there to be forgotten.
-
-    Args:
-        gates: Input, output and cell gates before their activations (..., 3H).
-    """
+    """Return hidden and cell state (..., H) of an LSTM's first step, from its gates (..., 3H)."""
     i, o, g = gates.chunk(3, -1)
     cell = i.sigmoid() * g.tanh()
     return o.sigmoid() * cell.tanh(), cell
@@ -178,11 +165,7 @@ def _lstm(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return all hidden states (T, P, H) of an LSTM, and the last hidden and cell state (1, P, H).
 
-    Args:
-        inputs: The LSTM's inputs (T, P, 2).
-        state: First hidden and cell state (1, P, H).
-        weights: What `_folded` returns.
-        batch_first: Inputs and hidden states are (P, T, ...).
+    Inputs are (T, P, 2), or (P, T, 2) with ``batch_first``; ``weights`` are those of `_folded`.
     """
     # has biases, layers, dropout, training, bidirectional, batch first
     options = True, 1, 0.0, torch.is_grad_enabled(), False, batch_first

@@ -1,7 +1,5 @@
 """Distances between futures, per scene: for variety losses and energy scores."""
 
-from __future__ import annotations
-
 from typing import Literal, cast
 
 from tensordict import TensorDict

@@ -1,7 +1,5 @@
 """Personal traits: the noise changes how a situation is read, and not only the answer."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

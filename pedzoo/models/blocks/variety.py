@@ -43,11 +43,7 @@ class VarietyLoss:
     map_dropout: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: No sample, or an energy score of squared errors.
-        """
+        """Check the values. Raises UserError: no sample, or an energy score of squared errors."""
         if self.best_k < 1:
             raise UserError(f"best_k {self.best_k}: expected at least 1 sample")
         if self.energy_weight and self.error != "distance":
@@ -64,16 +60,7 @@ class VarietyLoss:
         generator: torch.Generator | None = None,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the loss, summed over scenes, and one random sample (P, T, 2) for a discriminator.
-
-        Args:
-            model: Decodes.
-            batch: Recorded scenes.
-            encoded: Their encoding.
-            steps: T.
-            generator: Draws the noise.
-            sample: Whether the random sample is wanted.
-        """
+        """Return the loss, summed over scenes, and, if ``sample``, a random sample (P, T, 2)."""
         crowd = encoded.crowd
         error = SceneError(self.error, batch, crowd)
         z = model.draw(encoded, max(self.best_k, 2), generator)

@@ -1,7 +1,5 @@
 """A forecaster as a function of plain tensors, traced into a graph for programs without pedzoo."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from typing import NamedTuple
 
@@ -37,11 +35,7 @@ class Graph(nn.Module):
     """Calls a forecaster with a scene batch that is made from plain tensors.
 
     All scenes of a call are on one floor plan. It is an input, too, so the same graph serves every plan.
-
-    Attributes:
-        ports: Its inputs by name.
-        outputs: Its outputs by name.
-        steps: How many steps are predicted.
+    ``steps`` are predicted; ``ports`` and ``outputs`` are its inputs and outputs by name.
     """
 
     def __init__(self, model: Forecaster, steps: int) -> None:

@@ -1,7 +1,5 @@
 """Floor plans as inputs of a graph: an image, and where on it positions are."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -19,10 +17,7 @@ from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder
 def plan_inputs(model: nn.Module, bank: MapBank, grid: OccupancyGrid) -> dict[str, NDArray[np.float32]]:
     """Return the inputs ``map_image`` (C, rows, columns) and ``map_affine`` (2, 3) of a floor plan.
 
-    Args:
-        model: Tells which maps it reads: distances to walls, or AlexNet's features.
-        bank: Tells the meaning of unknown cells.
-        grid: The floor plan.
+    The model says which maps it reads, the bank what unknown cells mean.
 
     Raises:
         UserError: AlexNet's weights are missing.

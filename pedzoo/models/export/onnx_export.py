@@ -1,7 +1,5 @@
 """Models as ONNX files: traced, checked against torch, and only then written."""
 
-from __future__ import annotations
-
 import io
 import json
 import logging
@@ -36,14 +34,7 @@ _SIZES = {"scenes": 3, "people": 5, "rows": 11, "columns": 13}
 
 
 class Exported(NamedTuple):
-    """A graph that was written.
-
-    Attributes:
-        inputs: By name.
-        outputs: By name.
-        size: Bytes of the file.
-        parity: How well it agrees with torch.
-    """
+    """A graph that was written: inputs and outputs by name, bytes of the file, agreement with torch."""
 
     inputs: dict[str, Port]
     outputs: dict[str, Port]

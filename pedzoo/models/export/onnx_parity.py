@@ -1,7 +1,5 @@
 """Whether an ONNX graph answers as torch does."""
 
-from __future__ import annotations
-
 import io
 from contextlib import redirect_stdout
 from typing import Any, NamedTuple, cast
@@ -40,11 +38,6 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     """Return how far a graph is from torch on scenes of the embedded recording.
 
     On one person, one scene, all scenes of a batch, and a single scene with all people of the batch.
-
-    Args:
-        data: The ONNX file.
-        model: The model.
-        graph: The traced graph.
 
     Raises:
         UserError: The graph cannot be run with these numbers of scenes and people, or differs from torch by

@@ -1,7 +1,5 @@
 """Makes weights of the zoo and their model card, of a training run or of the weights' own metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -73,11 +71,7 @@ def publish(
 
 
 def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
-    """Write the card of weights whose run is gone, from their own metadata, and return its path.
-
-    Args:
-        weights: ``ARCHITECTURE.TAG/weights.safetensors`` or ``ARCHITECTURE.TAG.safetensors``.
-        measured: As of `publish`.
+    """Write the card of ``ARCH.TAG/weights.safetensors`` whose run is gone, and return its path.
 
     Raises:
         UserError: There are none, they are damaged, or not named like weights of the zoo.
@@ -95,10 +89,9 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     """Return what weights of a config are called: after the scene that they did not see.
 
     What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
-    clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those
-    have configs in folders: of ``open_loop/sgan_goal_map`` come ``sgan_goal_map.controller_open_zara1`` and,
-    of all scenes, ``sgan_goal_map.controller_open``, of ``closed_loop/sgan_goal_map`` likewise
-    ``sgan_goal_map.indoor_zara1`` and ``sgan_goal_map.indoor``. Of ``ppo/sgan_goal`` comes
+    clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Of
+    ``open_loop/sgan_goal_map`` come ``.controller_open_zara1`` and, of all scenes, ``.controller_open``; of
+    ``closed_loop/sgan_goal_map`` likewise ``.indoor_zara1`` and ``.indoor``; of ``ppo/sgan_goal``
     ``sgan_goal.eth_ucy_ppo``.
     """
     folder, _, config = config.rpartition("/")

@@ -1,7 +1,5 @@
 """The record of a checkpoint in the folder of a training run."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -46,11 +44,7 @@ class RunRecord(NamedTuple):
 
 
 def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
-    """Return the record of a checkpoint's run.
-
-    Args:
-        checkpoint: ``RUN/checkpoints/best.ckpt`` or another beside it.
-        content: Its content.
+    """Return the record of a checkpoint's run, given the checkpoint's content.
 
     Raises:
         UserError: It does not lie in the folder of a run.

@@ -1,7 +1,5 @@
 """Models at addresses: ``hf://OWNER/REPO/ARCH.TAG``, ``https://HOST/FOLDER/ARCH.TAG``. Needs no torch."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Model cards: what a file of weights is, what it was trained on and how well it does. Read without torch."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What people read of a model card: the same parts on a terminal and on a page of Markdown. No torch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """What a file of weights says about itself, read without its tensors and without torch."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, NotRequired

@@ -1,7 +1,5 @@
 """A folder as the Hugging Face hub wants it: weights, card, and a README made of the card. Needs no torch."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -26,10 +24,7 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
     """Write a model as a folder that can be uploaded as it is, and return its files.
 
     ``pedzoo.load(folder)`` loads it again, and once it is uploaded ``pedzoo.load("hf://OWNER/REPO")`` does.
-
-    Args:
-        name: Any name of a model with a card, see `pedzoo.models.zoo.store.find`.
-        folder: Made where it is missing; files of the same model are replaced.
+    Files of the same model are replaced.
 
     Raises:
         UserError: There is no such model, or the folder holds another one.

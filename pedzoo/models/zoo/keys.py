@@ -1,7 +1,5 @@
 """Checks of what was read from a file: its typed form, and plain values."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ The weights of ``FOLDER/NAME/card.yaml`` are ``FOLDER/NAME/weights.safetensors``
 ``FOLDER/NAME.yaml`` are in the file that the card names, as a rule ``FOLDER/NAME.safetensors``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pedzoo.core.paths import CARD, WEIGHTS

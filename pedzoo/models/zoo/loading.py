@@ -1,7 +1,5 @@
 """Models by name: weights as safetensors, with all that is needed to build the model in their metadata."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import json

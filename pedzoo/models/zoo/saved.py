@@ -1,7 +1,5 @@
 """What a model's file says about it, however the model is named."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pedzoo.core.registry import MODELS
@@ -14,13 +12,8 @@ from pedzoo.models.zoo.store import find, no_model, weights_of
 def saved_config(name: str) -> dict[str, Any]:
     """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
 
-    Nothing is said of a model that was not trained: a baseline, or a class in a file.
-
-    Args:
-        name: What `pedzoo.models.zoo.loading.load` accepts.
-
-    Raises:
-        UserError: There is no such model, or it cannot be read.
+    Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
+    `load`.
     """
     if name.endswith(".ckpt"):
         return read_checkpoint(name)["pedzoo"]

@@ -1,7 +1,5 @@
 """Where models with a card come from: those shipped, folders, and addresses on the net. Needs no torch."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from difflib import get_close_matches

@@ -4,8 +4,6 @@ A scene is left as soon as nothing in it is to be corrected. `pedzoo.policies.le
 back over what is recorded here, for gradients.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Constants are arguments: numba's cache does not notice when they change in anoth
 delete ``__pycache__/clearance_*.nbi`` after a change here.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 They are those of the torch path: parts of a way, shares of steps and directions of walls count as constants.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

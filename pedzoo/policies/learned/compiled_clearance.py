@@ -1,7 +1,5 @@
 """The way into the safety layer's compiled loops and out: tensors on the CPU become arrays without a copy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Goals moved out to where people are 3.2 s later, also where the way bends before."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch
@@ -18,11 +16,8 @@ def extend_goals(batch: TensorDictBase) -> TensorDictBase:
     """Return scenes in which no short-term goal is nearer than where the desired velocity leads in 3.2 s.
 
     Goals ``window_end`` of recordings are where people are 3.2 s later. A model that learned from them slows
-    down for a near goal. A planner's goal is near where the way turns a corner: people go round it at their
-    own speed. Nearer goals are moved out along the line to them.
-
-    Args:
-        batch: Scenes with goals; those without are returned as they are. Not changed.
+    down for a near goal. A planner's goal is near where the path turns a corner: people go round it at their
+    own speed. Nearer goals are moved out along the line to them. Scenes without goals stay.
     """
     agents = agents_of(batch)
     if "goal" not in agents.keys():

@@ -6,8 +6,6 @@ looks one step ahead and no farther: it plans nothing, does not wait and finds n
 which leave all of the avoidance to people, are seen from afar: `pedzoo.policies.learned.yielding`.
 """
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch
@@ -37,22 +35,14 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
 
     Two people share a correction. Agents that the policy does not move take no part in it, and robots leave
     it to people: the other one makes all of it. Agents that touch already come no closer. Neither turning a
-    scene nor the order of its people changes anything. Differentiable.
-
-    Args:
-        steps: Proposed steps.
-        walls: As the people of the B scenes see them (`MapBank.walls_around`); None for none.
+    scene nor the order of its people changes anything. Differentiable. Walls are those of
+    `MapBank.walls_around`.
     """
     return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
 
 
 def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
-    """Return the next steps of all agents (B, A, 2), metres, kept clear; see `kept_clear`.
-
-    Args:
-        batch: Scenes.
-        step: Proposed steps (B, A, 2), metres.
-    """
+    """Return the next steps of all agents (B, A, 2), metres, kept clear; see `kept_clear`."""
     agents, bank = agents_of(batch), maps_of(batch)
     moved = agents["mask"] & agents["controlled"]
     there = agents["mask"].unsqueeze(-1)

@@ -1,7 +1,5 @@
 """Any forecaster as a policy: asked for one next move at a time, it walks."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, NamedTuple, get_args
 
 import torch

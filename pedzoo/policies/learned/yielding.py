@@ -5,8 +5,6 @@ contact. See van den Berg, Lin and Manocha, "Reciprocal velocity obstacles for r
 navigation" (ICRA 2008), section V. Here obstacles leave all of the avoidance to people.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -42,10 +40,6 @@ def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     Robots, and bodies of another radius than people's, count if the policy at hand does not move them. They
     are expected to go on as they do. Among people of the usual body nothing changes. The gradient is that of
     what is asked for.
-
-    Args:
-        steps: Proposed steps.
-        walls: Of the scenes (`MapBank.walls_around`), B entries; None for none.
     """
     avoided = steps.present & ~steps.moved & (steps.robot | ~usual_body(steps.radius))
     if avoided.device.type == "cpu" and not bool(avoided.any()):
@@ -106,10 +100,7 @@ def _samples(asked: Tensor, away: Tensor, fastest: Tensor) -> Tensor:
 def _contact(away: Tensor, move: Tensor, room: Tensor) -> Tensor:
     """Return after how many seconds (...) a pair that moves straight is nearer than ``room``; inf: never.
 
-    Args:
-        away: Their relative places (..., 2), metres.
-        move: Their relative velocities (..., 2), m/s.
-        room: Metres.
+    Relative places (..., 2), metres, and velocities (..., 2), m/s.
     """
     closing = -(away * move).sum(-1)
     speed2 = move.square().sum(-1).clamp_min(1e-9)

@@ -1,7 +1,5 @@
 """Baseline: people walk along the planner's path as if alone."""
 
-from __future__ import annotations
-
 from tensordict import TensorDictBase
 
 from pedzoo.core.errors import UserError

@@ -1,7 +1,5 @@
 """Baseline: optimal reciprocal collision avoidance (van den Berg et al., ISRR 2009), walls or not."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Baseline: the social force model (Helbing and Molnar, Phys. Rev. E 51, 1995), walls or not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, cast
 

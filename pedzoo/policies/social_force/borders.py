@@ -16,8 +16,6 @@ two borders.
 Borders do not hide each other, and two obstacles are two for every gap between them.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch
@@ -41,12 +39,9 @@ class WallPoints(NamedTuple):
 
 
 def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> WallPoints:
-    """Return the points of walls that act on people; none without a map.
+    """Return the points of walls, within the table's reach, that act on people at ``place`` (2, N), metres.
 
-    Args:
-        table: The walls; they act within its reach.
-        place: Where people are on their floor plans (2, N), metres; differentiable.
-        row: Row of each one's floor plan (N,) long, -1 for none.
+    Differentiable with respect to ``place``. Without a map, row -1, there are none.
     """
     number, valid = table.nearest(place, row, place.new_full(row.shape, table.reach))
     wall = table.segments.index_select(1, number.flatten()).unflatten(1, number.shape)

@@ -4,8 +4,6 @@ Equations are those of Helbing and Molnar, Phys. Rev. E 51, 4282 (1995). Coordin
 K others of N people: on a CPU several times faster than pairs of coordinates. Everything is differentiable.
 """
 
-from __future__ import annotations
-
 import math
 
 from torch import Tensor
@@ -33,13 +31,7 @@ def closer(offset: Tensor, by: Tensor) -> Tensor:
 
 
 def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
-    """Return the force towards the desired velocity of people (2, N), m/s (eq. 2).
-
-    Args:
-        velocity: As it is (2, N), m/s.
-        desired_velocity: The speed they like in the direction in which they want to go (2, N), m/s.
-        tau: Relaxation time, seconds.
-    """
+    """Return the force from velocity to desired velocity (2, N), m/s, in ``tau`` seconds (eq. 2)."""
     return (desired_velocity - velocity) / tau
 
 
@@ -71,38 +63,24 @@ def repulsion(offset: Tensor, step: Tensor, strength: float, sigma: float) -> tu
 
 
 def view_weight(force: Tensor, heading: Tensor, angle: float, out_of_view: float) -> Tensor:
-    """Return the weight (K, N) of forces that come from in front or from behind (eq. 8).
+    """Return the weight (K, N) of forces (2, K, N) that come from in front or from behind (eq. 8).
 
-    Args:
-        force: Directions of the forces (2, K, N).
-        heading: Directions in which people want to go (2, N); 0: everything is in view.
-        angle: Up to which from the heading something is in view, degrees.
-        out_of_view: Weight of people out of sight.
+    In view is what comes from within ``angle`` degrees of the heading (2, N), and all for a heading of 0.
     """
     seen = -dot(force, heading.unsqueeze(1)) >= math.cos(math.radians(angle))
     return out_of_view + (1 - out_of_view) * seen.to(force.dtype)
 
 
 def smooth_weight(offset: Tensor, heading: Tensor, behind: float) -> Tensor:
-    """Return weights (K, N) that fall from 1 in front to ``behind`` behind (Helbing et al. 2005).
-
-    Args:
-        offset: From each other person to oneself (2, K, N).
-        heading: Directions in which people want to go (2, N).
-        behind: Weight of a person straight behind.
-    """
+    """Return weights (K, N) that fall from 1 in front to ``behind`` behind (Helbing et al. 2005)."""
     cosine = -dot(direction(offset), heading.unsqueeze(1))
     return behind + (1 - behind) * 0.5 * (1 + cosine)
 
 
 def wall_force(offset: Tensor, weight: Tensor, strength: float, reach: float) -> Tensor:
-    """Return the sum of the walls' forces on each person (2, N) (eq. 5).
+    """Return the sum of the walls' forces on each person (2, N) (eq. 5), of points at offsets (2, M, N).
 
-    Args:
-        offset: From M points of walls to each person (2, M, N), metres.
-        weight: How much each counts (M, N).
-        strength: U0, m^2/s^2.
-        reach: R, metres.
+    Each counts with ``weight`` (M, N); ``strength`` is U0, m^2/s^2, and ``reach`` R, metres.
     """
     if not len(weight):
         return offset.new_zeros(2, weight.shape[1])

@@ -1,7 +1,5 @@
 """Settings of the social force model."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args

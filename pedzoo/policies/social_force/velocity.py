@@ -1,7 +1,5 @@
 """The social force model for batches of scenes: each person's new velocity."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

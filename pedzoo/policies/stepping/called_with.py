@@ -1,7 +1,5 @@
 """Arguments of a controller: checked, and turned into arrays."""
 
-from __future__ import annotations
-
 import numbers
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
@@ -55,10 +53,7 @@ FARTHEST = 1e4
 
 
 def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
-    """Return the discs of other agents, each with its position (2,).
-
-    Args:
-        others: Positions by id: (2,) for one disc, (k, 2) for several.
+    """Return the discs of other agents, each with its position (2,): given as (2,), or (k, 2) for several.
 
     Raises:
         UserError: A value has another shape.
@@ -80,11 +75,7 @@ def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
 
 
 def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
-    """Return the values of a dictionary, each two numbers, as (n, 2) float64.
-
-    Args:
-        given: Tuples, lists, arrays or tensors.
-        what: What messages call them.
+    """Return the values of a dictionary, each two numbers, as (n, 2) float64; messages call them ``what``.
 
     Raises:
         UserError: A value is anything else, or not finite.

@@ -55,10 +55,7 @@ class CallerClock(NamedTuple):
         return self.decided == self.now
 
     def called(self, time: float | None) -> tuple[CallerClock, int]:
-        """Return the clock at the next call, and how many of the oldest positions are to be dropped.
-
-        Args:
-            time: The caller's time, seconds; None to count calls.
+        """Return the clock at the next call, at ``time`` or counted, and how many oldest positions to drop.
 
         Raises:
             UserError: The time is not finite, does not go forward, or is given at some calls only.

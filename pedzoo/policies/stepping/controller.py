@@ -1,7 +1,5 @@
 """Policies for any simulator: positions of people by id in, velocities by id out."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
@@ -186,14 +184,7 @@ class Controller:
         return {one: answer[agents.row[one]] for one in people}
 
     def _decided(self, agents: Roster, batch: TensorDict, decides: Tensor, new: Tensor) -> Roster:
-        """Return the roster in which agents that decide (N,) bool have a new decision.
-
-        Args:
-            agents: All agents.
-            batch: The policy's input.
-            decides: Which agents decide (N,) bool.
-            new: Which of them have just come (N,) bool: there is nothing to blend with.
-        """
+        """Return the roster in which some agents (N,) have a new decision; ``new`` ones do not blend."""
         before, device = cast("Tensor", batch["agents", "velocity"])[0], agents.past.device
         if isinstance(self.policy, nn.Module):
             device = next(self.policy.parameters(), agents.past).device

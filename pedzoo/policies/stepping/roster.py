@@ -152,23 +152,14 @@ class Roster(NamedTuple):
         return self._replace(radius=changed)
 
     def begun(self, position: Tensor, velocity: Tensor, ago: Tensor, new: Tensor) -> Roster:
-        """Return the roster in which new agents have come straight to where they are.
+        """Return the roster in which ``new`` agents (N,) have come straight to ``position`` (N, 2), metres.
 
-        Args:
-            position: Where agents are (N, 2), metres.
-            velocity: How they move (N, 2), m/s.
-            ago: When the kept positions were (L,), seconds before now.
-            new: Which agents are new (N,) bool.
+        They moved at ``velocity`` (N, 2), m/s; stored positions are ``ago`` (L,), seconds before now.
         """
         straight = position.unsqueeze(1) - velocity.unsqueeze(1) * ago.view(-1, 1)
         past = torch.where(new.view(-1, 1, 1), straight, self.past)
         return self._replace(past=past, heading=torch.where(new, heading_of(velocity), self.heading))
 
     def arrived(self, begin: Tensor, end: Tensor) -> Roster:
-        """Return the roster in which people stand whose goal is within 0.3 m of their last move.
-
-        Args:
-            begin: Where agents were (N, 2), metres; NaN where that is unknown.
-            end: Where they are (N, 2), metres.
-        """
+        """Return the roster in which people stand whose goal is within 0.3 m of their last move."""
         return self._replace(stands=self.stands | passes(begin, end, self.goal_point))

@@ -1,7 +1,5 @@
 """The courses of a training in the loop: environments, each with a share of the updates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import torch
@@ -29,11 +27,7 @@ class Course:
     share: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UserError: One of them gives no training.
-        """
+        """Check the numbers. Raises UserError: one of them gives no training."""
         if self.scenes < 1 or self.share <= 0:
             raise UserError(
                 f"course {self.scenario!r}: scenes {self.scenes}, share {self.share}: expected at least 1 and"
@@ -60,9 +54,6 @@ class ActiveCourse:
 
         Scenes that are over, or have gone on for ``max_segments`` segments, are replaced by new ones. Others
         go on where they are: agents that are stuck have to find the way out.
-
-        Args:
-            max_segments: Segments.
         """
         fresh = (self.age < 0) | (self.age >= max_segments)
         if len(self.age) == 0:

@@ -1,7 +1,5 @@
 """Imitating recorded people while walking by oneself: losses on windows that are unrolled step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import cast
 
@@ -80,10 +78,8 @@ class Imitation(nn.Module):
     def walk(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> Unrolled:
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
 
-        Args:
-            policy: Walks, with a safety layer if it has one: its changes are a part of the walk.
-            batch: Recorded windows with N future steps and the goal protocol ``destination``.
-            random: Draws the scenes' keys.
+        The policy's safety layer is a part of the walk. Windows have N future steps and the goal protocol
+        ``destination``; ``random`` draws the scenes' keys.
         """
         steps = agents_of(batch)["future"].shape[2]
         many = repeated(batch, self.samples)
@@ -102,11 +98,7 @@ class Imitation(nn.Module):
         """Return ``loss`` and its terms before their weights, scalars; terms of weight 0 may be missing.
 
         ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
-        ``adversarial`` and ``discriminator`` (nats).
-
-        Args:
-            walk: The result of `walk`.
-            batch: For these windows.
+        ``adversarial`` and ``discriminator`` (nats), of the result of `walk` for ``batch``.
         """
         real = recorded(batch, walk.xy.shape[2])
         result = {"displacement": self._displacement(walk, real)}

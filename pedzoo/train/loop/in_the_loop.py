@@ -4,8 +4,6 @@ Full backpropagation through time over the environment, observations included, b
 recordings and their imitation step by step.
 """
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import torch

@@ -4,8 +4,6 @@ The features are those by which the suite ``replay`` judges a crowd (`pedzoo.met
 every step of 0.4 s, and so is the distance: Wasserstein-1, in units of how much recorded people differ.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, cast
 
 import torch
@@ -55,10 +53,6 @@ def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
 
     Defined as in `pedzoo.metrics.realism.features.features`; lines begin where the windows' observed part
     ends. A time to a collision has a gradient where it is above 0 and below 10 s.
-
-    Args:
-        walk: The people's steps.
-        batch: The windows that the walk continues, with goals.
     """
     agents = agents_of(batch)
     steps, people = walk.walked.shape[2], walk.walked.shape[1]
@@ -132,12 +126,7 @@ def _quantiles(values: Tensor, ranks: Tensor) -> Tensor:
 def _others(xy: Tensor, velocity: Tensor, present: Tensor, radius: Tensor, own: Tensor) -> _Others:
     """Return the others that matter to people; no gradient flows through this choice.
 
-    Args:
-        xy: Positions (B, N, A, 2), metres.
-        velocity: (B, N, A, 2), m/s.
-        present: Which people are present (B, N, A) bool.
-        radius: Radii of the bodies (B, N, A), metres.
-        own: Numbers in (B, N, A) of the people asked about (M,) long.
+    Positions and velocities are (B, N, A, 2); ``own`` (M,) are the numbers in (B, N, A) of those asked about.
     """
     people = present.shape[2]
     moment, slot = own // people, own % people
@@ -154,13 +143,7 @@ def _others(xy: Tensor, velocity: Tensor, present: Tensor, radius: Tensor, own: 
 
 
 def _touch(away: Tensor, velocity: Tensor, reach: Tensor) -> Tensor:
-    """Return when pairs (L,) that will touch do so, ``away`` from each other with a relative ``velocity``.
-
-    Args:
-        away: From one to the other (L, 2), metres.
-        velocity: Of the other less that of the one (L, 2), m/s.
-        reach: Distance at which they touch (L,), metres.
-    """
+    """Return when pairs (L,) that will touch do so, ``away`` from each other with a relative ``velocity``."""
     closing = -(away * velocity).sum(-1)
     gap = away.square().sum(-1) - reach.square()
     under = closing.square() - velocity.square().sum(-1) * gap

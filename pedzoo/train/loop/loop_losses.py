@@ -4,8 +4,6 @@ Each term is a mean over the people that the policy moves: it means the same in 
 counts x + x^2, so that neither small nor large contacts have a small gradient.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import torch
@@ -120,12 +118,7 @@ class LoopLosses:
 
 
 def mean_cost(cost: Tensor, moved: Tensor) -> Tensor:
-    """Return the mean cost of decisions (T, B, A), a scalar: over the segment and the people.
-
-    Args:
-        cost: Of each decision.
-        moved: Which people the policy moves (T, B, A) bool.
-    """
+    """Return the mean cost of decisions (T, B, A), a scalar: over the segment and the ``moved`` people."""
     # by people and not by their steps: people who dawdle must not dilute contacts
     count = (moved.any(0).sum() * len(moved)).clamp_min(1)
     return torch.where(moved, cost, 0.0).sum() / count
@@ -137,14 +130,10 @@ def _hinge(short: Tensor) -> Tensor:
 
 
 def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
-    """Return how late people are, seconds, a scalar: mean over the segment and the people.
+    """Return how late people are, seconds, a scalar: mean over the segment and the people, by weight (B, A).
 
-    The time for the path that they made, at their preferred speed, is taken off. Agents that arrive early
-    get credit for the rest of the segment.
-
-    Args:
-        segment: The walk.
-        weight: Of each person (B, A); None for 1.
+    The time for the path that they made, at their preferred speed, is taken off. Agents that arrive early get
+    credit for the rest of the segment.
     """
     took_part = segment.moved.any(0)
     gained = (segment.progress / segment.pref_speed.clamp_min(0.1)).where(segment.moved, 0.0).cumsum(0)
@@ -158,12 +147,8 @@ def lost_seconds(segment: Segment, weight: Tensor | None = None) -> Tensor:
 def wrong_side(segment: Segment, side: Tensor) -> Tensor:
     """Return the cost of people from the front on the side that a person does not prefer (T, B, A).
 
-    People with a positive number prefer to pass others on the left: these are on their right. Without such
-    preferences all people would learn to pass on the same side, or on that of the start.
-
-    Args:
-        segment: The walk.
-        side: Preferred sides (B, A).
+    People with a positive ``side`` (B, A) prefer to pass others on the left: these are on their right.
+    Without such preferences all people would learn to pass on the same side, or on that of the start.
     """
     here, present = segment.trace[..., 0, :], segment.present
     ahead = functional.normalize(segment.goal - here, dim=-1)
@@ -182,11 +167,8 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
     Along the straight steps that the policy asks for, exact between begin and end, without the safety layer:
-    with it agents never come near each other, and the network would not learn to give way.
-
-    Args:
-        segment: The walk.
-        meeting_margin: Metres that are added for two who pass each other at 2 m/s or faster.
+    with it agents never come near each other, and the network would not learn to give way. Two who pass each
+    other at 2 m/s or faster need ``meeting_margin`` metres more.
     """
     here, present = segment.trace[..., 0, :], segment.present
     people = here.shape[2]

@@ -1,7 +1,5 @@
 """A differentiable piece of an episode: a policy's decisions in some environment, step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, cast
 
@@ -55,15 +53,10 @@ class Segment(NamedTuple):
 
 
 def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: int) -> Segment:
-    """Return the segment of a policy in an environment, with its observations, for backpropagation in time.
+    """Return the segment of T steps of a policy in an environment, with its observations, with gradients.
 
-    Scenes that are over, or were before, stay as they are; no agent moves in them.
-
-    Args:
-        env: The environment.
-        policy: Decides; gradients flow to its parameters.
-        seen: The current observation, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it.
-        steps: T.
+    ``seen`` is the current observation, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it. Scenes
+    that are over, or were before, stay as they are; no agent moves in them.
     """
     result: list[tuple[Tensor, ...]] = []
     over = torch.zeros(env.batch_size[0], dtype=torch.bool, device=seen["map_id"].device)

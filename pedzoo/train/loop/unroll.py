@@ -4,8 +4,6 @@ What the environment would tell them in the open, step by step and differentiabl
 scenario `replay` and no walls gives the same observations. B scenes, A people, N steps of 0.4 s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

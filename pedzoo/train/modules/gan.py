@@ -1,7 +1,5 @@
 """Adversarial training as in Social GAN (Gupta et al., CVPR 2018): a discriminator and a generator step."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import torch
@@ -99,10 +97,7 @@ class GANModule(ForecastModule):
     ) -> Tensor:
         """Return the loss of telling real from generated windows, judged in one batch of twice the scenes.
 
-        Args:
-            batch: Recorded scenes.
-            random: Draws the noise and the label.
-            encoded: The result of the generator's ``encode`` for this batch, if computed already.
+        ``encoded`` is the result of the generator's ``encode`` for this batch, if computed already.
         """
         agents, generator = agents_of(batch), cast("SGAN", self.generator)
         steps = agents["future"].shape[2]

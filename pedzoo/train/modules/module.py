@@ -1,7 +1,5 @@
 """Parts of all trainings: schedule, seeds, validation, and a checkpoint's description."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Set
 from typing import Any
@@ -170,13 +168,7 @@ def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
 
 
 def differences(theirs: dict[str, Any], ours: dict[str, Any], free: Set[str] = frozenset()) -> list[str]:
-    """Return the differences between the architectures of two models, as readable texts.
-
-    Args:
-        theirs: A config of `pedzoo.models.zoo.loading.config_of`.
-        ours: Likewise.
-        free: Settings whose values do not matter.
-    """
+    """Return the differences of two models' architectures but for ``free`` settings, as readable texts."""
     names = theirs["architecture"], ours["architecture"]
     if names[0] != names[1]:
         return [f"architecture: {names[0]} there, {names[1]} here"]

@@ -1,7 +1,5 @@
 """Training by the model's own loss alone: squared errors, variety losses, evidence bounds."""
 
-from __future__ import annotations
-
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict

@@ -1,7 +1,5 @@
 """A walker with a density: velocities around the one that the forecaster says, for policy gradients."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, ClassVar, cast
 

@@ -1,7 +1,5 @@
 """The critic of reinforcement learning: the reward that each person can still expect."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, ClassVar, cast
 
@@ -41,13 +39,7 @@ class Critic(TensorDictModuleBase):
     out_keys: ClassVar[list[Any]] = [("agents", "value")]
 
     def __init__(self, gamma: float, hidden_dim: int = 64, pool_dim: int = 32) -> None:
-        """Create the parameters.
-
-        Args:
-            gamma: Discount of a decision of 0.4 s.
-            hidden_dim: Width of the network.
-            pool_dim: Features of the others.
-        """
+        """Create the parameters; ``gamma`` is the discount of a decision of 0.4 s."""
         super().__init__()
         self.gamma = gamma
         self.others = RelativePooling(hidden_dim, pool_dim)

@@ -1,7 +1,5 @@
 """A policy's experience: decisions in an environment, gathered by TorchRL, and their advantages."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any, cast
@@ -97,13 +95,8 @@ def rated(
 
     An episode ends for a person who leaves, and for a slot that another person takes over: rewards of others
     are not theirs. Where the time is up for a whole scene the rest is estimated instead. Advantages of the
-    decisions that count have mean 0 and standard deviation 1; all others are 0.
-
-    Args:
-        seen: As of `Gatherer.gather`, (B, T).
-        reward: As `pedzoo.train.rl.rewards.Reward`.
-        critic: As `pedzoo.train.rl.critic.Critic`.
-        estimate: TorchRL's estimator, without a network of its own.
+    decisions that count have mean 0 and standard deviation 1; all others are 0. ``seen`` (B, T) is of
+    `Gatherer.gather`; TorchRL's estimator has no network of its own.
     """
     shape = seen.batch_size
     maps = maps_of(seen)

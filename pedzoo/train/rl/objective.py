@@ -1,7 +1,5 @@
 """TorchRL's loss and advantages for agents of one policy: the keys, and which decisions count."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import torch
@@ -26,15 +24,9 @@ def clipped(
 ) -> ClipPPOLoss:
     """Return PPO's clipped loss; every term is a mean over the decisions that are ``scored`` (B, A) bool.
 
-    Args:
-        acting: Writes the distribution of actions; its parameters are not copied.
-        critic: Writes values; likewise.
-        clip_ratio: By how much the likelihood of a decision may change to a gain.
-        entropy: Weight of the entropy.
-        value: Weight of the critic's loss.
-        device: Of the parameters.
-        group: Of the agents.
-        action: Name of what is decided.
+    ``acting`` writes the distribution of actions, ``critic`` values; parameters are not copied. ``value``
+    weighs the critic's loss; ``clip_ratio`` and ``entropy`` are as in `pedzoo.train.rl.ppo.Optimisation`.
+    Agents of ``group`` decide ``action``.
     """
     loss = ClipPPOLoss(
         acting,

@@ -1,7 +1,5 @@
 """Reinforcement learning in the loop: PPO on the environment's rewards, which need no gradient."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -60,11 +58,7 @@ class Collection:
     std: float = 0.15
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UserError: One is out of range.
-        """
+        """Check the numbers. Raises UserError: one is out of range."""
         for name in ("envs", "steps"):
             if getattr(self, name) < 1:
                 raise UserError(f"--model.collection.{name} {getattr(self, name)}: expected at least 1")
@@ -99,11 +93,7 @@ class Optimisation:
     recorded: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UserError: One is out of range.
-        """
+        """Check the numbers. Raises UserError: one is out of range."""
         for name, fits, expected in (
             ("passes", self.passes >= 1, "at least 1"),
             ("minibatches", self.minibatches >= 1, "at least 1"),

@@ -1,7 +1,5 @@
 """Rewards of decisions, from the observations before and after: they need no gradient."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch
@@ -61,11 +59,9 @@ class Reward:
         self.terms = [(name, function_in_file(name), weight) for name, weight in (terms or {}).items()]
 
     def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
-        """Return each person's reward (N, A); that of people who are not controlled is ignored.
+        """Return each person's reward (N, A) from N observations before and after their actions.
 
-        Args:
-            before: N observations of an environment, with the actions that were taken.
-            after: The observations that followed, with the environment's own reward.
+        That of people who are not controlled is ignored. ``after`` has the environment's own reward.
         """
         seen, then = agents_of(before), agents_of(after)
         info = cast("TensorDict", then["info"])

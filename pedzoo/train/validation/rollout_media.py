@@ -1,7 +1,5 @@
 """How people walked, where the metrics are looked at: pictures and videos for Weights & Biases."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from pathlib import Path
@@ -26,12 +24,8 @@ def log_rollout_media(
 ) -> None:
     """Send what can be seen to all loggers of Weights & Biases: ``rollout/SCENARIO/ways`` and ``/video``.
 
-    Args:
-        trainer: Has the loggers; without such a one nothing is drawn.
-        scenario: Its name.
-        walked: The model's walks.
-        picture: Send the ways of all episodes, those of the first one at some moments.
-        video: Send a video of the first one.
+    Without such a logger nothing is drawn. The picture has the paths of all episodes, the video is of the
+    first.
     """
     loggers = [logger for logger in trainer.loggers if isinstance(logger, WandbLogger)]
     if not loggers:

@@ -1,7 +1,5 @@
 """Validation in the loop: the weights as they are walk through scenes, and the metrics stand beside ADE."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from typing import Any, cast
@@ -118,10 +116,6 @@ class ClosedLoopValidation(Callback):
     def check_monitor(self, monitor: str | None, mode: str) -> None:
         """Check that a monitored rollout metric is logged here, and that ``mode`` fits it.
 
-        Args:
-            monitor: The metric by which checkpoints are chosen, if any.
-            mode: ``min`` or ``max``.
-
         Raises:
             UserError: It starts with ``rollout/``, and no scenario has it, or ``mode`` would keep the worst.
         """
@@ -137,10 +131,6 @@ class ClosedLoopValidation(Callback):
 
     def check(self, model: Forecaster, data: Any = None) -> None:
         """Let an untrained copy decide once, so that models that cannot walk fail before the training.
-
-        Args:
-            model: The model to be trained.
-            data: The datamodule, where there is one.
 
         Raises:
             UserError: The model needs other inputs than an environment has, or does not answer in numbers.

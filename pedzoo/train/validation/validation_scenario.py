@@ -1,7 +1,5 @@
 """The episodes that a process walks to validate weights in training, apart from that training."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,15 +31,9 @@ class ValidationScenario:
         first: int,
         episodes: int,
     ) -> None:
-        """Make the environment.
+        """Make the environment of ``episodes`` scenes from number ``first`` on.
 
-        Args:
-            name: The scenario's name.
-            scenario: Its scenes; scenarios may share it.
-            physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
-            seed: Of the scenes.
-            first: Number of the first episode.
-            episodes: How many there are; none where there are more processes than episodes.
+        There are none where there are more processes than episodes. Scenarios may share their scenes.
         """
         self.name, self._seed, self._episodes = name, seed, episodes
         rounds = -(-episodes // physics_class(physics).scenes_at_once)

@@ -3,8 +3,6 @@
 Defined here because torchvision is not a dependency; keys and shapes are those of its ``alexnet``.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Map encoder: AlexNet's features of whole floor plans, computed once and read at each person's place."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The interface of everything that turns the floor plan around a person into features."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import torch
@@ -30,16 +28,7 @@ class MapEncoder(nn.Module, ABC):
     def distances_at(
         self, bank: MapBank, offsets: Tensor, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
     ) -> Tensor:
-        """Return distances to walls (P, N), metres, at N places around each person.
-
-        Args:
-            bank: The floor plans.
-            offsets: Places (2, N), metres ahead and to the left.
-            position: As in `forward`, like all others.
-            heading: Where is ahead.
-            map_id: Floor plans.
-            pose: Poses.
-        """
+        """Return distances to walls (P, N), metres, at offsets (2, N) ahead of and left of each person."""
         with torch.autocast(position.device.type, enabled=False):
             ahead = heading.float()
             left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)

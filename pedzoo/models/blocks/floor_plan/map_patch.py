@@ -1,7 +1,5 @@
 """Map encoder: a patch of distances to walls around each person, turned to the heading, and a small CNN."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

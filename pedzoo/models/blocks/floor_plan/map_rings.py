@@ -1,7 +1,5 @@
 """Map encoder: distances to walls on rings around each person, turned to the heading, and a small network."""
 
-from __future__ import annotations
-
 import math
 
 import torch

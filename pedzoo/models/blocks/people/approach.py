@@ -1,7 +1,5 @@
 """How close and how soon a person comes to each other: features for avoidance."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -44,14 +42,9 @@ class ApproachPooling(nn.Module):
     def forward(
         self, position: Tensor, moved: Tensor, heading: Tensor, state: Tensor, crowd: Crowd
     ) -> Tensor:
-        """Return the features (P, dim), never negative.
+        """Return the features (P, dim), never negative; arguments as of `RelativePooling`, and ``state``.
 
-        Args:
-            position: Where people are (P, 2), metres.
-            moved: Their last displacements (P, 2), metres.
-            heading: Directions of their frames (P, 2), unit vectors.
-            state: Known features of them (P, state_dim).
-            crowd: Which people share a scene.
+        ``state`` (P, state_dim): features of the people seen.
         """
         other = self.other(state)
 
@@ -64,12 +57,9 @@ class ApproachPooling(nn.Module):
 
 
 def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
-    """Return features of pairs (..., 8) from positions and displacements of others relative to oneself.
+    """Return features of pairs (..., 8) from relative positions and displacements (..., 2), metres.
 
-    Args:
-        away: Relative positions (..., 2), metres.
-        moved: Relative displacements in a step (..., 2), metres.
-        heading: Direction of the observing person (..., 2).
+    ``heading`` (..., 2) is that of the observing person.
     """
     velocity = moved / STEP_SECONDS
     distance = (away.square().sum(-1, keepdim=True) + 1e-6).sqrt()

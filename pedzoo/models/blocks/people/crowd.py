@@ -85,10 +85,9 @@ class Crowd:
     def most_of_others(self, seen: Callable[[Tensor, Tensor], Tensor], pooled: Tensor) -> Tensor:
         """Return the maxima (P, D), over all others in the scene, of a person's features of another.
 
-        Args:
-            seen: Takes observers (G, n, 1) and observed people (G, 1, n), long, of the G scenes of each size
-                n, and returns features (G, n, n, D), never negative.
-            pooled: Zeros (P, D): the result for people alone.
+        ``seen`` takes observers (G, n, 1) and observed people (G, 1, n), long, of the G scenes of each size
+        n, and returns features (G, n, n, D), never negative. ``pooled`` (P, D): zeros, the result for people
+        alone.
         """
         for group in self.groups:
             me, them = group.unsqueeze(2), group.unsqueeze(1)

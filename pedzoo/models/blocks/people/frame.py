@@ -1,7 +1,5 @@
 """Each person's own frame: directions relative to where a person is walking."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -12,12 +10,8 @@ from pedzoo.core import geometry
 def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
     """Return each person's direction (P, 2), a unit vector that changes smoothly with its arguments.
 
-    The last displacement decides if there is one. For people who hardly move, all of the observed path
-    decides; for standing people the goal, and without one the world's x.
-
-    Args:
-        moved: Observed displacements (P, T, 2), metres.
-        goal: Goal relative to the person (P, 2), metres.
+    The last of the displacements ``moved`` (P, T, 2) decides if there is one. For people who hardly move, all
+    of the observed path decides; for standing people the relative goal (P, 2), and without one the world's x.
     """
     towards = moved[:, -1] + 0.1 * moved.sum(1)
     if goal is not None:
@@ -31,10 +25,6 @@ def way(moved: Tensor, goal: Tensor) -> Tensor:
 
     It is that of the goal, and a little of the last displacement. In `heading` the displacement decides:
     people who hardly move may turn by any angle in a step, which makes simulations chaotic.
-
-    Args:
-        moved: Observed displacements (P, T, 2), metres.
-        goal: Goal relative to the person (P, 2), metres.
     """
     nowhere = torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
     return functional.normalize(functional.normalize(goal, dim=-1) + moved[:, -1] + nowhere, dim=-1)

@@ -3,8 +3,6 @@
 Notation: p8 last observed position, v last displacement, g goal, k = 1..T.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Pooled states of the others around a person, relative to that person and in their frame."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 
@@ -27,11 +25,7 @@ class RelativePooling(nn.Module):
     def forward(self, position: Tensor, moved: Tensor, heading: Tensor, crowd: Crowd) -> Tensor:
         """Return the features (P, dim), never negative.
 
-        Args:
-            position: Where people are (P, 2), metres.
-            moved: Their last displacements (P, 2), metres.
-            heading: Directions of their frames (P, 2), unit vectors.
-            crowd: Which people share a scene.
+        Positions and last displacements (P, 2), metres; ``heading`` (P, 2) are unit vectors.
         """
 
         def seen(me: Tensor, them: Tensor) -> Tensor:

@@ -9,8 +9,6 @@ Then ReLU(u_j - v_i) = max(u_j, v_i) - v_i, which leaves one maximum and one pro
 Backwards, only the winning pair of each person and channel has a gradient.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -72,13 +70,9 @@ class SocialPooling(nn.Module):
     def forward(
         self, hidden: Tensor, position: Tensor, crowd: Crowd, fused: PoolingWeights | None = None
     ) -> Tensor:
-        """Return the pooled vectors (P, bottleneck_dim).
+        """Return the pooled vectors (P, bottleneck_dim) of hidden states (P, H) at positions (P, 2), metres.
 
-        Args:
-            hidden: Hidden states (P, hidden_dim).
-            position: World positions (P, 2), metres.
-            crowd: Which people share a scene.
-            fused: What `fuse` returned for the same parameters.
+        ``fused`` is what `fuse` returned for the same parameters.
         """
         fused = fused or self.fuse()
         # Differences of large coordinates lose digits: positions count from the first person of the scene.
@@ -150,11 +144,7 @@ def _max_over_pairs(
 ) -> tuple[Tensor, Tensor]:
     """Return max_j W max(u_j, v_i) over the scene of i (P, C), and which of its people won (P, C) long.
 
-    Args:
-        u: Features of each person for others (P, D).
-        v: Features of each observing person, to be subtracted later (P, D).
-        weight: The last layer's W (C, D).
-        groups: The people (G, n) of the scenes of each size n.
+    ``groups`` are the people (G, n) of the scenes of each size n; u and v are (P, D), and W is (C, D).
     """
     if not groups:
         return v.new_zeros(0, len(weight)), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
