@@ -97,10 +97,18 @@ def people_of(
         share: People who could be taken over later than this share of a recording's time are played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
     """
-    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
-    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
+    people, xy = without_goals(recordings, share, speed)
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
+    return people, xy
+
+
+def without_goals(
+    recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed"
+) -> tuple[RecordedPeople, Tensor]:
+    """Return what `people_of` returns, before any path is planned: exits are goals, and none is blocked."""
+    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
+    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
     xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
     return people, xy.float()
 

@@ -1,0 +1,109 @@
+"""A score of simulated crowds against a recorded one: one report of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
+
+from pedzoo.eval.results import SEEN
+from pedzoo.eval.rollout import Progress
+from pedzoo.eval.scoring.files import file_side, is_recording
+from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row
+from pedzoo.eval.scoring.sides import policy_side, recorded_side
+from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.policies.load import load_policy
+from pedzoo.sim.make import prepare_scenario
+from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
+
+VERSION = 1
+"""Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
+
+
+class Against(NamedTuple):
+    """The recording that crowds are scored against.
+
+    Attributes:
+        recording: A fold, or a file of one's own.
+        dt: Seconds between consecutive frame numbers of a file.
+        map: Its floor plan; None for no walls.
+        homography: Text file of a 3x3 matrix from the file's positions to world metres.
+        root: Folder of the folds; None for the variable ``PEDZOO_DATA``.
+    """
+
+    recording: str
+    dt: float | None = None
+    map: str | None = None
+    homography: str | None = None
+    root: str | None = None
+
+    def prepared(self) -> PreparedReplay:
+        """Return the recording as a replay.
+
+        Raises:
+            UserError: There is no such recording, or its file is refused.
+        """
+        if is_recording(self.recording):
+            files: dict[str, Any] = {"files": [self.recording], "dt": self.dt}
+            made = Replay(**files, map=self.map, homography=self.homography)
+        else:
+            made = Replay(self.recording, self.root, dt=self.dt, map=self.map, homography=self.homography)
+        return cast(PreparedReplay, prepare_scenario(made))
+
+
+def score(
+    crowds: Sequence[str],
+    against: str | Against,
+    rollouts: int = 3,
+    seed: int = 0,
+    dt: float | None = None,
+    physics: str = "compiled",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return how near crowds are to a recorded one; ``docs/score.md`` has all formulas.
+
+    Args:
+        crowds: Files of walks (``frame, agent, x, y``), and policies, which walk in the recorded people's
+            place. Weights ``ARCH.FOLD`` are exchanged for those that did not see the recording.
+        against: A fold such as ``zara1``, or a file of one's own.
+        rollouts: Of policies with noise.
+        seed: Of the policies' noise.
+        dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for rows that are
+            0.4 s apart.
+        physics: In which policies walk.
+        progress: Called with a policy, its episodes that are over and episodes in all.
+
+    Raises:
+        UserError: An unknown policy, or a file that is refused.
+    """
+    against = Against(against) if isinstance(against, str) else against
+    own = is_recording(against.recording)
+    walks = {
+        name: name if is_recording(name) or own else for_fold(name, against.recording) for name in crowds
+    }
+    for name, weights in walks.items():
+        if not is_recording(name):
+            load_policy(weights)  # misspelt names are refused before anything is measured
+    prepared = against.prepared()
+    real = recorded_side(prepared)
+    rows, notes = real_rows(real), []
+    for name, weights in walks.items():
+        if is_recording(name):
+            side = file_side(name, prepared, dt)
+            strangers = int((side.twin < 0).sum())
+            if strangers:
+                notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
+        else:
+            side = policy_side(weights, prepared, rollouts, seed, physics, progress)
+        result = row(side._replace(name=name), real)
+        if weights != name:
+            notes.append(f"{name} is {weights}, which did not see {against.recording}")
+        if not is_recording(name) and not own and has_seen(weights, against.recording):
+            notes.append(f"{name} was trained on {against.recording}: marked *")
+            result["case"][SEEN] = "yes"
+        rows.append(result)
+    return {
+        "protocol": {"against": against.recording, "version": VERSION, "resamples": RESAMPLES},
+        "seeds": [seed],
+        "notes": notes,
+        "rows": rows,
+    }

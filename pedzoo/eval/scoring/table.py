@@ -1,0 +1,45 @@
+"""What people read of a score: its tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pedzoo.eval.results import Page, cell
+from pedzoo.eval.scoring.files import is_recording
+from pedzoo.metrics.realism.company import MEASURES
+from pedzoo.metrics.realism.features import FEATURES
+
+TABLES = {
+    "how near to the real crowd": (
+        *("realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc"),
+        *("coarse_acceleration_p95_ratio", "coarse_acceleration_p99_ratio"),
+    ),
+    "realism by feature, coarse positions": tuple(f"coarse_w1_{name}" for name in FEATURES),
+    "standing and company": (*MEASURES, "agent_contacts_per_min", "wall_contacts_per_min"),
+}
+"""Columns of each table; the report has more."""
+
+
+def pages(report: Mapping[str, Any]) -> list[Page]:
+    """Return the tables of a report of `pedzoo.eval.scoring.score.score`; columns without numbers are out."""
+    rows, result = report["rows"], []
+    for title, columns in TABLES.items():
+        known = [key for key in columns if any(key in row["metrics"] for row in rows)]
+        body = [[_label(row), str(row["n"]), *(cell(row, key) for key in known)] for row in rows]
+        if known:
+            result.append(Page(title, ["crowd", "n", *known], body, 2))
+    telling = [
+        [_label(row), key, ", ".join(f"{name} {share:.0%}" for name, share in told.items())]
+        for row in rows
+        for key, told in row.get("telling", {}).items()
+    ]
+    if telling:
+        result.append(Page("what the classifier goes by", ["crowd", "test", "by share of gain"], telling, 3))
+    return result
+
+
+def _label(row: Mapping[str, Any]) -> str:
+    """Return what tables call a crowd: files without their folders."""
+    return Path(row["name"]).name if is_recording(row["name"]) else row["name"]
