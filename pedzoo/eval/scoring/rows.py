@@ -6,6 +6,7 @@ taken over in it. The same people are drawn in both crowds.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -42,12 +43,13 @@ class _Drawn(NamedTuple):
     theirs: Tensor
 
 
-def row(side: Side, real: Side) -> dict[str, Any]:
+def row(side: Side, real: Side, more: Mapping[str, Tensor]) -> dict[str, Any]:
     """Return a crowd's row beside the recorded one.
 
     Args:
         side: The crowd.
         real: The recorded crowd.
+        more: Further values (1 + R,).
     """
     drawn = _drawn(side, real)
     values, telling = {}, {}
@@ -58,7 +60,8 @@ def row(side: Side, real: Side) -> dict[str, Any]:
         values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
         telling[f"{prefix}classifier_auc"] = verdict.telling
     values |= {name: sums.of(drawn.mine) for name, sums in side.sums.items()}
-    return _row(side.name, int(side.seen.sum()), side.rounds, values) | {"telling": telling}
+    values |= more
+    return values_row(side.name, int(side.seen.sum()), side.rounds, values) | {"telling": telling}
 
 
 def real_rows(real: Side) -> list[dict[str, Any]]:
@@ -83,7 +86,7 @@ def real_rows(real: Side) -> list[dict[str, Any]]:
         floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits.theirs[:TESTS])
     floor |= {name: sums.of(first) for name, sums in real.sums.items()}
     means = {key: torch.cat((value.nanmean().view(1), value)) for key, value in floor.items()}
-    return [_row(real.name, count, 1, own), _row(HALVES, count, 1, means)]
+    return [values_row(real.name, count, 1, own), values_row(HALVES, count, 1, means)]
 
 
 def _distances(mine: View, theirs: View, drawn: _Drawn, prefix: str, exact: bool = True) -> dict[str, Tensor]:
@@ -141,7 +144,7 @@ def _drawn(side: Side, real: Side) -> _Drawn:
     return _Drawn(*whole)
 
 
-def _row(name: str, n: int, rounds: int, values: dict[str, Tensor]) -> dict[str, Any]:
+def values_row(name: str, n: int, rounds: int, values: Mapping[str, Tensor]) -> dict[str, Any]:
     """Return a row of values (1 + R,): the first is the number, the others give its interval."""
     known = {key: value for key, value in values.items() if not value[0].isnan()}
     intervals = {key: ends for key, value in known.items() if (ends := _interval(value[1:]))}

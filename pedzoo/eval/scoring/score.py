@@ -5,11 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
+from torch import Tensor
+
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
 from pedzoo.eval.scoring.files import file_side, is_recording
-from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row
+from pedzoo.eval.scoring.likelihood import (
+    OTHERS,
+    others_likelihood,
+    policy_windows,
+    recorded_windows,
+)
+from pedzoo.eval.scoring.likelihood import likelihood as likelihood_of
+from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
 from pedzoo.eval.scoring.sides import policy_side, recorded_side
+from pedzoo.eval.scoring.windows import windows_of
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import prepare_scenario
@@ -57,6 +67,7 @@ def score(
     seed: int = 0,
     dt: float | None = None,
     physics: str = "compiled",
+    likelihood: bool = True,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Return how near crowds are to a recorded one; ``docs/score.md`` has all formulas.
@@ -70,6 +81,7 @@ def score(
         dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for rows that are
             0.4 s apart.
         physics: In which policies walk.
+        likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.likelihood`.
         progress: Called with a policy, its episodes that are over and episodes in all.
 
     Raises:
@@ -77,6 +89,7 @@ def score(
     """
     against = Against(against) if isinstance(against, str) else against
     own = is_recording(against.recording)
+    fold = "all" if own else against.recording
     walks = {
         name: name if is_recording(name) or own else for_fold(name, against.recording) for name in crowds
     }
@@ -86,6 +99,10 @@ def score(
     prepared = against.prepared()
     real = recorded_side(prepared)
     rows, notes = real_rows(real), []
+    windows = windows_of(prepared) if likelihood else None
+    recorded = recorded_windows(windows) if windows else None
+    if windows and recorded:
+        rows.append(values_row(OTHERS, len(windows.begin), 1, others_likelihood(recorded, windows, fold)))
     for name, weights in walks.items():
         if is_recording(name):
             side = file_side(name, prepared, dt)
@@ -94,7 +111,11 @@ def score(
                 notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
         else:
             side = policy_side(weights, prepared, rollouts, seed, physics, progress)
-        result = row(side._replace(name=name), real)
+        more: dict[str, Tensor] = {}
+        if windows and recorded and not is_recording(name):
+            joint = policy_windows(weights, windows, seed, physics, progress)
+            more = likelihood_of(joint, recorded, fold)
+        result = row(side._replace(name=name), real, more)
         if weights != name:
             notes.append(f"{name} is {weights}, which did not see {against.recording}")
         if not is_recording(name) and not own and has_seen(weights, against.recording):

@@ -10,6 +10,7 @@ from pedzoo.eval.results import Page, cell
 from pedzoo.eval.scoring.files import is_recording
 from pedzoo.metrics.realism.company import MEASURES
 from pedzoo.metrics.realism.features import FEATURES
+from pedzoo.metrics.realism.joint_likelihood import WEIGHTS
 
 TABLES = {
     "how near to the real crowd": (
@@ -17,6 +18,10 @@ TABLES = {
         *("coarse_acceleration_p95_ratio", "coarse_acceleration_p99_ratio"),
     ),
     "realism by feature, coarse positions": tuple(f"coarse_w1_{name}" for name in FEATURES),
+    "likelihood of what people did (8 s, 32 joint rollouts), and distance to it": (
+        *("likelihood", *(f"likelihood_{name}" for name in WEIGHTS)),
+        *("ade_8s_m", "min_ade_20_8s_m", "closed_loop_ade_m", "closed_loop_min_ade_3_m"),
+    ),
     "standing and company": (*MEASURES, "agent_contacts_per_min", "wall_contacts_per_min"),
 }
 """Columns of each table; the report has more."""
