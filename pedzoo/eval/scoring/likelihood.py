@@ -53,7 +53,7 @@ def _bins() -> dict[str, Ranges]:
 
 def recorded_windows(windows: Windows) -> Walked:
     """Return what people really did in the windows."""
-    return walked(windows, list(windows.scenario.real_parts()))
+    return walked(windows, windows.scenario.real_parts())
 
 
 def policy_windows(
@@ -64,7 +64,7 @@ def policy_windows(
     episodes = rounds * len(windows.begin)
     walks, env = prepare(policy, windows.scenario, physics, episodes, seed)
     try:
-        return walked(windows, list(walk(walks, env, episodes, progress=progress)))
+        return walked(windows, walk(walks, env, episodes, progress=progress))
     finally:
         env.physics.close()
 

@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.eval.scoring.same_people import same_people
 from pedzoo.eval.scoring.sides import Side, View, blocks_of
 from pedzoo.metrics.intervals import Interval
 from pedzoo.metrics.realism.clips import Clips
+from pedzoo.metrics.realism.crowdes import columns
 from pedzoo.metrics.realism.crowds import compared, distances, only, resampled_distances, spreads
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
@@ -60,7 +62,9 @@ def row(side: Side, real: Side, more: Mapping[str, Tensor]) -> dict[str, Any]:
         values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
         telling[f"{prefix}classifier_auc"] = verdict.telling
     values |= {name: sums.of(drawn.mine) for name, sums in side.sums.items()}
+    values |= same_people(side, real, drawn.mine)
     values |= more
+    values |= {name: torch.tensor([value]) for name, value in columns(side.walks, real.walks).items()}
     return values_row(side.name, int(side.seen.sum()), side.rounds, values) | {"telling": telling}
 
 
@@ -74,6 +78,8 @@ def real_rows(real: Side) -> list[dict[str, Any]]:
     own = {name: sums.of(drawn.mine) for name, sums in real.sums.items()}
     values = {key: value for key, value in _distances(real.fine, real.fine, drawn, "").items()}
     own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
+    together = same_people(real, real, drawn.mine)
+    own |= {key: together[key] for key in together if key.startswith("companions")}
     count, seen = int(real.seen.sum()), real.seen
     first = torch.zeros(SPLITS, len(seen), dtype=torch.float64)
     first[:, seen] = halves(count, SPLITS)
@@ -153,6 +159,9 @@ def values_row(name: str, n: int, rounds: int, values: Mapping[str, Tensor]) -> 
 
 
 def _interval(values: Tensor) -> Interval | None:
+    """Return what holds 95 % of the values (R,) that are there; None where they do not differ."""
+    if not len(values):
+        return None
     quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
     low, high = torch.nanquantile(values.double(), quantiles).tolist()
     return (low, high) if low < high else None

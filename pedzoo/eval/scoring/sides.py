@@ -14,9 +14,10 @@ from torch import Tensor
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.realism.clips import Clips, clips
-from pedzoo.metrics.realism.company import PersonSums, added, measured
+from pedzoo.metrics.realism.company import PersonSums, added, main_axis, measured
+from pedzoo.metrics.realism.crowdes import Walks
 from pedzoo.metrics.realism.crowds import Crowd, crowd, together
-from pedzoo.metrics.realism.features import coarse, every_step, to_millimetres
+from pedzoo.metrics.realism.features import Steps, coarse, every_step, to_millimetres
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import has_noise
 from pedzoo.sim.replay.people import RecordedPeople
@@ -47,6 +48,7 @@ class Side(NamedTuple):
         fine: As it is.
         coarse: Over coarse positions.
         sums: Of `pedzoo.metrics.realism.company`.
+        walks: Their scored steps; frames count from the recording's first row, recordings one after another.
         people: Who they are.
         twin: Who each of them is in the recording (P,) long, -1 for strangers.
         rounds: How often they walked.
@@ -56,6 +58,7 @@ class Side(NamedTuple):
     fine: View
     coarse: View
     sums: dict[str, PersonSums]
+    walks: Walks
     people: RecordedPeople
     twin: Tensor
     rounds: int = 1
@@ -88,17 +91,19 @@ def side(
     """
     people, first = scenario.persons, 0
     views: tuple[list[tuple[Crowd, Clips]], ...] = ([], [])
-    sums = []
+    sums, rows, axis = [], [], main_axis(start, goal)
     for part in parts:
         steps = every_step(part)
         for view, seen in zip(views, (to_millimetres(steps), coarse(to_millimetres(steps))), strict=True):
             walked = crowd(part, seen, first, scenario.scenes, start, goal)
             view.append((walked, clips(seen, start, goal)))
-        sums.append(measured(steps, len(start)))
+        sums.append(measured(steps, len(start), axis))
+        rows.append(_scored_rows(steps, first, scenario))
         first += len(part.failed)
     fine, rough = map(_joined, views)
     twin = torch.arange(len(start)) if twin is None else twin
-    return Side(name, fine, rough, added(sums), people, twin, rounds)
+    walks = Walks(*(torch.cat(values) for values in zip(*rows, strict=True)))
+    return Side(name, fine, rough, added(sums), walks, people, twin, rounds)
 
 
 def recorded_side(scenario: PreparedReplay) -> Side:
@@ -144,6 +149,19 @@ def blocks_of(people: RecordedPeople) -> tuple[Tensor, int]:
         block[mine] = before + (taken / length).long()
         before = int(block[mine].max()) + 1
     return block, before
+
+
+def _scored_rows(steps: Steps, first: int, scenario: PreparedReplay) -> Walks:
+    """Return the scored steps of episodes ``first``, ... of a replay."""
+    assert scenario.script is not None
+    scenes, people = scenario.script.scenes, scenario.persons
+    episode, slot, step = steps.scored.nonzero().unbind(1)
+    scene = (episode + first) % scenario.scenes
+    # people of two recordings are never there together
+    apart = (int(people.until.max()) + 1) * scenes.table[scene]
+    frame = scenes.origin[scene] + step - 1 + apart
+    person = steps.person[episode, slot, step]
+    return Walks((episode + first) // scenario.scenes, person, frame, steps.xy[episode, slot, step])
 
 
 def _joined(parts: list[tuple[Crowd, Clips]]) -> View:

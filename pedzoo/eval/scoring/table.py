@@ -8,9 +8,10 @@ from typing import Any
 
 from pedzoo.eval.results import Page, cell
 from pedzoo.eval.scoring.files import is_recording
-from pedzoo.metrics.realism.company import MEASURES
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.joint_likelihood import WEIGHTS
+
+CROWDES = ("density", "coverage", "population", "kinematics", "dtw", "diversity", "collision")
 
 TABLES = {
     "how near to the real crowd": (
@@ -22,7 +23,11 @@ TABLES = {
         *("likelihood", *(f"likelihood_{name}" for name in WEIGHTS)),
         *("ade_8s_m", "min_ade_20_8s_m", "closed_loop_ade_m", "closed_loop_min_ade_3_m"),
     ),
-    "standing and company": (*MEASURES, "agent_contacts_per_min", "wall_contacts_per_min"),
+    "standing, company and touching": (
+        *("standing_share", "company_share", "companions_near_share", "lane_order"),
+        *("agent_contacts_per_min", "wall_contacts_per_min"),
+    ),
+    "columns of CrowdES": tuple(f"crowdes_{name}" for name in CROWDES),
 }
 """Columns of each table; the report has more."""
 
@@ -32,7 +37,8 @@ def pages(report: Mapping[str, Any]) -> list[Page]:
     rows, result = report["rows"], []
     for title, columns in TABLES.items():
         known = [key for key in columns if any(key in row["metrics"] for row in rows)]
-        body = [[_label(row), str(row["n"]), *(cell(row, key) for key in known)] for row in rows]
+        some = [row for row in rows if any(key in row["metrics"] for key in known)]
+        body = [[_label(row), str(row["n"]), *(cell(row, key) for key in known)] for row in some]
         if known:
             result.append(Page(title, ["crowd", "n", *known], body, 2))
     telling = [

@@ -5,7 +5,8 @@ W windows of A slots, S = STEPS steps of 0.4 s, M of a recording's people.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from torch import Tensor
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
 from pedzoo.data.tracks import Tracks
 from pedzoo.metrics.realism.features import every_step
-from pedzoo.metrics.realism.joint_likelihood import CONTACTS, step_values
+from pedzoo.metrics.realism.joint_likelihood import CONTACTS, MEASURED, step_values
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
 from pedzoo.sim.replay.script import Scenes, Script
 from pedzoo.sim.replay.slots import slots, table
@@ -94,47 +95,44 @@ def windows_of(real: PreparedReplay) -> Windows:
     return Windows(scenario, windows[:, 1], windows[:, 0], who, parts.goal[who].float())
 
 
-def walked(windows: Windows, parts: list[Rollout]) -> Walked:
-    """Return what happened in rollouts of all windows, round after round."""
-    count = len(windows.begin)
-    values: dict[str, list[Tensor]] = {}
-    contacts: dict[str, list[Tensor]] = {name: [] for name in CONTACTS}
-    places, scores = [], []
-    who = windows.person
+def walked(windows: Windows, parts: Iterable[Rollout]) -> Walked:
+    """Return what happened in rollouts of all windows, round after round, in parts of some episodes."""
+    count, bank = len(windows.begin), windows.scenario.bank
+    columns: dict[str, list[Tensor]] = {}
+    first = 0
     for part in parts:
+        window = (first + torch.arange(len(part.failed))) % count
+        first += len(window)
+        own, goal = windows.person[window].unsqueeze(2), windows.goal[window].unsqueeze(2)
         steps = every_step(part)
-        bank = windows.scenario.bank
-        points = steps.xy.flatten(1, 2)
-        wall = bank.signed_distance(points, part.map_id, part.pose).view(steps.person.shape)
-        has_walls = (part.map_id >= 0).view(-1, 1, 1)
-        for name, value in step_values(steps, wall.where(has_walls, torch.nan)).items():
-            values.setdefault(name, []).append(_by_round(value, count, torch.nan))
-        own = who.repeat(len(part.failed) // count, 1).unsqueeze(2)
-        for name in CONTACTS:
-            touched = (getattr(part, name) & part.underway & (part.person == own)).any(2)
-            contacts[name].append(touched.view(-1, *who.shape))
+        wall = bank.signed_distance(steps.xy.flatten(1, 2), part.map_id, part.pose)
+        wall = wall.view(steps.person.shape).where((part.map_id >= 0).view(-1, 1, 1), torch.nan)
         there = steps.person == own
-        goal = windows.goal.repeat(len(part.failed) // count, 1, 1).unsqueeze(2)
+        values = {name: _full(value, torch.nan) for name, value in step_values(steps, wall).items()}
+        for name in CONTACTS:
+            touches = getattr(part, name) & part.underway & (part.person == own)
+            values[name] = touches.any(2)
         xy = torch.where(there.unsqueeze(3), steps.xy, goal)
-        places.append(torch.stack([_by_round(axis, count) for axis in xy.unbind(3)], -1))
-        scores.append(_by_round(steps.scored & there, count, False))
+        values |= {"x": _full(xy[..., 0]), "y": _full(xy[..., 1])}
+        values["scored"] = _full(steps.scored & there, False)
+        for name, value in values.items():
+            columns.setdefault(name, []).append(value)
+    rounds = {name: torch.cat(value) for name, value in columns.items()}
+    rounds = {name: value.view(-1, count, *value.shape[1:]) for name, value in rounds.items()}
     return Walked(
-        {name: torch.cat(value) for name, value in values.items()},
-        {name: torch.cat(value) for name, value in contacts.items()},
-        torch.cat(places),
-        torch.cat(scores),
-        who >= 0,
+        {name: rounds[name] for name in MEASURED},
+        {name: rounds[name] for name in CONTACTS},
+        torch.stack((rounds["x"], rounds["y"]), -1),
+        rounds["scored"],
+        windows.person >= 0,
     )
 
 
-def _by_round(value: Tensor, windows: int, missing: Any = None) -> Tensor:
-    """Return values (E, A, 2 + S') as (K, W, A, S); steps that nobody walked are ``missing``, or as the last."""
+def _full(value: Tensor, missing: float | None = None) -> Tensor:
+    """Return values (E, A, 2 + S') of the S steps (E, A, S); absent ones are ``missing``, or as the last."""
     value = value[..., 2 : 2 + STEPS]
-    short = STEPS - value.shape[-1]
-    if short:
-        fill = value[..., -1:].expand(*value.shape[:-1], short)
-        value = torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), -1)
-    return value.reshape(-1, windows, *value.shape[1:])
+    fill = value[..., -1:].expand(*value.shape[:-1], STEPS - value.shape[-1])
+    return torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), -1)
 
 
 def _cut(window: Tensor, of_row: Tensor, frame: Tensor, xy: Tensor, people: RecordedPeople) -> Tracks:
