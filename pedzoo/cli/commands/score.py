@@ -34,14 +34,20 @@ def run(argv: list[str]) -> int:
         "--data.homography", type=str | None, help="Its 3x3 matrix from positions to world metres."
     )
     parser.add_argument("--data.root", type=str | None, help="Recordings (default: PEDZOO_DATA).")
-    parser.add_function_arguments(score, as_group=False, skip={"crowds", "against", "progress"})
+    parser.add_function_arguments(score, as_group=False, skip={"crowds", "against", "opening", "progress"})
+    parser.add_argument(
+        "--opening",
+        type=list[float],
+        default=[],
+        help="A door: x,y of its centre, x,y of its wall's normal, clear width, for flow and headways.",
+    )
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     options = parse(parser, argv)
     check_outputs(json=options.json)
 
     data = options.data
     against = Against(options.against, data.dt, data.map, data.homography, data.root)
-    settings = {key: options[key] for key in ("rollouts", "seed", "dt", "physics")}
+    settings = {key: options[key] for key in ("rollouts", "seed", "dt", "physics", "likelihood", "opening")}
     with progress_bar() as progress:
         report = score(options.crowds, against, progress=progress, **settings)
     report = {"command": "score", **report, "versions": versions()}

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
+import torch
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
 from pedzoo.eval.scoring.files import file_side, is_recording
@@ -21,6 +23,7 @@ from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
 from pedzoo.eval.scoring.sides import policy_side, recorded_side
 from pedzoo.eval.scoring.windows import windows_of
 from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.metrics.realism.openings import through
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import prepare_scenario
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
@@ -68,6 +71,7 @@ def score(
     dt: float | None = None,
     physics: str = "compiled",
     likelihood: bool = True,
+    opening: Sequence[float] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Return how near crowds are to a recorded one; ``docs/score.md`` has all formulas.
@@ -82,6 +86,8 @@ def score(
             0.4 s apart.
         physics: In which policies walk.
         likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.likelihood`.
+        opening: A door, whose flow and headways are measured: its centre x and y, the normal x and y of its
+            wall, and its clear width; metres.
         progress: Called with a policy, its episodes that are over and episodes in all.
 
     Raises:
@@ -96,9 +102,12 @@ def score(
     for name, weights in walks.items():
         if not is_recording(name):
             load_policy(weights)  # misspelt names are refused before anything is measured
+    gate = _gate(opening)
     prepared = against.prepared()
     real = recorded_side(prepared)
     rows, notes = real_rows(real), []
+    if gate is not None:
+        rows[0]["metrics"] |= through(real.walks, gate)
     windows = windows_of(prepared) if likelihood else None
     recorded = recorded_windows(windows) if windows else None
     if windows and recorded:
@@ -116,6 +125,8 @@ def score(
             joint = policy_windows(weights, windows, seed, physics, progress)
             more = likelihood_of(joint, recorded, fold)
         result = row(side._replace(name=name), real, more)
+        if gate is not None:
+            result["metrics"] |= through(side.walks, gate)
         if weights != name:
             notes.append(f"{name} is {weights}, which did not see {against.recording}")
         if not is_recording(name) and not own and has_seen(weights, against.recording):
@@ -128,3 +139,20 @@ def score(
         "notes": notes,
         "rows": rows,
     }
+
+
+def _gate(opening: Sequence[float]) -> Tensor | None:
+    """Return an opening as `through` takes it; None for none.
+
+    Raises:
+        UserError: It has not five numbers, no normal or no width.
+    """
+    if not opening:
+        return None
+    gate = torch.tensor([*opening], dtype=torch.float32)
+    if len(gate) != 5 or not float(gate[2:4].norm()) or not float(gate[4]) > 0:
+        raise UserError(
+            f"opening {[*opening]}: expected x,y of its centre, x,y of its wall's normal, and its width (m)"
+        )
+    gate[2:4] /= gate[2:4].norm()
+    return gate

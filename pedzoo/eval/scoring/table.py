@@ -10,6 +10,7 @@ from pedzoo.eval.results import Page, cell
 from pedzoo.eval.scoring.files import is_recording
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.joint_likelihood import WEIGHTS
+from pedzoo.metrics.realism.openings import HEADWAYS
 
 CROWDES = ("density", "coverage", "population", "kinematics", "dtw", "diversity", "collision")
 
@@ -26,6 +27,10 @@ TABLES = {
     "standing, company and touching": (
         *("standing_share", "company_share", "companions_near_share", "lane_order"),
         *("agent_contacts_per_min", "wall_contacts_per_min"),
+    ),
+    "the opening": (
+        *("opening_through_share", "opening_flow_per_m_s"),
+        *(f"opening_headway_{name}_s" for name in HEADWAYS),
     ),
     "columns of CrowdES": tuple(f"crowdes_{name}" for name in CROWDES),
 }

@@ -75,8 +75,9 @@ class Replay(Scenario):
                 ``around``: scenes as of ``one``, in which the policy moves the others, so that they react.
             share: Only people who come in this first share of the time are simulated, others are played
                 back: a tenth gives a quick look.
-            speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole
-                ``track``, which uses the future; at least 0.3 m/s.
+            speed: The speed that people like: ``observed`` in their first 8 steps; ``estimated`` from those
+                of them in which nobody is near, for recordings of queues; or that of the whole ``track``,
+                which uses the future. At least 0.3 m/s.
 
         Raises:
             UserError: There are no such recordings, or a setting is out of range.
