@@ -56,7 +56,7 @@ def _columns(mine: Walks, real: Walks) -> dict[str, float]:
     (density, coverage), (true, covered) = (_quadrats(side, low, high, steps) for side in (mine, real))
     population, people = (side.frame.unique(return_counts=True)[1].double() for side in (mine, real))
     kinematics = [
-        wasserstein(own / others.mean(), others / others.mean())
+        wasserstein(*(value / others.mean().clamp_min(1e-9) for value in (own, others)))
         for own, others in zip(_of_walks(mine), _of_walks(real), strict=True)
     ]
     warped = torch.from_numpy(_all_dtw(*_flat(mine), *_flat(real)))
