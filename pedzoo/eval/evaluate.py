@@ -12,7 +12,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.results import Shown
-from pedzoo.eval.suite import EvaluationOptions, Suite, WorkUnit, check_names
+from pedzoo.eval.suite import EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
 from pedzoo.eval.workers.journal import Journal, Rows
@@ -24,8 +24,8 @@ from pedzoo.sim.make import physics_class
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
 
-_OF_ROBOTS = ("people", "robot")
-"""Options of suites with robots."""
+_IF_GIVEN = ("people", "robot", "own")
+"""Options that a protocol names only where they are given: of robots, and recordings of one's own."""
 
 
 @renamed.takes_world
@@ -45,6 +45,7 @@ def evaluate(
     folds: Sequence[str] = (),
     people: Sequence[str] = (),
     robot: str | None = None,
+    own: OwnRecordings | None = None,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -71,6 +72,7 @@ def evaluate(
         people: Who walks beside robots: policies with settings, and ``replay``, with settings of the
             scenario, for recorded people who do not react.
         robot: The body of robots, ``diff_drive:radius=0.35``.
+        own: Recordings of one's own, which ``replay`` walks instead of folds.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -90,7 +92,7 @@ def evaluate(
         (one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds, people)
     )
     given = episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device
-    options = EvaluationOptions(*given, columns, recorded, walkers, robot)
+    options = EvaluationOptions(*given, columns, recorded, walkers, robot, own)
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -119,6 +121,8 @@ class Evaluation:
         """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
         self.options = options or EvaluationOptions()
         usable(self.options.device)
+        if self.options.own and self.options.folds:
+            raise UserError("--data.files are instead of --data.fold: leave one of them out")
         if self.options.physics is not None:
             self.options = self.options._replace(physics=renamed.backend(self.options.physics))
         for key in ("episodes", "rollouts"):
@@ -183,7 +187,8 @@ class Evaluation:
         asked = self.options
         protocol = {
             "suites": [suite.name for suite in self._suites],
-            **{key: value for key, value in asked._asdict().items() if key not in _OF_ROBOTS or value},
+            **{key: value for key, value in asked._asdict().items() if key not in _IF_GIVEN or value},
+            **({"own": asked.own._asdict()} if asked.own else {}),
             "deterministic": self._deterministic,
             "warm_start": {suite.name: suite.warm_start for suite in self._suites},
         }
@@ -215,7 +220,7 @@ def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
-    for key in ("episodes", "maps", "rollouts", "folds", *_OF_ROBOTS):
+    for key in ("episodes", "maps", "rollouts", "folds", *_IF_GIVEN):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [
                 name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())

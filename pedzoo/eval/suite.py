@@ -24,6 +24,22 @@ Tell = Callable[[float], None]
 """Called with the share of a unit that is done."""
 
 
+class OwnRecordings(NamedTuple):
+    """Recordings of one's own, which the suite ``replay`` walks instead of folds.
+
+    Attributes:
+        files: Text or CSV files of ``frame, agent, x, y``.
+        dt: Seconds between consecutive frame numbers.
+        map: Their floor plan; None for no walls.
+        homography: Text file of a 3x3 matrix from the files' positions to world metres.
+    """
+
+    files: tuple[str, ...]
+    dt: float | None = None
+    map: str | None = None
+    homography: str | None = None
+
+
 class EvaluationOptions(NamedTuple):
     """Options of an evaluation by which suites differ.
 
@@ -39,6 +55,7 @@ class EvaluationOptions(NamedTuple):
         folds: Of recordings; none for all that leave recordings out and are found.
         people: Who walks beside robots: policies with settings, and ``replay``; empty for the suite's own.
         robot: The body of robots, with settings; None for the suite's own.
+        own: Recordings of one's own instead of folds.
     """
 
     episodes: int | None = None
@@ -52,6 +69,7 @@ class EvaluationOptions(NamedTuple):
     folds: tuple[str, ...] = ()
     people: tuple[str, ...] = ()
     robot: str | None = None
+    own: OwnRecordings | None = None
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""

@@ -20,7 +20,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.core.registry import SUITES
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
     from pedzoo.eval.results import markdown
-    from pedzoo.eval.suite import EvaluationOptions
+    from pedzoo.eval.suite import EvaluationOptions, OwnRecordings
     from pedzoo.viz.fundamental import plot_density_speed
     from pedzoo.viz.trajectories import check_plot_path
 
@@ -55,6 +55,7 @@ def run(argv: list[str]) -> int:
             "root",
             "metrics",
             "folds",
+            "own",
             "people",
             "workers",
             "progress",
@@ -79,6 +80,14 @@ def run(argv: list[str]) -> int:
         type=list[str],
         default=[],
         help="Folds for replay, as zara1,hotel or mine.py:Mine (default: all whose recordings are found).",
+    )
+    parser.add_argument(
+        "--data.files", type=list[str], default=[], help="Recordings of your own for replay: .csv, .txt."
+    )
+    parser.add_argument("--data.dt", type=float | None, help="Seconds per frame number of these files.")
+    parser.add_argument("--data.map", type=str | None, help="Their floor plan (default: no walls).")
+    parser.add_argument(
+        "--data.homography", type=str | None, help="Their 3x3 matrix from positions to world metres."
     )
     parser.add_argument(
         "--people",
@@ -122,6 +131,11 @@ def run(argv: list[str]) -> int:
     known: dict[str, Any] = {key: options[key] for key in EvaluationOptions._fields if key in options}
     lists = {"maps": options.maps, "metrics": options.metrics, "folds": options.data.fold}
     lists["people"] = _listed(options.people)
+    data = options.data
+    own = OwnRecordings(tuple(data.files), data.dt, data.map, data.homography)
+    if not own.files and any(own[1:]):
+        raise UserError("--data.dt, --data.map, --data.homography: of --data.files; folds have their own")
+    known["own"] = own if own.files else None
     known |= {"root": options.data.root, **{key: tuple(value) for key, value in lists.items()}}
     evaluation_options = EvaluationOptions(**known)
     evaluation = Evaluation(

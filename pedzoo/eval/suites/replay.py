@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, ClassVar, cast
 
 from pedzoo.core.errors import UserError
@@ -11,7 +12,7 @@ from pedzoo.data.recordings import Fold, find_fold, open_fold
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, walked
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, OwnRecordings, Suite, Tell, WorkUnit, walked
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
@@ -22,6 +23,9 @@ from pedzoo.sim.scenarios.replay import PreparedReplay
 
 EMBEDDED = "embedded"
 """The fold that needs no recordings."""
+
+OWN = "files"
+"""What tables call recordings of one's own."""
 
 SIMULATED = ("all", "one")
 """All people at once, or one person among all others as they were recorded."""
@@ -44,7 +48,7 @@ class Replay(Suite):
     """
 
     simulated: ClassVar[tuple[str, ...]] = SIMULATED
-    accepted_options: ClassVar[tuple[str, ...]] = ("rollouts", "folds")
+    accepted_options: ClassVar[tuple[str, ...]] = ("rollouts", "folds", "own")
     warm_start: ClassVar[str] = "recorded"
     counted: ClassVar[str] = "people"
     headline: ClassVar[tuple[str, ...]] = ("realism", "success")
@@ -66,39 +70,59 @@ class Replay(Suite):
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return two cases for each fold of which there are recordings, else for the embedded one.
 
+        Of recordings of one's own there are two cases for all files together.
+
         Raises:
-            UserError: A folder was asked for that has none.
+            UserError: A folder was asked for that has none, or a file is refused.
         """
+        if options.own:
+            source = options.own._asdict() | {"files": [*options.own.files], "speed": "estimated"}
+            source = {key: value for key, value in source.items() if value is not None}
+            return self._cases(options, OWN, source, _digest_of_own(options.own), OWN, {})
         result = []
-        usual = 1 if options.quick else ROLLOUTS
         for fold, known in _folds(options).items():
-            inputs, shares = digest_of(fold, options.root), known.constant("REPLAY_SHARE", {})
-            for simulated in self.simulated:
-                settings: dict[str, Any] = {"fold": fold, "simulated": simulated}
-                share = shares.get(known.name, 1.0) if simulated == "one" else 1.0
-                share = round(share * QUICK_SHARE, 3) if options.quick else share
-                if share < 1:
-                    settings["share"] = share
-                if options.root is not None and fold != EMBEDDED:
-                    settings["root"] = options.root
-                case = EvaluationCase(
-                    suite=self.name,
-                    name=f"{known.name} {simulated}",
-                    scenario=Spec("replay", settings),
-                    physics=options.physics or "compiled",
-                    episodes=options.rollouts or (usual if simulated == "all" else 1),
-                    case={"fold": known.name, "simulated": simulated},
-                    inputs=inputs,
-                    effort=100.0 * share,
-                    table=f"{self.name} {simulated}",
-                    shares=fold,
-                )
-                result.append(case)
+            source = {"fold": fold}
+            if options.root is not None and fold != EMBEDDED:
+                source["root"] = options.root
+            shares = {"one": known.constant("REPLAY_SHARE", {}).get(known.name, 1.0)}
+            result += self._cases(options, known.name, source, digest_of(fold, options.root), fold, shares)
+        return result
+
+    def _cases(
+        self,
+        options: EvaluationOptions,
+        name: str,
+        source: dict[str, Any],
+        inputs: str,
+        together: str,
+        shares: dict[str, float],
+    ) -> list[EvaluationCase]:
+        """Return the cases of one source of recordings, which is given as settings of the scenario."""
+        result, usual = [], 1 if options.quick else ROLLOUTS
+        for simulated in self.simulated:
+            settings: dict[str, Any] = source | {"simulated": simulated}
+            share = shares.get(simulated, 1.0)
+            share = round(share * QUICK_SHARE, 3) if options.quick else share
+            if share < 1:
+                settings["share"] = share
+            case = EvaluationCase(
+                suite=self.name,
+                name=f"{name} {simulated}",
+                scenario=Spec("replay", settings),
+                physics=options.physics or "compiled",
+                episodes=options.rollouts or (usual if simulated == "all" else 1),
+                case={"fold": name, "simulated": simulated},
+                inputs=inputs,
+                effort=100.0 * share,
+                table=f"{self.name} {simulated}",
+                shares=together,
+            )
+            result.append(case)
         return result
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return what the real rows are, what is missing, and which weights walk where."""
-        folds = _folds(options)
+        folds = {} if options.own else _folds(options)
         result = [
             f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
             f"and 95 % of {SPLITS} random splits: the noise floor"
@@ -177,7 +201,23 @@ def _folds(options: EvaluationOptions) -> dict[str, Fold]:
 
 
 def _walked_fold(case: EvaluationCase) -> str:
-    return cast(Spec, case.scenario).settings["fold"]
+    """Return the fold of a case; files of one's own are none, so that no weights have seen them."""
+    return cast(Spec, case.scenario).settings.get("fold", OWN)
+
+
+def _digest_of_own(own: OwnRecordings) -> str:
+    """Return what tells files of one's own, and their floor plan, from any others.
+
+    Raises:
+        UserError: A file is not there.
+    """
+    result = hashlib.sha256()
+    for file in (*own.files, *filter(None, (own.homography,))):
+        if not Path(file).is_file():
+            raise UserError(f"--data.files: no file at {file!r}: expected rows of frame, agent, x, y")
+        result.update(Path(file).read_bytes())
+    result.update(load_plan(own.map).digest.encode() if own.map else b"")
+    return result.hexdigest()
 
 
 def digest_of(fold: str, root: str | None) -> str:

@@ -121,14 +121,18 @@ def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
 
 
 def resampled_distances(first: Crowd, second: Crowd, mine: Tensor, theirs: Tensor) -> dict[str, Tensor]:
-    """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples; weights are (R, P)."""
+    """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples.
+
+    Weights of people are (R, P) for the first crowd, and (R, Q) for the second.
+    """
     result = {}
     for name in FEATURES:
         one, other = first.samples[name], second.samples[name]
         result[name] = torch.full((len(mine),), torch.nan, dtype=torch.float64)
         if len(one.value) and len(other.value):
             edges = grid(one.value, other.value)
-            ours, real = (counted(samples, edges, mine.shape[1]) for samples in (one, other))
+            both = zip((one, other), (mine, theirs), strict=True)
+            ours, real = (counted(samples, edges, weights.shape[1]) for samples, weights in both)
             result[name] = resampled(ours, real, edges, mine, theirs)
     return result
 

@@ -97,6 +97,35 @@ def every_step(rollout: Rollout) -> Steps:
     return Steps(xy, person, velocity, known, scored & known, rollout.radius)
 
 
+def coarse(steps: Steps) -> Steps:
+    """Return the steps with every position averaged over three of them, so that annotation jitter is out.
+
+    A position is the mean of those before, at and after its step, of the same person. Steps next to a
+    person's first or last one have no such mean: others see them as they are, and they are not scored.
+    """
+    person = steps.person
+    same = torch.zeros_like(steps.known)
+    same[..., 1:-1] = steps.known[..., 1:-1] & steps.known[..., 2:]
+    mean = steps.xy.clone()
+    mean[:, :, 1:-1] = (steps.xy[:, :, :-2] + steps.xy[:, :, 1:-1] + steps.xy[:, :, 2:]) / 3
+    xy = torch.where(same.unsqueeze(3), mean, steps.xy)
+    known = torch.zeros_like(same)
+    known[..., 1:] = same[..., 1:] & same[..., :-1] & (person[..., 1:] == person[..., :-1])
+    return _moved(steps, xy)._replace(known=known, scored=steps.scored & known)
+
+
+def to_millimetres(steps: Steps) -> Steps:
+    """Return the steps with positions rounded to 1 mm: else a file's decimals tell two crowds apart."""
+    return _moved(steps, (steps.xy.double() * 1000).round().div(1000).float())
+
+
+def _moved(steps: Steps, xy: Tensor) -> Steps:
+    """Return the steps at other positions (E, A, S, 2)."""
+    velocity = torch.zeros_like(xy)
+    velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
+    return steps._replace(xy=xy, velocity=velocity)
+
+
 def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
     """Return the samples of every feature of `FEATURES`.
 

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
@@ -15,6 +16,9 @@ from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
+
+USUAL, STANDS = 1.3, 0.1
+"""m/s: what people like where nobody is seen to walk freely, and below which they stand."""
 
 LONGEST = 2
 """People are taken out after so many times as long as they really took."""
@@ -24,7 +28,13 @@ CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
 
 REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "no path to the exit", "later")
 
-SpeedOf = Literal["observed", "track"]
+SpeedOf = Literal["observed", "estimated", "track"]
+
+_FREE = 1.0
+"""Metres: people with nobody so near walk as fast as they like."""
+
+_PRIOR = 3
+"""Steps for which the speed of others counts beside one's own free steps."""
 
 
 class RecordedPeople(NamedTuple):
@@ -95,12 +105,21 @@ def people_of(
         rows: Row of each recording's floor plan in the planner's bank, -1 for none.
         planner: Finds the paths; exits become its goals.
         share: People who could be taken over later than this share of a recording's time are played back.
-        speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all.
+        speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all, and
+            ``estimated`` for what `_estimated` makes of the first 8.
     """
-    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
-    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
+    people, xy = without_goals(recordings, share, speed)
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
+    return people, xy
+
+
+def without_goals(
+    recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed"
+) -> tuple[RecordedPeople, Tensor]:
+    """Return what `people_of` returns, before any path is planned: exits are goals, and none is blocked."""
+    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
+    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
     xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
     return people, xy.float()
 
@@ -114,6 +133,9 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
     walked = np.concatenate(([0.0], np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1).cumsum()))
     measured = taken if speed == "observed" else end
     seconds = np.maximum(measured - begin, 1) * STEP_SECONDS
+    liked = (walked[measured] - walked[begin]) / seconds
+    if speed == "estimated":
+        liked = np.maximum(liked, _estimated(tracks, begin, taken))
     what = np.where(first > share * tracks.frame.max(), LATER, CONTROLLED)
     what = np.where(count <= OBS_LEN, SHORT, what)
 
@@ -131,8 +153,33 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
         goal=places(end),
         goal_id=torch.full((len(agent),), -1),
         path_length=torch.zeros(len(agent), dtype=torch.float64),
-        pref_speed=torch.from_numpy((walked[measured] - walked[begin]) / seconds).clamp_min(SLOWEST).float(),
+        pref_speed=torch.from_numpy(liked).clamp_min(SLOWEST).float(),
     )
+
+
+def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """Return the speed that people would like (P,), m/s, from what is seen of them until they are taken over.
+
+    Free steps are those at whose end nobody is within 1 m: in a queue there are none. The estimate is the
+    mean of a person's free steps and of 3 steps of the crowd's speed, which is the median of everybody's.
+
+    Args:
+        tracks: Rows in every frame of 0.4 s, person after person.
+        begin: First row of each person (P,).
+        taken: Row in which they are taken over (P,).
+    """
+    of_person = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(tracks))))
+    step = np.linalg.norm(np.diff(tracks.xy, axis=0, prepend=tracks.xy[:1]), axis=1) / STEP_SECONDS
+    row = np.arange(len(tracks))
+    seen = (row > begin[of_person]) & (row <= taken[of_person])
+    moments = np.column_stack((tracks.frame * 1e4, tracks.xy))  # people of other moments are far away
+    nearest = KDTree(moments).query(moments, k=2)[0][:, 1]
+    free = seen & (nearest > _FREE)
+    walks = free & (step > STANDS)
+    usual = float(np.median(step[walks])) if walks.any() else USUAL
+    count = np.bincount(of_person[free], minlength=len(begin))
+    own = np.bincount(of_person[free], step[free], len(begin))
+    return (own + _PRIOR * usual) / (count + _PRIOR)
 
 
 def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:

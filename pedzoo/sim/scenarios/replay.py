@@ -75,8 +75,9 @@ class Replay(Scenario):
                 ``around``: scenes as of ``one``, in which the policy moves the others, so that they react.
             share: Only people who come in this first share of the time are simulated, others are played
                 back: a tenth gives a quick look.
-            speed: The speed that people like: ``observed`` in their first 8 steps, or that of the whole
-                ``track``, which uses the future; at least 0.3 m/s.
+            speed: The speed that people like: ``observed`` in their first 8 steps; ``estimated`` from those
+                of them in which nobody is near, for recordings of queues; or that of the whole ``track``,
+                which uses the future. At least 0.3 m/s.
 
         Raises:
             UserError: There are no such recordings, or a setting is out of range.
@@ -122,18 +123,26 @@ class Replay(Scenario):
         people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, self.share, self.speed_of)
         if not people.controlled.any():
             raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
-        return self._with_slots(planner, map_id, people, xy)
+        return self.with_slots(planner, map_id, people, xy)
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
         """Return people and their ways of the same recordings, whether all are simulated there or one."""
         if not isinstance(other.scenario, Replay) or other.scenario._data != self._data or not other.script:
             return None
-        return self._with_slots(other.planner, other.tables, other.script.people, other.script.xy)
+        return self.with_slots(other.planner, other.tables, other.script.people, other.script.xy)
 
-    def _with_slots(
-        self, planner: Planner, map_id: Tensor, people: RecordedPeople, xy: Tensor
+    def with_slots(
+        self, planner: Planner, map_id: Tensor, people: RecordedPeople, xy: Tensor, name: str = ""
     ) -> PreparedReplay:
-        """Give people slots, and print how many are simulated and played back."""
+        """Give people slots, and print how many are simulated and played back.
+
+        Args:
+            planner: Their paths.
+            map_id: Floor plan of each recording, -1 for none.
+            people: Row p is person p.
+            xy: Rows of their tracks (N, 2), person after person.
+            name: What the line calls them; empty for the scenario's name.
+        """
         if self.simulated == "all":
             occupants, scenes = _all_simulated(people, len(map_id))
         else:
@@ -142,7 +151,7 @@ class Replay(Scenario):
         result = PreparedReplay(scenario=self, planner=planner, tables=map_id, script=script)
         kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
         print(
-            f"replay {self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
+            f"replay {name or self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
             f"{result.people}: {kinds}"
         )
         return result

@@ -1,0 +1,1 @@
+"""Scores of simulated crowds against recorded ones."""

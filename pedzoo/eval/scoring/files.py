@@ -1,0 +1,121 @@
+"""People of a simulator's file beside a recording: who is who, and what is scored of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.tracks import Tracks
+from pedzoo.eval.scoring.sides import Side, side
+from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
+from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
+
+SAME = 0.5
+"""Metres: a person of the file whose first place is so near to that of the recorded one is the same."""
+
+FASTEST = 12.0
+"""m/s: no person is faster; a file in which one is has other units."""
+
+
+def is_recording(text: str) -> bool:
+    """Return whether a text names a file of walks rather than a policy."""
+    return Path(text).suffix.lower() in (".csv", ".txt", ".tsv")
+
+
+def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
+    """Return the people of a simulator's file.
+
+    The first 8 rows (3.2 s) of everybody are not scored, as in the recording. People whom `twins` finds in
+    the recording have its roles and exits. All others are scored from there to their last row, where their
+    exit is taken to be: also people who only stand.
+
+    Args:
+        path: The file, in any form that `pedzoo.data.tracks` reads.
+        real: The recording.
+        dt: Seconds between consecutive frame numbers; None for rows that are 0.4 s apart.
+
+    Raises:
+        UserError: The file is refused, or no person in it can be scored.
+    """
+    dt = STEP_SECONDS / _rows_apart(path) if dt is None else dt
+    tracks = OwnFiles([path], dt, "0,0,1").recordings("test")[0].tracks
+    within = np.diff(tracks.agent) == 0
+    speed = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within].max(initial=0) / STEP_SECONDS
+    if speed > FASTEST:
+        raise UserError(
+            f"{path}: somebody walks at {speed:.1f} m/s with {dt:g} s per frame, expected at most "
+            f"{FASTEST:g}: set --dt to the seconds between consecutive frame numbers, positions in metres"
+        )
+    people, xy = without_goals([tracks])
+    recorded, scenario = real.persons, cast(Replay, real.scenario)
+    assert real.script is not None
+    twin, recording = twins(people, _begin(people, xy), recorded, _begin(recorded, real.script.xy))
+    known, short = twin >= 0, people.last - people.first < OBS_LEN
+    role = torch.where(known, recorded.what[twin], CONTROLLED)
+    role = torch.where(short & (role == CONTROLLED), SHORT, role)
+    if not (role == CONTROLLED).any():
+        raise UserError(f"{path}: expected walks of more than {OBS_LEN} rows 0.4 s apart; {dt:g} s per frame")
+    goal = torch.where(known.unsqueeze(1), recorded.goal[twin], people.exit)
+    never = torch.where(known.unsqueeze(1), goal, torch.inf)  # strangers have arrived when they leave
+    name = Path(path).name
+    made = scenario.with_slots(
+        real.planner, real.tables[recording : recording + 1], people._replace(what=role, goal=never), xy, name
+    )
+    return side(name, made.real_parts(), made, people.start, goal, twin=twin)
+
+
+def twins(
+    people: RecordedPeople, begin: Tensor, recorded: RecordedPeople, there: Tensor
+) -> tuple[Tensor, int]:
+    """Return who each person of a file is in the recording (P,) long, -1 for strangers, and in which one.
+
+    The same people have the same numbers, come at the same time (but for one offset of the clock that all of
+    them share) and begin within 0.5 m of the same place. The recording is the one that has most of them.
+
+    Args:
+        people: Of the file.
+        begin: Where each of them is first (P, 2), metres.
+        recorded: Of the recording.
+        there: Where each of these is first (Q, 2), metres.
+    """
+    best = torch.full_like(people.agent, -1), 0
+    for number in recorded.recording.unique().tolist():
+        mine = (recorded.recording == number).nonzero()[:, 0]
+        agents = recorded.agent[mine]
+        order = agents.argsort()
+        place = torch.searchsorted(agents[order], people.agent).clamp_max(len(mine) - 1)
+        twin = mine[order[place]]
+        near = (begin - there[twin]).norm(dim=1) <= SAME
+        same = (recorded.agent[twin] == people.agent) & near
+        offset = people.first - recorded.first[twin]
+        if same.any():
+            same &= offset == offset[same].mode().values
+        if int(same.sum()) > int((best[0] >= 0).sum()):
+            best = torch.where(same, twin, -1), number
+    return best
+
+
+def _begin(people: RecordedPeople, xy: Tensor) -> Tensor:
+    """Return where each person is first (P, 2), given all rows of their tracks (N, 2)."""
+    rows = people.last - people.first + 1
+    return xy[rows.cumsum(0) - rows]
+
+
+def _rows_apart(path: str) -> float:
+    """Return the usual number of frames between two rows of an agent.
+
+    Raises:
+        UserError: No agent has two rows, or the file is refused.
+    """
+    tracks = Tracks.read(path)
+    gap = np.diff(tracks.frame)[np.diff(tracks.agent) == 0]
+    if not len(gap):
+        raise UserError(f"recording {path!r}: no agent has two rows, expected walks")
+    return float(np.median(gap))

@@ -1,0 +1,167 @@
+"""Rows of a score: every measure of a crowd beside the recorded one, with intervals by blocks of time.
+
+P people, R resamples. A resample draws blocks of time with replacement, each with all the people who were
+taken over in it. The same people are drawn in both crowds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.eval.scoring.same_people import same_people
+from pedzoo.eval.scoring.sides import Side, View, blocks_of
+from pedzoo.metrics.intervals import Interval
+from pedzoo.metrics.realism.clips import Clips
+from pedzoo.metrics.realism.crowdes import columns
+from pedzoo.metrics.realism.crowds import compared, distances, only, resampled_distances, spreads
+from pedzoo.metrics.realism.distances import drawn_people, halves
+from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
+
+HALVES = "real halves"
+"""The row of one half of the recorded people against the other: what a perfect crowd would score."""
+
+SPLITS, TESTS = 200, 5
+"""Random halves of the real crowd, and how many of them a classifier is trained on."""
+
+RESAMPLES = 500
+"""Of blocks of time."""
+
+COARSE = "coarse_"
+"""Prefix of measures over coarse positions."""
+
+_VIEWS = {"": "fine", COARSE: "coarse"}
+_ONCE_ONLY = ("_share", "_per_min", "_excess", "speed_std", "density_speed")
+"""Measures that coarse positions do not have: contacts come from the paths themselves."""
+
+
+class _Drawn(NamedTuple):
+    """Weights of people: the first row counts each once, the others are resamples (1 + R, P)."""
+
+    mine: Tensor
+    theirs: Tensor
+
+
+def row(side: Side, real: Side, more: Mapping[str, Tensor]) -> dict[str, Any]:
+    """Return a crowd's row beside the recorded one.
+
+    Args:
+        side: The crowd.
+        real: The recorded crowd.
+        more: Further values (1 + R,).
+    """
+    drawn = _drawn(side, real)
+    values, telling = {}, {}
+    for prefix, name in _VIEWS.items():
+        mine, theirs = getattr(side, name), getattr(real, name)
+        values |= {f"{prefix}{key}": value for key, value in _distances(mine, theirs, drawn, prefix).items()}
+        verdict = _verdict(side, real, mine.clips, theirs.clips)
+        values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
+        telling[f"{prefix}classifier_auc"] = verdict.telling
+    values |= {name: sums.of(drawn.mine) for name, sums in side.sums.items()}
+    values |= same_people(side, real, drawn.mine)
+    values |= more
+    values |= {name: torch.tensor([value]) for name, value in columns(side.walks, real.walks).items()}
+    return values_row(side.name, int(side.seen.sum()), side.rounds, values) | {"telling": telling}
+
+
+def real_rows(real: Side) -> list[dict[str, Any]]:
+    """Return the recorded crowd's own row, and that of its halves against each other.
+
+    A policy's people are judged beside themselves, and halves are of different people: the bound can be
+    beaten, chiefly in speed, nearest distance and lateral deviation.
+    """
+    drawn = _drawn(real, real)
+    own = {name: sums.of(drawn.mine) for name, sums in real.sums.items()}
+    values = {key: value for key, value in _distances(real.fine, real.fine, drawn, "").items()}
+    own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
+    together = same_people(real, real, drawn.mine)
+    own |= {key: together[key] for key in together if key.startswith("companions")}
+    count, seen = int(real.seen.sum()), real.seen
+    first = torch.zeros(SPLITS, len(seen), dtype=torch.float64)
+    first[:, seen] = halves(count, SPLITS)
+    splits = _Drawn(first, seen.double() - first)
+    floor: dict[str, Tensor] = {}
+    for prefix, name in _VIEWS.items():
+        view = getattr(real, name)
+        both = _distances(view, view, splits, prefix, exact=False)
+        floor |= {f"{prefix}{key}": value for key, value in both.items()}
+        floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits.theirs[:TESTS])
+    floor |= {name: sums.of(first) for name, sums in real.sums.items()}
+    means = {key: torch.cat((value.nanmean().view(1), value)) for key, value in floor.items()}
+    return [values_row(real.name, count, 1, own), values_row(HALVES, count, 1, means)]
+
+
+def _distances(mine: View, theirs: View, drawn: _Drawn, prefix: str, exact: bool = True) -> dict[str, Tensor]:
+    """Return the numbers of `compared` (1 + R,); the first row exactly if it counts everybody once."""
+    real = only(theirs.crowd, theirs.crowd.minutes > 0)
+    distance = resampled_distances(mine.crowd, real, drawn.mine, drawn.theirs)
+    if exact:
+        for name, value in distances(mine.crowd, real).items():
+            distance[name][:1] = value
+    result = compared(mine.crowd, real, drawn.mine, drawn.theirs, distance, spreads(real))
+    return {
+        key: value
+        for key, value in result.items()
+        if not (prefix and any(part in key for part in _ONCE_ONLY))
+    }
+
+
+def _verdict(side: Side, real: Side, mine: Clips, theirs: Clips) -> Verdict:
+    """Return what the classifiers say; people are split at random, the same people of both sides together."""
+    split = _split(len(real.seen), 0)
+    own = torch.where(side.twin >= 0, split[side.twin], _split(len(side.seen), 1))
+    return two_sample(mine, theirs, own, split)
+
+
+def _split(people: int, seed: int) -> Tensor:
+    """Return the classifier's part of each person (P,): as many in each, at random."""
+    return torch.randperm(people, generator=torch.Generator().manual_seed(seed)) % FOLDS
+
+
+def _halves_auc(clips: Clips, first: Tensor, second: Tensor) -> Tensor:
+    """Return the AUC (R,) of classifiers for halves (R, P) of the people, split at random into parts."""
+    result = []
+    for number, (one, other) in enumerate(zip(first > 0, second > 0, strict=True)):
+        parts = _split(len(one), number)
+        mine, theirs = (Clips(*(value[half[clips.person]] for value in clips)) for half in (one, other))
+        weights = torch.ones(1, len(one))
+        result.append(auc(two_sample(mine, theirs, parts, parts), weights, weights))
+    return torch.cat(result)
+
+
+def _drawn(side: Side, real: Side) -> _Drawn:
+    block, blocks = blocks_of(real.people)
+    own, others = blocks_of(side.people)
+    times = drawn_people(blocks, RESAMPLES)
+    theirs = times[:, block]
+    if bool((side.twin >= 0).any()):  # one clock
+        mine = times[:, block[side.twin].where(side.twin >= 0, own.clamp_max(blocks - 1))]
+    else:
+        mine = drawn_people(others, RESAMPLES, seed=1)[:, own]
+    seen = (side.seen, real.seen)
+    whole = [
+        torch.cat((torch.ones(1, len(who), dtype=torch.float64), weights)) * who
+        for weights, who in zip((mine, theirs), seen, strict=True)
+    ]
+    return _Drawn(*whole)
+
+
+def values_row(name: str, n: int, rounds: int, values: Mapping[str, Tensor]) -> dict[str, Any]:
+    """Return a row of values (1 + R,): the first is the number, the others give its interval."""
+    known = {key: value for key, value in values.items() if not value[0].isnan()}
+    intervals = {key: ends for key, value in known.items() if (ends := _interval(value[1:]))}
+    numbers = {key: float(value[0]) for key, value in known.items()}
+    return {"name": name, "case": {}, "n": n, "rounds": rounds, "metrics": numbers, "ci95": intervals}
+
+
+def _interval(values: Tensor) -> Interval | None:
+    """Return what holds 95 % of the values (R,) that are there; None where they do not differ."""
+    if not len(values):
+        return None
+    quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
+    low, high = torch.nanquantile(values.double(), quantiles).tolist()
+    return (low, high) if low < high else None

@@ -1,0 +1,158 @@
+"""A score of simulated crowds against a recorded one: one report of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.errors import UserError
+from pedzoo.eval.results import SEEN
+from pedzoo.eval.rollout import Progress
+from pedzoo.eval.scoring.files import file_side, is_recording
+from pedzoo.eval.scoring.likelihood import (
+    OTHERS,
+    others_likelihood,
+    policy_windows,
+    recorded_windows,
+)
+from pedzoo.eval.scoring.likelihood import likelihood as likelihood_of
+from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
+from pedzoo.eval.scoring.sides import policy_side, recorded_side
+from pedzoo.eval.scoring.windows import windows_of
+from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.metrics.realism.openings import through
+from pedzoo.policies.load import load_policy
+from pedzoo.sim.make import prepare_scenario
+from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
+
+VERSION = 1
+"""Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
+
+
+class Against(NamedTuple):
+    """The recording that crowds are scored against.
+
+    Attributes:
+        recording: A fold, or a file of one's own.
+        dt: Seconds between consecutive frame numbers of a file.
+        map: Its floor plan; None for no walls.
+        homography: Text file of a 3x3 matrix from the file's positions to world metres.
+        root: Folder of the folds; None for the variable ``PEDZOO_DATA``.
+    """
+
+    recording: str
+    dt: float | None = None
+    map: str | None = None
+    homography: str | None = None
+    root: str | None = None
+
+    def prepared(self) -> PreparedReplay:
+        """Return the recording as a replay.
+
+        Raises:
+            UserError: There is no such recording, or its file is refused.
+        """
+        if is_recording(self.recording):
+            files: dict[str, Any] = {"files": [self.recording], "dt": self.dt}
+            made = Replay(**files, map=self.map, homography=self.homography)
+        else:
+            made = Replay(self.recording, self.root, dt=self.dt, map=self.map, homography=self.homography)
+        return cast(PreparedReplay, prepare_scenario(made))
+
+
+def score(
+    crowds: Sequence[str],
+    against: str | Against,
+    rollouts: int = 3,
+    seed: int = 0,
+    dt: float | None = None,
+    physics: str = "compiled",
+    likelihood: bool = True,
+    opening: Sequence[float] = (),
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return how near crowds are to a recorded one; ``docs/score.md`` has all formulas.
+
+    Args:
+        crowds: Files of walks (``frame, agent, x, y``), and policies, which walk in the recorded people's
+            place. Weights ``ARCH.FOLD`` are exchanged for those that did not see the recording.
+        against: A fold such as ``zara1``, or a file of one's own.
+        rollouts: Of policies with noise.
+        seed: Of the policies' noise.
+        dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for rows that are
+            0.4 s apart.
+        physics: In which policies walk.
+        likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.likelihood`.
+        opening: A door, whose flow and headways are measured: its centre x and y, the normal x and y of its
+            wall, and its clear width; metres.
+        progress: Called with a policy, its episodes that are over and episodes in all.
+
+    Raises:
+        UserError: An unknown policy, or a file that is refused.
+    """
+    against = Against(against) if isinstance(against, str) else against
+    own = is_recording(against.recording)
+    fold = "all" if own else against.recording
+    walks = {
+        name: name if is_recording(name) or own else for_fold(name, against.recording) for name in crowds
+    }
+    for name, weights in walks.items():
+        if not is_recording(name):
+            load_policy(weights)  # misspelt names are refused before anything is measured
+    gate = _gate(opening)
+    prepared = against.prepared()
+    real = recorded_side(prepared)
+    rows, notes = real_rows(real), []
+    if gate is not None:
+        rows[0]["metrics"] |= through(real.walks, gate)
+    windows = windows_of(prepared) if likelihood else None
+    recorded = recorded_windows(windows) if windows else None
+    if windows and recorded:
+        rows.append(values_row(OTHERS, len(windows.begin), 1, others_likelihood(recorded, windows, fold)))
+    for name, weights in walks.items():
+        if is_recording(name):
+            side = file_side(name, prepared, dt)
+            strangers = int((side.twin < 0).sum())
+            if strangers:
+                notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
+        else:
+            side = policy_side(weights, prepared, rollouts, seed, physics, progress)
+        more: dict[str, Tensor] = {}
+        if windows and recorded and not is_recording(name):
+            joint = policy_windows(weights, windows, seed, physics, progress)
+            more = likelihood_of(joint, recorded, fold)
+        result = row(side._replace(name=name), real, more)
+        if gate is not None:
+            result["metrics"] |= through(side.walks, gate)
+        if weights != name:
+            notes.append(f"{name} is {weights}, which did not see {against.recording}")
+        if not is_recording(name) and not own and has_seen(weights, against.recording):
+            notes.append(f"{name} was trained on {against.recording}: marked *")
+            result["case"][SEEN] = "yes"
+        rows.append(result)
+    return {
+        "protocol": {"against": against.recording, "version": VERSION, "resamples": RESAMPLES},
+        "seeds": [seed],
+        "notes": notes,
+        "rows": rows,
+    }
+
+
+def _gate(opening: Sequence[float]) -> Tensor | None:
+    """Return an opening as `through` takes it; None for none.
+
+    Raises:
+        UserError: It has not five numbers, no normal or no width.
+    """
+    if not opening:
+        return None
+    gate = torch.tensor([*opening], dtype=torch.float32)
+    if len(gate) != 5 or not float(gate[2:4].norm()) or not float(gate[4]) > 0:
+        raise UserError(
+            f"opening {[*opening]}: expected x,y of its centre, x,y of its wall's normal, and its width (m)"
+        )
+    gate[2:4] /= gate[2:4].norm()
+    return gate

@@ -1,0 +1,186 @@
+"""Windows of 8 s of a recording, in which all who are there are simulated at once, from 3.2 s of history.
+
+W windows of A slots, S = STEPS steps of 0.4 s, M of a recording's people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
+from pedzoo.data.tracks import Tracks
+from pedzoo.metrics.realism.features import every_step
+from pedzoo.metrics.realism.joint_likelihood import CONTACTS, MEASURED, step_values
+from pedzoo.sim.replay.people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
+from pedzoo.sim.replay.script import Scenes, Script
+from pedzoo.sim.replay.slots import slots, table
+from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.scenarios.replay import PreparedReplay
+
+STEPS = 20
+"""Simulated steps of a window: 8 s."""
+
+MOST = 60
+"""Windows: of a longer recording as many, evenly spread."""
+
+
+class Windows(NamedTuple):
+    """The windows of a recording.
+
+    Attributes:
+        scenario: One scene each, all equally long.
+        begin: The recording's frame at which each is simulated from (W,) long.
+        recording: Which recording each is of (W,) long.
+        person: Who is simulated in each slot (W, A) long, -1 for none.
+        goal: Their exits (W, A, 2), metres.
+    """
+
+    scenario: PreparedReplay
+    begin: Tensor
+    recording: Tensor
+    person: Tensor
+    goal: Tensor
+
+
+class Walked(NamedTuple):
+    """K rollouts of all windows.
+
+    Attributes:
+        values: Of `step_values` (K, W, A, S), NaN where a person is not scored.
+        contacts: Of `CONTACTS` (K, W, A) bool.
+        xy: Positions (K, W, A, S, 2), metres; the exit once a person has left.
+        scored: Which steps count (K, W, A, S) bool.
+        people: Who was simulated (W, A) bool.
+    """
+
+    values: dict[str, Tensor]
+    contacts: dict[str, Tensor]
+    xy: Tensor
+    scored: Tensor
+    people: Tensor
+
+
+def windows_of(real: PreparedReplay) -> Windows:
+    """Return the windows of a recording; people keep the exits that they have in it.
+
+    Windows follow one another without overlap. People who are seen for all 3.2 s before are simulated, all
+    others are played back.
+    """
+    assert real.script is not None
+    people, xy = real.script.people, real.script.xy
+    begins = []
+    for number in people.recording.unique().tolist():
+        last = int(people.last[people.recording == number].max())
+        frames = torch.arange(OBS_LEN - 1, max(last - STEPS, OBS_LEN) + 1, STEPS)
+        begins.append(torch.stack((torch.full_like(frames, number), frames), 1))
+    windows = torch.cat(begins)
+    if len(windows) > MOST:
+        windows = windows[torch.linspace(0, len(windows) - 1, MOST).round().long()]
+    count = people.last - people.first + 1
+    of_row = torch.arange(len(count)).repeat_interleave(count)
+    frame = torch.arange(len(xy)) - (count.cumsum(0) - count)[of_row] + people.first[of_row]
+    cut = [_cut(windows[i], of_row, frame, xy, people) for i in range(len(windows))]
+    windows = windows[torch.tensor([len(part.frame) > 0 for part in cut])]
+    parts, places = without_goals([part for part in cut if len(part.frame)])
+    parts = _with_roles(parts, people)
+    script = Script(parts, places, *_scenes(parts, len(windows)))
+    tables = real.tables[windows[:, 0]]
+    scenario = PreparedReplay(scenario=real.scenario, planner=real.planner, tables=tables, script=script)
+    who = script.people_in_slots(torch.arange(len(windows)), torch.full((len(windows),), OBS_LEN - 1))
+    who = torch.where((who >= 0) & parts.controlled[who], who, -1)
+    return Windows(scenario, windows[:, 1], windows[:, 0], who, parts.goal[who].float())
+
+
+def walked(windows: Windows, parts: Iterable[Rollout]) -> Walked:
+    """Return what happened in rollouts of all windows, round after round, in parts of some episodes."""
+    count, bank = len(windows.begin), windows.scenario.bank
+    columns: dict[str, list[Tensor]] = {}
+    first = 0
+    for part in parts:
+        window = (first + torch.arange(len(part.failed))) % count
+        first += len(window)
+        own, goal = windows.person[window].unsqueeze(2), windows.goal[window].unsqueeze(2)
+        steps = every_step(part)
+        wall = bank.signed_distance(steps.xy.flatten(1, 2), part.map_id, part.pose)
+        wall = wall.view(steps.person.shape).where((part.map_id >= 0).view(-1, 1, 1), torch.nan)
+        there = steps.person == own
+        values = {name: _full(value, torch.nan) for name, value in step_values(steps, wall).items()}
+        for name in CONTACTS:
+            touches = getattr(part, name) & part.underway & (part.person == own)
+            values[name] = touches.any(2)
+        xy = torch.where(there.unsqueeze(3), steps.xy, goal)
+        values |= {"x": _full(xy[..., 0]), "y": _full(xy[..., 1])}
+        values["scored"] = _full(steps.scored & there, False)
+        for name, value in values.items():
+            columns.setdefault(name, []).append(value)
+    rounds = {name: torch.cat(value) for name, value in columns.items()}
+    rounds = {name: value.view(-1, count, *value.shape[1:]) for name, value in rounds.items()}
+    return Walked(
+        {name: rounds[name] for name in MEASURED},
+        {name: rounds[name] for name in CONTACTS},
+        torch.stack((rounds["x"], rounds["y"]), -1),
+        rounds["scored"],
+        windows.person >= 0,
+    )
+
+
+def _full(value: Tensor, missing: float | None = None) -> Tensor:
+    """Return values (E, A, 2 + S') of the S steps (E, A, S); absent ones are ``missing``, or as the last."""
+    value = value[..., 2 : 2 + STEPS]
+    fill = value[..., -1:].expand(*value.shape[:-1], STEPS - value.shape[-1])
+    return torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), -1)
+
+
+def _cut(window: Tensor, of_row: Tensor, frame: Tensor, xy: Tensor, people: RecordedPeople) -> Tracks:
+    """Return the rows of one window; frames count from the first of its history, agents are row numbers."""
+    number, begin = window.tolist()
+    at = frame - (begin - OBS_LEN + 1)
+    keep = (people.recording[of_row] == number) & (at >= 0) & (at < OBS_LEN + STEPS)
+    # people who are there in one row only have no velocity
+    rows = torch.bincount(of_row[keep], minlength=len(people.first))
+    keep &= rows[of_row] > 1
+    agent = of_row[keep].numpy()
+    return Tracks("window", at[keep].numpy(), agent, xy[keep].double().numpy())
+
+
+def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople:
+    """Return the people of windows with the exits that they have in the recording."""
+    who = parts.agent
+    goal = people.goal[who]
+    role = people.what[who].clone()
+    taken = (parts.first == 0) & (parts.last >= OBS_LEN)
+    role = torch.where(~taken & (role == CONTROLLED), SHORT, role)
+    there = (goal - parts.start).norm(dim=1) <= GOAL_RADIUS
+    role = torch.where(there & (role == CONTROLLED), STAYED, role)
+    return parts._replace(
+        what=role,
+        goal=goal,
+        exit=people.exit[who],
+        goal_id=people.goal_id[who],
+        path_length=people.path_length[who],
+        pref_speed=people.pref_speed[who],
+    )
+
+
+def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, Scenes]:
+    """Return who is in which slot, and the scenes of windows."""
+    end = OBS_LEN + STEPS
+    gone = parts.until.clamp_max(end)
+    slot = torch.full_like(parts.first, -1)
+    for number in range(windows):
+        mine = (parts.recording == number).nonzero()[:, 0]
+        slot[mine] = slots(parts.first[mine], gone[mine])
+    tables = []
+    for number in range(windows):
+        here = torch.where(parts.recording == number, slot, -1)
+        tables.append(table(here, parts.first, gone, end + 1, int(slot.max()) + 1))
+    number = torch.arange(windows)
+    begin = torch.full_like(number, OBS_LEN - 1)
+    no_lead, everybody = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
+    ends = begin + STEPS + 1, begin, begin + STEPS
+    scenes = Scenes(number, begin, *ends, no_lead, everybody)
+    return torch.stack(tables), scenes

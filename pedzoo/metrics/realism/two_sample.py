@@ -1,0 +1,100 @@
+"""The classifier two-sample test: can a small classifier tell simulated people from real ones?
+
+Lopez-Paz and Oquab, "Revisiting classifier two-sample tests", ICLR 2017, with the area under the ROC curve
+(AUC) in place of the accuracy. 0.5: they cannot be told apart; 1: always.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pedzoo.metrics.realism.boosting import fit, log_odds
+from pedzoo.metrics.realism.clips import CHANNELS, Clips
+
+FOLDS = 4
+"""Parts of the people; each is judged by a classifier that was trained on the others."""
+
+MOST = 12_000
+"""Clips of either crowd that are used: larger crowds are thinned evenly."""
+
+
+class Verdict(NamedTuple):
+    """What the classifiers said of the W clips of both crowds, each of people whom they had not seen.
+
+    Attributes:
+        odds: Log-odds that the clip is simulated (W,).
+        simulated: Which clips are (W,) bool.
+        person: Whose they are (W,) long, in either crowd's own numbers.
+        gain: Share of each of `CHANNELS` in what the classifiers go by (C,), adds up to 1.
+    """
+
+    odds: Tensor
+    simulated: Tensor
+    person: Tensor
+    gain: Tensor
+
+    @property
+    def telling(self) -> dict[str, float]:
+        """The three channels that told most, with their shares."""
+        order = self.gain.argsort(descending=True)[:3].tolist()
+        return {CHANNELS[channel]: round(float(self.gain[channel]), 3) for channel in order}
+
+
+def two_sample(simulated: Clips, real: Clips, parts: Tensor, real_parts: Tensor) -> Verdict:
+    """Return what classifiers say that are trained to tell two crowds apart; both crowds count the same.
+
+    Args:
+        simulated: Clips of one crowd.
+        real: Of the other.
+        parts: Part of each person of the first (P,) long, below `FOLDS`; no person is in two. People who are
+            in both crowds have to be in the same part.
+        real_parts: Of the second.
+    """
+    simulated, real = _thinned(simulated), _thinned(real)
+    rows = torch.cat((simulated.value, real.value)).double().numpy()
+    label = np.concatenate((np.ones(len(simulated.person)), np.zeros(len(real.person))))
+    part = torch.cat((parts[simulated.person], real_parts[real.person])).numpy()
+    odds, gain = np.full(len(rows), np.nan), np.zeros(len(CHANNELS))
+    for number in range(FOLDS):
+        test, train = part == number, part != number
+        if not (test.any() and len(np.unique(label[train])) == 2):
+            continue
+        weight = np.where(label == 1, 0.5 / label[train].mean(), 0.5 / (1 - label[train].mean()))
+        trees = fit(rows[train], label[train], weight[train])
+        odds[test] = log_odds(trees, rows[test])
+        gain += trees.gain.reshape(-1, len(CHANNELS)).sum(0)
+    judged = torch.from_numpy(~np.isnan(odds))
+    person = torch.cat((simulated.person, real.person))
+    said, is_simulated = torch.from_numpy(odds)[judged], torch.from_numpy(label)[judged] == 1
+    return Verdict(said, is_simulated, person[judged], torch.from_numpy(gain / max(gain.sum(), 1e-9)))
+
+
+def auc(verdict: Verdict, mine: Tensor, theirs: Tensor) -> Tensor:
+    """Return the area under the ROC curve (R,) of R resamples; NaN where one crowd has no clips.
+
+    The probability that the classifier finds a simulated clip more like simulation than a real one; ties
+    count half.
+
+    Args:
+        verdict: Of both crowds.
+        mine: How often each simulated person counts (R, P).
+        theirs: Each real one (R, Q).
+    """
+    values, place = verdict.odds.unique(return_inverse=True)
+    sums = []
+    for weights, which in ((mine, verdict.simulated), (theirs, ~verdict.simulated)):
+        each = weights[:, verdict.person[which]].double()
+        total = torch.zeros(len(weights), len(values), dtype=torch.float64)
+        sums.append(total.index_add_(1, place[which], each))
+    above, below = sums
+    before = below.cumsum(1) - below / 2
+    return (above * before).sum(1) / (above.sum(1) * below.sum(1))
+
+
+def _thinned(one: Clips) -> Clips:
+    every = -(-len(one.person) // MOST) if len(one.person) else 1
+    return Clips(one.value[::every], one.person[::every])

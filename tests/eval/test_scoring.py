@@ -1,0 +1,225 @@
+"""`pedzoo score`: files and memory agree, real people are themselves, and likelihoods are as by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.data.tracks import Tracks
+from pedzoo.eval.evaluate import evaluate
+from pedzoo.eval.scoring.files import file_side
+from pedzoo.eval.scoring.likelihood import bins, likelihood, policy_windows, recorded_windows
+from pedzoo.eval.scoring.rows import row
+from pedzoo.eval.scoring.same_people import companions
+from pedzoo.eval.scoring.score import Against
+from pedzoo.eval.scoring.sides import Side, recorded_side
+from pedzoo.eval.scoring.windows import STEPS, Windows, windows_of
+from pedzoo.eval.suite import OwnRecordings
+from pedzoo.metrics.realism.crowdes import Walks, columns
+from pedzoo.metrics.realism.joint_likelihood import (
+    BINS,
+    MEASURED,
+    ROLLOUTS,
+    contact_likelihood,
+    displacement,
+    measured_likelihood,
+)
+from pedzoo.metrics.realism.openings import through
+from pedzoo.sim.replay.people import without_goals
+from pedzoo.sim.scenarios.replay import PreparedReplay
+
+
+@pytest.fixture(scope="module")
+def real() -> PreparedReplay:
+    return Against("embedded").prepared()
+
+
+@pytest.fixture(scope="module")
+def recorded(real: PreparedReplay) -> Side:
+    return recorded_side(real)
+
+
+@pytest.fixture(scope="module")
+def windows(real: PreparedReplay) -> Windows:
+    return windows_of(real)
+
+
+def plaza() -> np.ndarray:
+    file = Path(__file__).parents[2] / "pedzoo" / "data" / "embedded" / "plaza_test.csv"
+    return np.loadtxt(file, delimiter=",", skiprows=1)
+
+
+def written(path: Path, table: np.ndarray) -> str:
+    np.savetxt(
+        path, table, delimiter=",", header="frame,agent,x,y", comments="", fmt=["%d", "%d", "%.6f", "%.6f"]
+    )
+    return str(path)
+
+
+def test_a_file_of_the_recording_scores_as_the_recording_in_memory(
+    real: PreparedReplay, recorded: Side, tmp_path: Path
+) -> None:
+    later = plaza()
+    later[:, 0] += 1000  # another clock
+    side = file_side(written(tmp_path / "mine.csv", later), real)
+    assert side.twin.tolist() == list(range(len(real.persons.agent)))
+    for name, samples in side.fine.crowd.samples.items():
+        torch.testing.assert_close(samples.value, recorded.fine.crowd.samples[name].value, atol=1e-5, rtol=0)
+    metrics = row(side, recorded, {})["metrics"]
+    assert metrics["realism"] == pytest.approx(0, abs=1e-4)
+    assert metrics["classifier_auc"] == pytest.approx(0.5, abs=0.02)
+    assert metrics["closed_loop_ade_m"] == pytest.approx(0, abs=1e-5)
+    assert metrics["crowdes_dtw"] == pytest.approx(0, abs=1e-5)
+    assert metrics["crowdes_diversity"] == 1
+    assert metrics["standing_share"] == float(recorded.sums["standing_share"].of(torch.ones(1, 80)))
+
+
+def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path: Path) -> None:
+    frame = np.arange(40)
+    crowd = [
+        np.column_stack((frame, np.full(40, 500 + i), np.full(40, i - 2.0), np.full(40, 1.0)))
+        for i in range(3)
+    ]
+    side = file_side(written(tmp_path / "queue.csv", np.concatenate(crowd)), real)
+    assert (side.twin == -1).all()
+    assert float(side.sums["standing_share"].of(torch.ones(1, 3))) == 1
+    with pytest.raises(UserError, match="m/s"):
+        file_side(written(tmp_path / "fast.csv", plaza() * [1, 1, 100, 100]), real)
+
+
+def test_a_constant_velocity_crowd_is_told_apart(
+    real: PreparedReplay, recorded: Side, tmp_path: Path
+) -> None:
+    table = plaza()
+    table = table[np.lexsort((table[:, 0], table[:, 1]))]
+    for agent in np.unique(table[:, 1]):
+        mine = table[:, 1] == agent
+        ends = table[mine][[0, -1], 2:]
+        share = np.linspace(0, 1, mine.sum())[:, None]
+        table[mine, 2:] = ends[0] * (1 - share) + ends[1] * share
+    metrics = row(file_side(written(tmp_path / "straight.csv", table), real), recorded, {})["metrics"]
+    assert metrics["classifier_auc"] > 0.95 and metrics["coarse_classifier_auc"] > 0.9
+    assert metrics["closed_loop_ade_m"] > 0.1
+
+
+def test_likelihoods_are_those_of_counted_bins() -> None:
+    simulated = torch.tensor([0.05, 0.15, 0.15, math.nan]).view(1, 1, 1, 4)  # one rollout counts 32 times
+    true = torch.tensor([0.15, 0.95, math.nan, math.nan]).view(1, 1, 4)
+    total, count = measured_likelihood(simulated, true, (0.0, 1.0))
+    whole = 3 * ROLLOUTS + 0.1 * BINS
+    assert int(count) == 2
+    assert float(total) == pytest.approx(
+        math.log((2 * ROLLOUTS + 0.1) / whole) + math.log(0.1 / whole), rel=1e-6
+    )
+    touched = torch.zeros(4, 1, 2, dtype=torch.bool)
+    touched[:2, 0, 0] = True
+    total, _ = contact_likelihood(touched, torch.tensor([[True, True]]), torch.tensor([[True, False]]))
+    assert float(total) == pytest.approx(math.log(0.5))
+
+
+def test_displacement_is_the_mean_distance_of_known_steps() -> None:
+    true = torch.zeros(1, 1, 3, 2)
+    simulated = torch.stack((true + torch.tensor([3.0, 4.0]), true + torch.tensor([1.0, 0.0])))
+    known = torch.tensor([[[True, True, False]]])
+    assert displacement(simulated, true, known).flatten().tolist() == [5.0, 1.0]
+
+
+def test_windows_hold_everybody_with_a_history(real: PreparedReplay, windows: Windows) -> None:
+    people = real.persons
+    walked = recorded_windows(windows)
+    assert walked.xy.shape[3] == STEPS
+    there = (people.first.unsqueeze(0) <= windows.begin.unsqueeze(1) - 7) & (
+        people.last.unsqueeze(0) > windows.begin.unsqueeze(1)
+    )
+    assert int(walked.people.sum()) <= int(there.sum())
+    assert int(walked.people.sum()) > 0.8 * int(there.sum())  # the others are at their exit already
+
+
+def test_the_recording_is_likelier_under_itself_than_under_straight_walking(windows: Windows) -> None:
+    true = recorded_windows(windows)
+    own = likelihood(true, true, "embedded")
+    straight = likelihood(policy_windows("go_to_goal", windows, 0, "compiled"), true, "embedded")
+    assert float(own["ade_8s_m"][0]) == 0 < float(straight["ade_8s_m"][0])
+    assert float(own["likelihood"][0]) > float(straight["likelihood"][0]) + 0.1
+    assert set(bins("embedded")) == set(MEASURED) and bins("zara1") != bins("eth")
+
+
+def test_columns_of_crowdes_by_hand() -> None:
+    steps = torch.arange(4)
+    line = torch.stack((steps.float(), torch.zeros(4)), 1)
+    real = Walks(torch.zeros(4).long(), torch.zeros(4).long(), steps, line)
+    moved = real._replace(xy=line + torch.tensor([0.0, 1.0]))
+    result = columns(moved, real)
+    assert result["crowdes_dtw"] == pytest.approx(2 * 0.4)  # root of four squares of 1 m, at 2.5 Hz
+    assert result["crowdes_kinematics"] == pytest.approx(0, abs=1e-12)
+    twice = Walks(*(torch.cat((value, value)) for value in real))
+    twice = twice._replace(person=torch.tensor([0] * 4 + [1] * 4))
+    result = columns(twice, real)
+    assert result["crowdes_population"] == pytest.approx(1.0)  # two people where there is one
+    assert result["crowdes_density"] == pytest.approx(0.01)
+    assert result["crowdes_coverage"] == 0
+    assert result["crowdes_diversity"] == pytest.approx(0.75)  # one of the two is nobody's nearest
+
+
+def test_flow_and_headways_say_how_many_got_through() -> None:
+    steps = torch.arange(6)
+    lines = [torch.stack((steps - start, torch.zeros(6)), 1) for start in (0.5, 2.5, 4.5, 9.0)]
+    walks = Walks(
+        torch.zeros(24).long(), torch.arange(4).repeat_interleave(6), steps.repeat(4), torch.cat(lines)
+    )
+    result = through(walks, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.5]))
+    assert result["opening_through_share"] == 0.75  # the last is still before it
+    assert result["opening_headway_p50_s"] == pytest.approx(0.8)
+    assert result["opening_flow_per_m_s"] == pytest.approx(2 / 1.6 / 0.5)
+
+
+def test_companions_stay_together() -> None:
+    steps = torch.arange(10)
+    lines = [torch.stack((steps.float(), torch.full((10,), y)), 1) for y in (0.0, 1.0, 5.0)]
+    walks = Walks(
+        torch.zeros(30).long(), torch.arange(3).repeat_interleave(10), steps.repeat(3), torch.cat(lines)
+    )
+    assert companions(walks).tolist() == [[0, 1]]
+
+
+def test_preferred_speeds_are_not_those_of_a_queue() -> None:
+    frame = np.arange(20)
+    free = [np.column_stack((frame, np.full(20, i), frame * 0.52, np.full(20, 10.0 * i))) for i in range(5)]
+    queue = [
+        np.column_stack((frame, np.full(20, 5 + i), frame * 0.1 + 0.6 * i, np.full(20, 100.0)))
+        for i in range(2)
+    ]
+    tracks = Tracks.from_table("hall", np.concatenate((*free, *queue)))
+    observed, estimated = (
+        without_goals([tracks], speed=of)[0].pref_speed for of in ("observed", "estimated")
+    )
+    torch.testing.assert_close(observed[:5], torch.full((5,), 1.3))
+    torch.testing.assert_close(estimated, torch.full((7,), 1.3))
+    assert float(observed[5:].max()) == pytest.approx(0.3)  # the least that there is
+
+
+def test_the_suite_replay_walks_own_files(tmp_path: Path) -> None:
+    own = OwnRecordings((written(tmp_path / "hall.csv", plaza()),), 0.4)
+    report = evaluate(["go_to_goal"], ["replay"], quick=True, own=own)
+    assert {row["case"]["fold"] for row in report["rows"]} == {"files"}
+    assert {row["name"] for row in report["rows"]} == {"go_to_goal", "real", "real halves"}
+    with pytest.raises(UserError, match="instead of"):
+        evaluate(["go_to_goal"], ["replay"], folds=["zara1"], own=own)
+
+
+def test_the_command_writes_one_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = written(tmp_path / "mine.csv", plaza())
+    out = tmp_path / "score.json"
+    assert main(["score", mine, "--against", "embedded", "--likelihood", "false", "--json", str(out)]) == 0
+    report = json.loads(out.read_text())
+    assert [one["name"] for one in report["rows"]] == ["real", "real halves", mine]
+    assert report["protocol"]["version"] == 1
+    assert "mine.csv" in capsys.readouterr().out
+    assert main(["score", str(tmp_path / "absent.csv"), "--against", "embedded"]) == 2

@@ -1,0 +1,111 @@
+"""The classifier two-sample test against crowds that are equal, shuffled or plainly different."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pedzoo.metrics.realism.boosting import fit, log_odds
+from pedzoo.metrics.realism.clips import CHANNELS, LENGTH, Clips, clips
+from pedzoo.metrics.realism.features import Steps, coarse, to_millimetres
+from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
+
+
+def steps_of(xy: torch.Tensor, scored_from: int = 1) -> Steps:
+    """Steps of people (A, S, 2) who are there all the time, and scored from a step on."""
+    people, length = xy.shape[:2]
+    there = torch.ones(1, people, length, dtype=torch.bool)
+    known, scored = there.clone(), there.clone()
+    known[..., 0], scored[..., :scored_from] = False, False
+    velocity = torch.zeros(1, people, length, 2)
+    velocity[:, :, 1:] = xy.diff(dim=1) / 0.4
+    person = torch.arange(people).view(1, -1, 1).expand(1, people, length)
+    return Steps(xy.unsqueeze(0), person, velocity, known, scored, torch.full((1, people), 0.15))
+
+
+def test_trees_learn_a_step_and_say_by_which_feature() -> None:
+    generator = np.random.default_rng(0)
+    rows = generator.normal(size=(2000, 3))
+    label = (rows[:, 1] > 0.3).astype(float)
+    trees = fit(rows, label, np.ones(len(rows)))
+    test = generator.normal(size=(1000, 3))
+    assert ((log_odds(trees, test) > 0) == (test[:, 1] > 0.3)).mean() > 0.98
+    assert trees.gain.argmax() == 1
+
+
+def test_auc_counts_pairs_with_ties_as_half() -> None:
+    odds, simulated = torch.tensor([2.0, 1.0, 1.0, 0.0]), torch.tensor([True, True, False, False])
+    verdict = Verdict(odds, simulated, torch.tensor([0, 1, 0, 1]), torch.ones(len(CHANNELS)))
+    once = torch.ones(1, 2)
+    # pairs: 2 > 1, 2 > 0, 1 = 1 and 1 > 0
+    assert float(auc(verdict, once, once)) == pytest.approx(3.5 / 4)
+    first_twice = torch.tensor([[2.0, 0.0]])
+    assert float(auc(verdict, first_twice, once)) == pytest.approx(1.0)
+
+
+def test_clips_are_in_the_frame_of_the_way() -> None:
+    time = torch.arange(12).float() * 0.4
+    walks = torch.stack((torch.stack((torch.zeros(12), time), 1), torch.stack((torch.ones(12), time), 1)))
+    start, goal = walks[:, 0], torch.tensor([[0.0, 10.0], [1.0, 10.0]])
+    result = clips(steps_of(walks, 2), start, goal)
+    assert len(result.person) == 2 * (10 - LENGTH + 1)
+    step = dict(zip(CHANNELS, result.value[0, : len(CHANNELS)].tolist(), strict=True))
+    assert step["velocity along the way"] == pytest.approx(1.0)
+    assert step["velocity across the way"] == pytest.approx(0.0, abs=1e-6)
+    assert step["nearest person ahead"] == pytest.approx(0.0, abs=1e-6)
+    assert step["nearest person aside"] == pytest.approx(-1.0)  # to the right of who walks up
+    assert step["second person ahead"] == 20.0
+    assert step["distance to the exit"] == pytest.approx(10 - 0.8, abs=1e-5)
+    turned = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+    again = clips(steps_of(walks @ turned, 2), start @ turned, goal @ turned)
+    torch.testing.assert_close(again.value, result.value, atol=1e-4, rtol=0)
+
+
+def test_coarse_positions_are_means_of_three() -> None:
+    xy = torch.tensor([[0.0, 3.0, 0.0, 3.0, 0.0, 3.0]]).unsqueeze(2).expand(1, 6, 2)
+    result = coarse(steps_of(xy))
+    assert result.xy[0, 0, 1:-1, 0].tolist() == [1.0, 2.0, 1.0, 2.0]
+    assert result.scored[0, 0].tolist() == [False, False, True, True, True, False]
+
+
+def test_rounding_hides_the_decimals_of_files() -> None:
+    xy = torch.rand(3, 9, 2)
+    rounded = to_millimetres(steps_of((xy * 1e4).round() / 1e4))
+    assert float((rounded.xy - to_millimetres(steps_of(rounded.xy[0])).xy).abs().max()) == 0
+    assert float((rounded.xy * 1000 - (rounded.xy * 1000).round()).abs().max()) < 1e-3
+
+
+def crowd_of(noise: float, people: int, seed: int) -> Clips:
+    generator = torch.Generator().manual_seed(seed)
+    speed = 1 + 0.2 * torch.randn(people, 1, 2, generator=generator)
+    change = noise * torch.randn(people, 18, 2, generator=generator).cumsum(1)
+    place = 20 * torch.rand(people, 1, 2, generator=generator)
+    xy = place + ((speed + change) * 0.4).cumsum(1)
+    return clips(steps_of(xy, 2), xy[:, 0], xy[:, -1])
+
+
+def found_auc(one: Clips, other: Clips, people: int) -> float:
+    parts, once = torch.arange(people) % FOLDS, torch.ones(1, people)
+    return float(auc(two_sample(one, other, parts, parts), once, once))
+
+
+def test_equal_crowds_cannot_be_told_apart_and_constant_velocity_can() -> None:
+    people = 40
+    real = crowd_of(0.05, people, 0)
+    assert found_auc(real, real, people) == pytest.approx(0.5, abs=0.02)
+    assert found_auc(crowd_of(0.05, people, 1), real, people) == pytest.approx(0.5, abs=0.1)
+    assert found_auc(crowd_of(0.0, people, 2), real, people) > 0.95
+
+
+def test_numbers_of_people_do_not_matter() -> None:
+    people = 40
+    one, other = crowd_of(0.05, people, 3), crowd_of(0.08, people, 4)
+    shuffled = torch.randperm(people, generator=torch.Generator().manual_seed(0))
+    parts, once = torch.arange(people) % FOLDS, torch.ones(1, people)
+    again = Clips(one.value, shuffled[one.person])
+    moved = torch.empty_like(parts)
+    moved[shuffled] = parts
+    verdicts = two_sample(one, other, parts, parts), two_sample(again, other, moved, parts)
+    first, second = (float(auc(verdict, once, once)) for verdict in verdicts)
+    assert first == pytest.approx(second, abs=1e-9)
