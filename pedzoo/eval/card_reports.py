@@ -86,7 +86,7 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     for key in ("people", "robot"):
         if ".py:" in str(asked.get(key, "")):
             raise UserError(f"{key} {asked[key]}: a file of code, which no card runs: use pedzoo evaluate")
-    options = EvaluationOptions(**asked | {"root": job.root})
+    options = EvaluationOptions(**asked)._replace(root=job.root)
     still = job.protocol.get("deterministic", False)
     evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)
 

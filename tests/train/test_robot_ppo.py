@@ -182,7 +182,7 @@ def test_wheels_reach_the_goal_as_their_limits_allow() -> None:
     seconds = {}
     for robot in ("disc", "diff_drive", "diff_drive:acceleration=1000"):
         env = CrossingEnv(2, people=1, crowds=2, robot=robot)
-        env.place = env.place + 100
+        env.crowds = env.crowds._replace(place=env.crowds.place + 100)
         ends = walked_once(env, Attention())
         assert ends["success"] == 1
         seconds[robot] = float(ends["seconds"])
