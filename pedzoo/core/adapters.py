@@ -49,6 +49,11 @@ def tensordict_of(values: dict[str, Any], batch_size: torch.Size, device: torch.
     return TensorDict(values, batch_size, device)
 
 
+def put(tensordict: TensorDict, values: dict[str, Any]) -> None:
+    """Set values that fit, batch size and device. tensordict: its setter takes 7 us a value for checks."""
+    tensordict._tensordict.update(values)
+
+
 def copied(tensordict: TensorDictBase) -> TensorDictBase:
     """Return a copy with the same tensors. tensordict: ``copy`` takes 0.1 ms and looks into floor plans."""
     from tensordict import TensorDict, TensorDictBase

@@ -10,7 +10,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from pedzoo.core.adapters import copied, tensordict_of
+from pedzoo.core.adapters import copied, put, tensordict_of
+from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.randomness import Draws
@@ -27,8 +28,8 @@ from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, S
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
 
-_MADE, _AGENTS_MADE = 128, 640
-"""Episodes, and their agents, that are begun together once scenes end one by one: at most, but one a row."""
+_MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
+"""Most episodes, and agents, that are begun together once scenes end one by one, and episodes of one row."""
 
 
 class _Scenes(NamedTuple):
@@ -215,7 +216,7 @@ class PedestrianEnv(EnvBase):
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: _Scenes | None = None
         made = min(_MADE, _AGENTS_MADE // self.prepared.people)
-        self._depth = max(1, made // self.batch_size[0])
+        self._depth = min(max(1, made // self.batch_size[0]), _DEEPEST)
         self._taken = torch.full(self.batch_size, self._depth)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
@@ -226,8 +227,8 @@ class PedestrianEnv(EnvBase):
             index = flags.view(-1).nonzero().view(-1)
             self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
         observation = self._observation(*self._scenes)
-        for name in ("done", "terminated", "truncated"):
-            observation[name] = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+        never = torch.zeros(3, *self.batch_size, 1, dtype=torch.bool, device=self.device)
+        put(observation, dict(zip(("done", "terminated", "truncated"), never.unbind(), strict=True)))
         return observation
 
     def _next(self, index: Tensor) -> _Scenes:
@@ -244,9 +245,9 @@ class PedestrianEnv(EnvBase):
             made = self._begin(empty, depth)
             place = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(self.device)
             self._ahead = made if self._ahead is None else self._ahead.replaced(place, made)
-            self._taken = self._taken.index_fill(0, empty, 0)
+            self._taken.index_fill_(0, empty, 0)
         place = index * depth + self._taken[index]
-        self._taken = self._taken.index_add(0, index, torch.ones_like(index))
+        self._taken.index_add_(0, index, torch.ones_like(index))
         return self._ahead.select(place.to(self.device))
 
     def _begin(self, index: Tensor, episodes: int) -> _Scenes:
@@ -264,10 +265,9 @@ class PedestrianEnv(EnvBase):
             self._warn(action, before, after)
         self._scenes = _Scenes(after, guidance)
         result = self._observation(after, guidance, outcome)
-        result["agents", "reward"] = outcome.reward.unsqueeze(-1)
-        result["terminated"] = outcome.terminated.unsqueeze(1)
-        result["truncated"] = outcome.truncated.unsqueeze(1)
-        result["done"] = result["terminated"] | result["truncated"]
+        put(agents_of(result), {"reward": outcome.reward.unsqueeze(-1)})
+        terminated, truncated = outcome.terminated.unsqueeze(1), outcome.truncated.unsqueeze(1)
+        put(result, {"terminated": terminated, "truncated": truncated, "done": terminated | truncated})
         return result
 
     def _warn(self, action: Tensor, before: State, after: State) -> None:
@@ -294,6 +294,6 @@ class PedestrianEnv(EnvBase):
             "remaining_path": state.remaining_path,
         }
         batch = observed(state, guidance, self.bank)
-        batch["agents", "info"] = tensordict_of(info, state.mask.shape, state.mask.device)
-        batch["failed"] = state.failed.unsqueeze(1)
+        put(agents_of(batch), {"info": tensordict_of(info, state.mask.shape, state.mask.device)})
+        put(batch, {"failed": state.failed.unsqueeze(1)})
         return batch

@@ -5,10 +5,8 @@ import math
 import torch
 from torch import Tensor
 
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.walls.local_walls import LocalWalls
-
-BODY_CLEARANCE = 0.15
-"""Metres that the line to the carrot keeps from walls: a body's radius."""
 
 _SPACING = 0.3
 """Metres between the points looked at: with the clearance around each, no wall fits between two of them."""
@@ -36,5 +34,5 @@ def seen_beyond(
     to = corner.unsqueeze(1) + parts * (end - corner).unsqueeze(1) - begin.unsqueeze(1)
     points = begin[:, None, None] + share.unsqueeze(0).unsqueeze(1) * to.unsqueeze(2)
     least = walls.least_at(points.flatten(1, 2)).unflatten(0, (_PARTS, -1)).amin(1)
-    seen = least >= BODY_CLEARANCE
+    seen = least >= BODY_RADIUS
     return rest * (parts * seen).amax(0)

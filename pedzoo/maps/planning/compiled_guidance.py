@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planning.carrot import BODY_CLEARANCE
 from pedzoo.maps.planning.guidance import EPSILON, Guidance
 from pedzoo.maps.planning.waypoint_table import WaypointTable
 
@@ -28,7 +27,6 @@ def guidance_compiled(
     guidance_loop(
         *(value.detach().numpy() for value in given),
         seconds,
-        BODY_CLEARANCE,
         *table.arrays,
         *bank.walls.map_arrays,
         *(value.numpy() for value in made),

@@ -107,7 +107,7 @@ def wall_gap(x, y, frame, place, choice, option, limit):
 
 
 @jit
-def _sees(home, corner, end, part, frame, place, least, clearance):
+def _sees(home, corner, end, part, frame, place, clear):
     """Return whether points 0.3 m apart of the line to a carrot keep a body's radius from walls."""
     full = math.sqrt((end[0] - home[0]) ** 2 + (end[1] - home[1]) ** 2)
     spacing = _SPACING / max(full, _SPACING)
@@ -120,20 +120,20 @@ def _sees(home, corner, end, part, frame, place, least, clearance):
     for i in range(1, steps + 1):
         t = min(i * spacing, 1.0)
         # a look that depends on the one before would wait for memory
-        hidden |= least[_number(cell_x + t * over, cell_y + t * up, place)] < clearance
+        hidden |= not clear[_number(cell_x + t * over, cell_y + t * up, place)]
     return not hidden
 
 
 @compiled(
-    "void(f4[:,:,:], i8[:,:], i8[:], f4[:,:], f4[:,:], f8, f8,"
+    "void(f4[:,:,:], i8[:,:], i8[:], f4[:,:], f4[:,:], f8,"
     " f4[:,:], i8[:,:], i4[:], f4[:], f4[:], i8[:,:], i4[:], f4[:],"
-    " f8[:,:], i4[:,:], f8[:], f4[:],"
+    " f8[:,:], i4[:,:], f8[:], b1[:],"
     " f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:])"
 )
 def guidance_loop(
-    points, goals, rows, poses, speeds, seconds, clearance,
+    points, goals, rows, poses, speeds, seconds,
     to_cell, begin, nearest, xs, ys, goal_table, waypoints, lengths,
-    affine, place, side, least,
+    affine, place, side, clear,
     carrot, desired, waypoint_out, goal_out, distance_out,
 ):  # fmt: skip
     """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guidance`.
@@ -214,10 +214,10 @@ def guidance_loop(
             if rest > 0:
                 corner[0], corner[1] = way_x, way_y
                 end[0], end[1] = way_x + beyond_x * rest, way_y + beyond_y * rest
-                if not _sees(home, corner, end, 1.0, frame, quarters, least, clearance):
-                    if _sees(home, corner, end, 0.5, frame, quarters, least, clearance):
+                if not _sees(home, corner, end, 1.0, frame, quarters, clear):
+                    if _sees(home, corner, end, 0.5, frame, quarters, clear):
                         rest *= 0.5
-                    elif _sees(home, corner, end, 0.25, frame, quarters, least, clearance):
+                    elif _sees(home, corner, end, 0.25, frame, quarters, clear):
                         rest *= 0.25
                     else:
                         rest = 0.0

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.walls.nearest_boxes import CANDIDATES, nearest_boxes
 from pedzoo.maps.walls.segment_table import Outlines, SegmentTable
@@ -110,8 +111,12 @@ class Walls:
 
     @cached_property
     def map_arrays(self) -> tuple[Any, ...]:
-        """What the compiled planner reads: how the maps lie, and the lower bounds of distances."""
-        return self.affine.numpy(), self.place.numpy(), self.side.numpy(), self.least.numpy()
+        """What the compiled planner reads: how the maps lie, and where a body has room.
+
+        The latter is a quarter as large as the lower bounds of distances, and so in the processor's cache.
+        """
+        clear = self.least >= BODY_RADIUS
+        return self.affine.numpy(), self.place.numpy(), self.side.numpy(), clear.numpy()
 
     def segments(
         self,

@@ -130,13 +130,12 @@ class Walker(TensorDictModuleBase):
         key = randomness.join(tensordict["scene_key"], "noise", drawn_for)
         if self.noise_seed:
             key = randomness.join(key, self.noise_seed)
-        now = randomness.join(key, (tensordict["time"] / STEP_SECONDS).round().long())
-        dims = torch.arange(self.model.noise_dim, device=agent.device)
-        key, now = key.unsqueeze(-1), now.unsqueeze(-1)
-        if self.noise == "step":
-            key = now
-        elif self.noise == "mixed":
-            key = torch.where(dims < lasting(self.model.noise_dim), key, now)
+        key, dims = key.unsqueeze(-1), torch.arange(self.model.noise_dim, device=agent.device)
+        if self.noise in ("step", "mixed"):
+            step = (tensordict["time"] / STEP_SECONDS).round().long()
+            now = randomness.join(key, step.unsqueeze(-1))
+            lasts = dims < (lasting(self.model.noise_dim) if self.noise == "mixed" else 0)
+            key = torch.where(lasts, key, now)
         return randomness.normal(randomness.join(key, dims))
 
 

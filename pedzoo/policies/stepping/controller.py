@@ -160,8 +160,8 @@ class Controller:
         online_goals, asked, new = self._online_goals, _of(people, goals), agents.is_new
         comes = bool(new.any())
         if asked or comes:
-            online_goals, agents = online_goals.with_goals(agents, position, asked)
-            agents = agents.arrived(position, position)
+            online_goals, with_goals = online_goals.with_goals(agents, position, asked)
+            agents = agents if with_goals is agents else with_goals.arrived(position, position)
 
         past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
         trace = torch.where(agents.walks[:, None, None], agents.trace, 0.0)

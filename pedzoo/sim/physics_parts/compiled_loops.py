@@ -37,159 +37,148 @@ def advance(
     * the results.
     """
     scenes, agents, ticks = trace.shape[:3]
-    has_walls, has_script = frames.shape[0] > 0, played.size > 0
-    path = np.empty((agents, steps, 2))
-    here, away = np.empty((agents, 2)), np.zeros((agents, 2))
-    blocked_away, blocked_at = np.zeros((agents, 2)), np.zeros((agents, 2))
-    gap, allowed, blocked_gap, extent = np.empty(agents), np.empty(agents), np.empty(agents), np.empty(agents)
-    room = np.empty(agents)
+    has_walls, has_script, has_slopes = frames.shape[0] > 0, played.size > 0, slopes.size > 0
+    points = ticks * steps
+    path, extent = np.empty((agents, points, 2)), np.empty(agents)
     frame, place = np.empty(7), np.empty(3, np.int64)
-    seconds = tick_seconds / strides
+    seconds, goal_radius = tick_seconds / strides, math.sqrt(goal_radius2)
     for b in range(scenes):
         if has_walls:
             frame[:], place[:] = frames[b], places[b]
         for a in range(agents):
-            here[a, 0], here[a, 1] = position[b, a, 0], position[b, a, 1]
-            blocked_gap[a] = _NO_WALL
-            gap[a] = np.nan  # looked up where a wall can matter
-            allowed[a] = radius[b, a] - skin
+            x, y, body = float(position[b, a, 0]), float(position[b, a, 1]), radius[b, a]
+            blocked_gap, blocked_x, blocked_y, blocked_away_x, blocked_away_y = _NO_WALL, x, y, 0.0, 0.0
+            gap, away_x, away_y = np.nan, 0.0, 0.0  # looked up where a wall can matter
+            allowed = body - skin
             # no wall is nearer than this, from any point of this quarter of a cell
-            room[a] = _NO_WALL
+            room = _NO_WALL
             if has_walls and moved[b, a]:
-                _, _, index = quarter(here[a, 0], here[a, 1], frame, place)
-                room[a] = least[index] - 3 * frame[6]
-                if least[index] < allowed[a]:
-                    gap[a], away[a, 0], away[a, 1] = wall_gap(
-                        here[a, 0], here[a, 1], frame, place, choice, option, limit
-                    )
-                    allowed[a] = min(gap[a], allowed[a])
-        for s in range(ticks):
-            for a in range(agents):
-                wall_contact[b, a, s] = False
-                agent_contact[b, a, s] = False
+                _, _, index = quarter(x, y, frame, place)
+                room = least[index] - 3 * frame[6]
+                if least[index] < allowed:
+                    gap, away_x, away_y = wall_gap(x, y, frame, place, choice, option, limit)
+                    allowed = min(gap, allowed)
+            k = 0  # of the next point of the path
+            for s in range(ticks):
+                touches = False
                 if not present[b, a]:
-                    path[a, :, 0], path[a, :, 1] = here[a, 0], here[a, 1]
-                    continue
-                if not moved[b, a]:
+                    for _ in range(steps):
+                        path[a, k, 0], path[a, k, 1] = x, y
+                        k += 1
+                elif not moved[b, a]:
                     for m in range(steps):
                         if has_script:
-                            here[a, 0], here[a, 1] = played[b, a, s, m, 0], played[b, a, s, m, 1]
-                        path[a, m, 0], path[a, m, 1] = here[a, 0], here[a, 1]
-                        if has_walls and not wall_contact[b, a, s]:
-                            _, _, index = quarter(here[a, 0], here[a, 1], frame, place)
-                            if least[index] < radius[b, a]:
-                                nearest = wall_gap(
-                                    here[a, 0], here[a, 1], frame, place, choice, option, limit
-                                )
-                                wall_contact[b, a, s] = nearest[0] < radius[b, a]
-                    continue
-                if slopes.size > 0:
-                    m00, m01, m10, m11, n00, n01, n10, n11 = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
-                full_x, full_y = velocity[0, s, b, a] * seconds, velocity[1, s, b, a] * seconds
-                length = math.sqrt(full_x * full_x + full_y * full_y)
-                near = radius[b, a] + length + 1e-3
-                for n in range(strides):
-                    old_x, old_y = here[a, 0], here[a, 1]
-                    free = room[a] > near
-                    if not free:
-                        _, _, index = quarter(old_x, old_y, frame, place)
-                        room[a] = least[index] - 3 * frame[6]
-                        free = least[index] > near
-                    room[a] -= length
-                    if free:
-                        here[a, 0], here[a, 1] = old_x + full_x, old_y + full_y
-                        if slopes.size > 0:
-                            n00, n11 = n00 + seconds, n11 + seconds
-                        gap[a], blocked_gap[a], allowed[a] = np.nan, _NO_WALL, radius[b, a] - skin
-                    else:
-                        if math.isnan(gap[a]):
-                            gap[a], away[a, 0], away[a, 1] = wall_gap(
-                                old_x, old_y, frame, place, choice, option, limit
-                            )
-                        share = min(max(allowed[a], creep) / max(length, 1e-6), 1.0)
-                        move_x, move_y = full_x * share, full_y * share
-                        lacking = max(allowed[a] - gap[a] - move_x * away[a, 0] - move_y * away[a, 1], 0.0)
-                        x, y = old_x + move_x + lacking * away[a, 0], old_y + move_y + lacking * away[a, 1]
-                        # what is left of moves: all but what the walls take
-                        p00, p01, p11 = 1.0, 0.0, 1.0
-                        if lacking > 0:
-                            p00, p01, p11 = 1 - away[a, 0] ** 2, -away[a, 0] * away[a, 1], 1 - away[a, 1] ** 2
-                        p10 = p01
-                        if blocked_gap[a] < _NO_WALL:
-                            bx, by = blocked_away[a, 0], blocked_away[a, 1]
-                            ahead = blocked_gap[a] + (x - blocked_at[a, 0]) * bx + (y - blocked_at[a, 1]) * by
-                            lacking = max(allowed[a] - ahead, 0.0)
-                            x, y = x + lacking * bx, y + lacking * by
-                            if lacking > 0:
-                                q0, q1 = bx * p00 + by * p10, bx * p01 + by * p11
-                                p00, p01, p10, p11 = (
-                                    p00 - bx * q0,
-                                    p01 - bx * q1,
-                                    p10 - by * q0,
-                                    p11 - by * q1,
-                                )
-                        new_gap, new_x, new_y = wall_gap(x, y, frame, place, choice, option, limit)
-                        if new_gap < allowed[a] - rounding:
-                            blocked_gap[a], blocked_at[a, 0], blocked_at[a, 1] = new_gap, x, y
-                            blocked_away[a, 0], blocked_away[a, 1] = new_x, new_y
-                        else:
-                            blocked_gap[a] = _NO_WALL
-                            here[a, 0], here[a, 1] = x, y
-                            gap[a], away[a, 0], away[a, 1] = new_gap, new_x, new_y
-                            allowed[a] = max(min(new_gap, radius[b, a] - skin), allowed[a])
-                            if slopes.size > 0:
-                                m00, m10 = p00 * m00 + p01 * m10, p10 * m00 + p11 * m10
-                                m01, m11 = p00 * m01 + p01 * m11, p10 * m01 + p11 * m11
-                                n00, n11 = n00 + share * seconds, n11 + share * seconds
-                                n00, n10 = p00 * n00 + p01 * n10, p10 * n00 + p11 * n10
-                                n01, n11 = p00 * n01 + p01 * n11, p10 * n01 + p11 * n11
-                        if gap[a] < radius[b, a]:
-                            wall_contact[b, a, s] = True
-                    half = steps // strides
-                    for m in range(half):
-                        part = (m + 1) / half
-                        path[a, n * half + m, 0] = old_x + part * (here[a, 0] - old_x)
-                        path[a, n * half + m, 1] = old_y + part * (here[a, 1] - old_y)
-                        if not free and part < 1 and not wall_contact[b, a, s]:
-                            x, y = path[a, n * half + m, 0], path[a, n * half + m, 1]
+                            x, y = float(played[b, a, s, m, 0]), float(played[b, a, s, m, 1])
+                        path[a, k, 0], path[a, k, 1] = x, y
+                        k += 1
+                        if has_walls and not touches:
                             _, _, index = quarter(x, y, frame, place)
-                            if least[index] < radius[b, a]:
-                                nearest = wall_gap(x, y, frame, place, choice, option, limit)
-                                wall_contact[b, a, s] = nearest[0] < radius[b, a]
-                if slopes.size > 0:
-                    for k, value in enumerate((m00, m01, m10, m11, n00, n01, n10, n11)):
-                        slopes[b, a, s, k] = value
-            for a in range(agents):
-                extent[a] = 0.0
-                for m in range(1, steps):
-                    dx, dy = path[a, m, 0] - path[a, 0, 0], path[a, m, 1] - path[a, 0, 1]
-                    extent[a] = max(extent[a], dx * dx + dy * dy)
-                extent[a] = math.sqrt(extent[a])
-                trace[b, a, s, 0], trace[b, a, s, 1] = path[a, steps - 1, 0], path[a, steps - 1, 1]
-                if paths.size > 0:
-                    paths[b, a, s] = path[a]
-                done = s > 0 and reached[b, a, s - 1]
-                if wanted[b, a] and not done:
-                    for m in range(steps):
-                        dx, dy = path[a, m, 0] - goal[b, a, 0], path[a, m, 1] - goal[b, a, 1]
+                            if least[index] < body:
+                                touches = wall_gap(x, y, frame, place, choice, option, limit)[0] < body
+                else:
+                    if has_slopes:
+                        m00, m01, m10, m11, n00, n01, n10, n11 = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
+                    full_x, full_y = velocity[0, s, b, a] * seconds, velocity[1, s, b, a] * seconds
+                    length = math.sqrt(full_x * full_x + full_y * full_y)
+                    near = body + length + 1e-3
+                    for _ in range(strides):
+                        old_x, old_y = x, y
+                        free = room > near
+                        if not free:
+                            _, _, index = quarter(old_x, old_y, frame, place)
+                            room = least[index] - 3 * frame[6]
+                            free = least[index] > near
+                        room -= length
+                        if free:
+                            x, y = old_x + full_x, old_y + full_y
+                            if has_slopes:
+                                n00, n11 = n00 + seconds, n11 + seconds
+                            gap, blocked_gap, allowed = np.nan, _NO_WALL, body - skin
+                        else:
+                            if math.isnan(gap):
+                                gap, away_x, away_y = wall_gap(
+                                    old_x, old_y, frame, place, choice, option, limit
+                                )
+                            share = min(max(allowed, creep) / max(length, 1e-6), 1.0)
+                            move_x, move_y = full_x * share, full_y * share
+                            lacking = max(allowed - gap - move_x * away_x - move_y * away_y, 0.0)
+                            to_x, to_y = old_x + move_x + lacking * away_x, old_y + move_y + lacking * away_y
+                            # what is left of moves: all but what the walls take
+                            p00, p01, p11 = 1.0, 0.0, 1.0
+                            if lacking > 0:
+                                p00, p01, p11 = 1 - away_x**2, -away_x * away_y, 1 - away_y**2
+                            p10 = p01
+                            if blocked_gap < _NO_WALL:
+                                bx, by = blocked_away_x, blocked_away_y
+                                ahead = blocked_gap + (to_x - blocked_x) * bx + (to_y - blocked_y) * by
+                                lacking = max(allowed - ahead, 0.0)
+                                to_x, to_y = to_x + lacking * bx, to_y + lacking * by
+                                if lacking > 0:
+                                    q0, q1 = bx * p00 + by * p10, bx * p01 + by * p11
+                                    p00, p01, p10, p11 = (
+                                        p00 - bx * q0,
+                                        p01 - bx * q1,
+                                        p10 - by * q0,
+                                        p11 - by * q1,
+                                    )
+                            new_gap, new_x, new_y = wall_gap(to_x, to_y, frame, place, choice, option, limit)
+                            if new_gap < allowed - rounding:
+                                blocked_gap, blocked_x, blocked_y = new_gap, to_x, to_y
+                                blocked_away_x, blocked_away_y = new_x, new_y
+                            else:
+                                blocked_gap, x, y = _NO_WALL, to_x, to_y
+                                gap, away_x, away_y = new_gap, new_x, new_y
+                                allowed = max(min(new_gap, body - skin), allowed)
+                                if has_slopes:
+                                    m00, m10 = p00 * m00 + p01 * m10, p10 * m00 + p11 * m10
+                                    m01, m11 = p00 * m01 + p01 * m11, p10 * m01 + p11 * m11
+                                    n00, n11 = n00 + share * seconds, n11 + share * seconds
+                                    n00, n10 = p00 * n00 + p01 * n10, p10 * n00 + p11 * n10
+                                    n01, n11 = p00 * n01 + p01 * n11, p10 * n01 + p11 * n11
+                            touches = touches or gap < body
+                        mid_x, mid_y = 0.5 * (old_x + x), 0.5 * (old_y + y)
+                        path[a, k, 0], path[a, k, 1] = mid_x, mid_y
+                        path[a, k + 1, 0], path[a, k + 1, 1] = x, y
+                        k += 2
+                        if not free and not touches:
+                            _, _, index = quarter(mid_x, mid_y, frame, place)
+                            if least[index] < body:
+                                there = wall_gap(mid_x, mid_y, frame, place, choice, option, limit)
+                                touches = there[0] < body
+                    if has_slopes:
+                        for i, value in enumerate((m00, m01, m10, m11, n00, n01, n10, n11)):
+                            slopes[b, a, s, i] = value
+                trace[b, a, s, 0], trace[b, a, s, 1] = x, y
+                wall_contact[b, a, s], agent_contact[b, a, s] = touches, False
+            if paths.size > 0:
+                paths[b, a] = path[a].reshape((ticks, steps, 2))
+            farthest, done = 0.0, False
+            for k in range(points):
+                dx, dy = path[a, k, 0] - path[a, 0, 0], path[a, k, 1] - path[a, 0, 1]
+                farthest = max(farthest, dx * dx + dy * dy)
+            extent[a] = math.sqrt(farthest)
+            dx, dy = path[a, 0, 0] - goal[b, a, 0], path[a, 0, 1] - goal[b, a, 1]
+            comes_near = wanted[b, a] and dx * dx + dy * dy <= (goal_radius + extent[a]) ** 2
+            for s in range(ticks):
+                if comes_near and not done:
+                    for k in range(s * steps, (s + 1) * steps):
+                        dx, dy = path[a, k, 0] - goal[b, a, 0], path[a, k, 1] - goal[b, a, 1]
                         done = done or dx * dx + dy * dy < goal_radius2
                 reached[b, a, s] = done
-            for a in range(agents):
-                if not present[b, a]:
+        for a in range(agents):
+            for other in range(a):
+                if not (present[b, a] and present[b, other]):
                     continue
-                for other in range(a):
-                    if not present[b, other] or (agent_contact[b, a, s] and agent_contact[b, other, s]):
-                        continue
-                    both = radius[b, a] + radius[b, other]
-                    far = both + extent[a] + extent[other]
-                    dx, dy = path[a, 0, 0] - path[other, 0, 0], path[a, 0, 1] - path[other, 0, 1]
-                    if dx * dx + dy * dy > far * far:
-                        continue
-                    for m in range(steps):
-                        dx, dy = path[a, m, 0] - path[other, m, 0], path[a, m, 1] - path[other, m, 1]
+                both = radius[b, a] + radius[b, other]
+                far = both + extent[a] + extent[other]
+                dx, dy = path[a, 0, 0] - path[other, 0, 0], path[a, 0, 1] - path[other, 0, 1]
+                if dx * dx + dy * dy > far * far:
+                    continue
+                for s in range(ticks):
+                    for k in range(s * steps, (s + 1) * steps):
+                        dx, dy = path[a, k, 0] - path[other, k, 0], path[a, k, 1] - path[other, k, 1]
                         if dx * dx + dy * dy < both * both:
-                            agent_contact[b, a, s] = True
-                            agent_contact[b, other, s] = True
+                            agent_contact[b, a, s], agent_contact[b, other, s] = True, True
                             break
 
 

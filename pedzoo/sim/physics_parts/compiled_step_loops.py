@@ -15,6 +15,9 @@ from pedzoo.sim.physics_parts.compiled_loops import advance
 _0, _1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _TINY, _MOST = np.float32(1e-12), np.float32(1e6)
 
+_BLOCK = 32
+"""Scenes that are moved together: what was written last is still in the processor's cache."""
+
 
 @jit
 def _limited(x, y, top_speed):
@@ -80,59 +83,64 @@ def move(
     new_mask, new_controlled, new_overdue, moving, hit, sets_out = flags
     second = np.float32(tick_seconds)
     step = np.float32(ticks * tick_seconds)
-    for b in range(scenes):
-        bad = failed[b]
-        for a in range(agents):
-            finite = math.isfinite(commands[b, a, 0]) and math.isfinite(commands[b, a, 1])
-            bad = bad or (controlled[b, a] and not finite)
-        new_failed[b] = bad
-        new_clock[b] = clock[b] + step
-        for a in range(agents):
-            moving[b, a] = controlled[b, a] and not bad
-            walking[b, a] = moving[b, a] and goal_id[b, a] >= 0
-            x, y = _0, _0
-            if walking[b, a]:
-                x = min(max(commands[b, a, 0], -_MOST), _MOST)
-                y = min(max(commands[b, a, 1], -_MOST), _MOST)
-            x, y = _limited(x, y, top_speed[b, a])
-            _blended(velocity[b, a, 0], velocity[b, a, 1], x, y, top_speed[b, a], speeds, b, a)
-            for n in range(length - ticks):
-                new_past[b, a, n, 0] = past[b, a, n + ticks, 0]
-                new_past[b, a, n, 1] = past[b, a, n + ticks, 1]
-    advance(
-        past[:, :, length - 1], speeds, radius, mask, moving, np.empty((0, 0, 0, 0, 2), np.float32),
-        goal_point, walking, goal_radius2, steps, strides, skin, wall_rounding, creep, tick_seconds,
-        frames, places, choice, option, least, limit,
-        new_past[:, :, length - ticks :], events[0], events[1], events[2],
-        np.empty((0, 0, 0, 0, 2), np.float32), np.empty((0, 0, 0, 8), np.float32),
-    )  # fmt: skip
-    for b in range(scenes):
-        for a in range(agents):
-            got = events[2, b, a, ticks - 1]
-            in_time = False
-            for tick in range(ticks):
-                when = clock[b] + second * np.float32(tick + 1)
-                in_time = in_time or (events[2, b, a, tick] and when <= deadline[b, a] + rounding)
-            past_deadline = new_clock[b] > deadline[b, a] + rounding and not in_time and reached[b, a] < goals
-            new_overdue[b, a] = overdue[b, a] or (past_deadline and controlled[b, a])
-            waits = mask[b, a] and not controlled[b, a] and stands[b, a] > 0
-            sets_out[b, a] = waits and new_clock[b] + rounding >= stands[b, a]
-            count = reached[b, a] + got
-            stays = not leave or count < goals
-            new_mask[b, a] = mask[b, a] and stays
-            new_controlled[b, a] = (controlled[b, a] or sets_out[b, a]) and stays
-            hit[b, a] = got
-            later = later_goals[b, a, drawn[b, a] % later_goals.shape[2]]
-            counts[0, b, a] = person[b, a] if new_mask[b, a] else -1
-            counts[1, b, a] = later if got and (later >= 0 or not keep_goal) else goal_id[b, a]
-            counts[2, b, a] = drawn[b, a] + got
-            counts[3, b, a] = count
-            x = (new_past[b, a, length - 1, 0] - new_past[b, a, length - 2, 0]) / second
-            y = (new_past[b, a, length - 1, 1] - new_past[b, a, length - 2, 1]) / second
-            new_velocity[b, a, 0], new_velocity[b, a, 1] = x, y
-            new_heading[b, a] = heading[b, a]
-            if x * x + y * y > turns_from * turns_from:
-                new_heading[b, a] = math.atan2(y, x)
+    for first in range(0, scenes, _BLOCK):
+        last = min(first + _BLOCK, scenes)
+        for b in range(first, last):
+            bad = failed[b]
+            for a in range(agents):
+                finite = math.isfinite(commands[b, a, 0]) and math.isfinite(commands[b, a, 1])
+                bad = bad or (controlled[b, a] and not finite)
+            new_failed[b] = bad
+            new_clock[b] = clock[b] + step
+            for a in range(agents):
+                moving[b, a] = controlled[b, a] and not bad
+                walking[b, a] = moving[b, a] and goal_id[b, a] >= 0
+                x, y = _0, _0
+                if walking[b, a]:
+                    x = min(max(commands[b, a, 0], -_MOST), _MOST)
+                    y = min(max(commands[b, a, 1], -_MOST), _MOST)
+                x, y = _limited(x, y, top_speed[b, a])
+                _blended(velocity[b, a, 0], velocity[b, a, 1], x, y, top_speed[b, a], speeds, b, a)
+                for n in range(length - ticks):
+                    new_past[b, a, n, 0] = past[b, a, n + ticks, 0]
+                    new_past[b, a, n, 1] = past[b, a, n + ticks, 1]
+        advance(
+            past[first:last, :, length - 1], speeds[:, :, first:last], radius[first:last], mask[first:last],
+            moving[first:last], np.empty((0, 0, 0, 0, 2), np.float32), goal_point[first:last],
+            walking[first:last], goal_radius2, steps, strides, skin, wall_rounding, creep, tick_seconds,
+            frames[first:last], places[first:last], choice, option, least, limit,
+            new_past[first:last, :, length - ticks :], events[0, first:last], events[1, first:last],
+            events[2, first:last], np.empty((0, 0, 0, 0, 2), np.float32), np.empty((0, 0, 0, 8), np.float32),
+        )  # fmt: skip
+        for b in range(first, last):
+            for a in range(agents):
+                got = events[2, b, a, ticks - 1]
+                in_time = False
+                for tick in range(ticks):
+                    when = clock[b] + second * np.float32(tick + 1)
+                    in_time = in_time or (events[2, b, a, tick] and when <= deadline[b, a] + rounding)
+                past_deadline = (
+                    new_clock[b] > deadline[b, a] + rounding and not in_time and reached[b, a] < goals
+                )
+                new_overdue[b, a] = overdue[b, a] or (past_deadline and controlled[b, a])
+                waits = mask[b, a] and not controlled[b, a] and stands[b, a] > 0
+                sets_out[b, a] = waits and new_clock[b] + rounding >= stands[b, a]
+                count = reached[b, a] + got
+                stays = not leave or count < goals
+                new_mask[b, a] = mask[b, a] and stays
+                new_controlled[b, a] = (controlled[b, a] or sets_out[b, a]) and stays
+                hit[b, a] = got
+                later = later_goals[b, a, drawn[b, a] % later_goals.shape[2]]
+                counts[0, b, a] = person[b, a] if new_mask[b, a] else -1
+                counts[1, b, a] = later if got and (later >= 0 or not keep_goal) else goal_id[b, a]
+                counts[2, b, a] = drawn[b, a] + got
+                counts[3, b, a] = count
+                x = (new_past[b, a, length - 1, 0] - new_past[b, a, length - 2, 0]) / second
+                y = (new_past[b, a, length - 1, 1] - new_past[b, a, length - 2, 1]) / second
+                new_velocity[b, a, 0], new_velocity[b, a, 1] = x, y
+                new_heading[b, a] = heading[b, a]
+                if x * x + y * y > turns_from * turns_from:
+                    new_heading[b, a] = math.atan2(y, x)
 
 
 @compiled(

@@ -70,6 +70,6 @@ def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
     closest = away + soon * velocity
     least = (closest.square().sum(-1, keepdim=True) + 1e-6).sqrt()
     urgent = near * REACH / (REACH + least) * torch.exp(-soon / 2)
-    vectors = (near * away / REACH, near * velocity, near * closest / REACH)
-    turned = [geometry.unrotate(vector, heading.expand_as(vector)) for vector in vectors]
-    return torch.cat((*turned, near, urgent), -1)
+    vectors = torch.stack((near * away / REACH, near * velocity, near * closest / REACH), -2)
+    turned = geometry.unrotate(vectors, heading.unsqueeze(-2).expand_as(vectors))
+    return torch.cat((turned.flatten(-2), near, urgent), -1)
