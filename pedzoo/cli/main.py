@@ -23,7 +23,7 @@ from pedzoo.core.registry import (
     Registry,
 )
 
-COMMANDS = Registry("command", "pedzoo.cli.commands")
+COMMANDS = Registry("command", "pedzoo.cli.commands", "pedzoo.cli.commands.training")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -52,8 +52,8 @@ def _dispatch(argv: list[str]) -> int:
         print(f"pedzoo {__version__}")
         return 0
     name, rest = argv[0], argv[1:]
-    if name.isidentifier() and name[0] != "_" and (COMMANDS.folder / f"{name}.py").is_file():
-        return import_module(f"{COMMANDS.package}.{name}").run(renamed.new_words(rest))
+    if package := COMMANDS.package_of(name):
+        return import_module(f"{package}.{name}").run(renamed.new_words(rest))
     return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
 
 

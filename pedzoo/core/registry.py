@@ -35,7 +35,7 @@ class Registry:
         Args:
             kind: The word for one of them in messages.
             package: ``pedzoo.*``, or ``tools.*``, which only a checkout has.
-            more: A second package, of which a checkout serves the files, too.
+            more: A second package, whose files are served, too; one of ``tools.*`` in a checkout alone.
         """
         self.kind = kind
         self.package = package
@@ -49,7 +49,7 @@ class Registry:
 
     def describe(self, name: str) -> str:
         """Return the first line of the drop-in's docstring, without importing it."""
-        package = self._package_of(name)
+        package = self.package_of(name)
         return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
 
     def described(self, pattern: str) -> list[dict[str, str]]:
@@ -72,7 +72,7 @@ class Registry:
         if colon:
             tree = ast.parse(path.read_text()) if path.is_file() else None
         else:
-            package, wanted = self._package_of(name), name.replace("_", "")
+            package, wanted = self.package_of(name), name.replace("_", "")
             tree = _parsed(package, name) if package else None
         body = tree.body if tree else []
         classes = (one for one in body if isinstance(one, ast.ClassDef))
@@ -102,7 +102,7 @@ class Registry:
             return _in_file(name, "class", inspect.isclass)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
-        package = self._package_of(name)
+        package = self.package_of(name)
         if package is None:
             raise unknown(self.kind, name, self.names())
         module = import_of_checkout(f"{package}.{name}")
@@ -116,7 +116,8 @@ class Registry:
     def _packages(self) -> tuple[str, ...]:
         return (self.package, self._more) if self._more else (self.package,)
 
-    def _package_of(self, name: str) -> str | None:
+    def package_of(self, name: str) -> str | None:
+        """Return the package whose file has a name, or None."""
         if not name.isidentifier() or name.startswith("_"):
             return None
         return next((one for one in self._packages if (folder_of(one) / f"{name}.py").is_file()), None)

@@ -1,0 +1,1 @@
+"""Commands of trainings: Lightning runs them."""
