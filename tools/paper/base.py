@@ -141,8 +141,8 @@ def markdown(
         *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),
     ]
     for page in made.pages(report):
-        rows = [[cell.replace("\n", "<br>") for cell in row] for row in page.rows]
-        lines += [f"## {page.title}\n", markdown_table(page.head, rows)]
+        head, *rows = [[cell.replace("\n", "<br>") for cell in row] for row in (page.head, *page.rows)]
+        lines += [f"## {page.title}\n", markdown_table(head, rows)]
     if legend := made.legend():
         lines += ["## What the numbers are\n", *(f"* `{key}`: {text}." for key, text in legend.items())]
     return "\n".join(lines).rstrip() + "\n"

@@ -31,6 +31,9 @@ class Table(NamedTuple):
     columns: tuple[str, ...]
 
 
+LEARNED = ("robot_ppo.circle", "robot_ppo.crowd")
+"""Robots that have learned: among CrowdNav's people, and among those of CrowdNav++."""
+
 _SPACE = "crowdnav_orca:safety_space=0.15"
 _COLUMNS = ("success", "collision", "timeout", "time_s", "path_m")
 TABLES = {
@@ -40,7 +43,7 @@ TABLES = {
         TEST,
         (
             *("crowdnav_orca", _SPACE, "straight", "stop", "crowdnav_social_force", "sampling", "dwa"),
-            "robot_ppo.circle",
+            *LEARNED,
         ),
         (*_COLUMNS, "discomfort", "return"),
     ),
@@ -48,14 +51,14 @@ TABLES = {
         "CrowdNav: 5 people who see the robot",
         replace(CROWDNAV, visible=True),
         TEST,
-        ("crowdnav_orca", _SPACE, "sampling", "robot_ppo.circle"),
+        ("crowdnav_orca", _SPACE, "sampling", *LEARNED),
         (*_COLUMNS, "discomfort", "return"),
     ),
     "crowdnav_pp": Table(
         "CrowdNav++: 20 people who do not see the robot",
         CROWDNAV_PP,
         SOCIAL_FORCE_LOG.first,
-        (ORCA_PP, "crowdnav_social_force", "straight", "sampling", "robot_ppo.circle"),
+        (ORCA_PP, "crowdnav_social_force", "straight", "sampling", *LEARNED),
         (*_COLUMNS, "intrusion_ratio", "intrusion_distance_m"),
     ),
 }
@@ -126,8 +129,8 @@ LEGEND = {
 }
 
 NOTES = (
-    "`robot_ppo.circle` has learned, on other crowds; the others have not. `sampling` has settings that were"
-    " chosen on other cases, seeds 0 to 499 of CrowdNav's validation. In brackets 95 % intervals over n"
+    "`robot_ppo.circle` and `robot_ppo.crowd` have learned, in other crowds of CrowdNav and of CrowdNav++; the"
+    " others have not. `sampling` has settings that were chosen on other cases, seeds 0 to 499 of CrowdNav's validation. In brackets 95 % intervals over n"
     " cases: Wilson's for shares, bootstrapped"
     " otherwise",
     "`dwa` is a differential drive (1 m/s, 1 m/s^2, 1.5 rad/s); the others go in any direction at once",
