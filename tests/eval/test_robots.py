@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,15 @@ import torch
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
+from pedzoo.eval import card_numbers
+from pedzoo.eval.card_reports import Job, report_of
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.robots import robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites import robots as suite
 from pedzoo.eval.units import digest, work
 from pedzoo.metrics.robots.legend import LEGEND
+from pedzoo.models.zoo.store import find
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.robot_parts.rollout import RobotRollout
 
@@ -148,3 +152,27 @@ def test_whatever_is_misspelt_is_refused_before_anything_drives(
         Evaluation(["orca"], ["door"], EvaluationOptions(people=("orca",)))
     with pytest.raises(UserError, match="did you mean 'straight'"):
         Evaluation(["strait"], ["robots"])
+
+
+def test_a_mixed_crowd_walks_beside_the_robot() -> None:
+    crowd = "orca:share=0.5+social_force:preset=indoor,share=0.5"
+    cases = suite.Robots("robots").cases(EvaluationOptions(episodes=1, people=(crowd,)))
+    assert {case.people for case in cases} == {crowd}
+
+
+def test_numbers_of_a_robots_card_are_done_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(card_numbers, "ROBOT_EPISODES", 1)
+    monkeypatch.setattr(suite, "SCENES", {"open": suite.SCENES["open"]})
+    report = card_numbers.measure_robot("robot_ppo.circle", "orca", "disc")
+    assert report["protocol"]["people"] == ["orca"] and report["rows"][0]["n"] == 1
+    entry = find("robot_ppo.circle")
+    assert entry
+    (result,) = card_numbers.again(replace(entry.card, evaluations=[report]))
+    assert result.now and all(one.same for one in card_numbers.compare(report, result.now))
+
+
+@pytest.mark.parametrize("asked", [{"people": ["x.py:Mine"]}, {"robot": "x.py:Mine"}])
+def test_a_robots_card_never_makes_code_run(asked: dict[str, Any]) -> None:
+    job = Job("robot_ppo.circle", {"suites": ["robots"], "episodes": 1} | asked, [0])
+    with pytest.raises(UserError, match="a file of code, which no card runs"):
+        report_of("evaluate", job)

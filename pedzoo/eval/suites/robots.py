@@ -6,7 +6,7 @@ from typing import Any, ClassVar, cast
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
-from pedzoo.core.spec import Spec, build, parse
+from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit
 from pedzoo.eval.suites.replay import digest_of
@@ -76,7 +76,7 @@ class Robots(Suite):
                 "table": f"{self.name} {people}",
                 "robot": robot,
             }
-            if parse(people).name == REPLAY:
+            if name_of(people) == REPLAY:
                 result.append(_replayed(people, options.root, common))
                 continue
             load_policy(people)
@@ -101,7 +101,7 @@ class Robots(Suite):
             f"{self.name}: the robot is {options.robot or ROBOT}; a touch ends its episode; the same scenes "
             "without it say what it does to people"
         ]
-        if any(parse(people).name == REPLAY for people in options.people or PEOPLE):
+        if any(name_of(people) == REPLAY for people in options.people or PEOPLE):
             result.append(
                 f"{self.name}: in {REPLAY} the robot takes the place of one person after the other; all "
                 "others are played back and do not react, so it delays none of them"
