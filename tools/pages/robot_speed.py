@@ -23,7 +23,7 @@ is in them, so the last column has the seconds that pass in all scenes in one se
 
 NOTES = """- Ours, in `apartment.7`: 0.2 s with the robot's policy (straight to the waypoint), people's
   decisions, contacts and goals every 0.1 s, walls, guidance around them, all sensors, rewards and resets.
-- VMAS' `navigation`: 0.1 s, random actions, nobody plans; 16 of the 192 edges of the same walls, or none.
+- VMAS' `navigation`: 0.1 s, random actions, no agent plans; 16 of the 192 edges of the same walls, or none.
 - JaxNav: 0.1 s, random actions, walls of its own; agents that touched something stand. One robot's rays are
   computed; JaxNav itself computes those of all.
 - **CrowdNav's own gym has one environment, no walls and no lidar, and its people decide every 0.25 s**; a

@@ -32,7 +32,7 @@ def is_recording(text: str) -> bool:
 def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
     """Return the people of a simulator's file.
 
-    The first 8 rows (3.2 s) of everybody are not scored, as in the recording. People whom `twins` finds in
+    The first 8 rows (3.2 s) of each person are not scored, as in the recording. People whom `twins` finds in
     the recording have its roles and exits. All others are scored from there to their last row, where their
     exit is taken to be: also people who only stand.
 
@@ -50,7 +50,7 @@ def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
     speed = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within].max(initial=0) / STEP_SECONDS
     if speed > FASTEST:
         raise UserError(
-            f"{path}: somebody walks at {speed:.1f} m/s with {dt:g} s per frame, expected at most "
+            f"{path}: a person walks at {speed:.1f} m/s with {dt:g} s per frame, expected at most "
             f"{FASTEST:g}: set --dt to the seconds between consecutive frame numbers, positions in metres"
         )
     people, xy = without_goals([tracks])

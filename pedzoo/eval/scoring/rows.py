@@ -96,7 +96,7 @@ def real_rows(real: Side) -> list[dict[str, Any]]:
 
 
 def _distances(mine: View, theirs: View, drawn: _Drawn, prefix: str, exact: bool = True) -> dict[str, Tensor]:
-    """Return the numbers of `compared` (1 + R,); the first row exactly if it counts everybody once."""
+    """Return the numbers of `compared` (1 + R,); the first row exactly if it counts each person once."""
     real = only(theirs.crowd, theirs.crowd.minutes > 0)
     distance = resampled_distances(mine.crowd, real, drawn.mine, drawn.theirs)
     if exact:

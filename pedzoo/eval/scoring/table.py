@@ -47,9 +47,9 @@ def pages(report: Mapping[str, Any]) -> list[Page]:
         if known:
             result.append(Page(title, ["crowd", "n", *known], body, 2))
     telling = [
-        [_label(row), key, ", ".join(f"{name} {share:.0%}" for name, share in told.items())]
+        [_label(row), key, ", ".join(f"{name} {share:.0%}" for name, share in telling.items())]
         for row in rows
-        for key, told in row.get("telling", {}).items()
+        for key, telling in row.get("telling", {}).items()
     ]
     if telling:
         result.append(Page("what the classifier goes by", ["crowd", "test", "by share of gain"], telling, 3))

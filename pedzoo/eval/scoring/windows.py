@@ -180,7 +180,7 @@ def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, Scenes]:
         tables.append(table(here, parts.first, gone, end + 1, int(slot.max()) + 1))
     number = torch.arange(windows)
     begin = torch.full_like(number, OBS_LEN - 1)
-    no_lead, everybody = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
+    no_lead, others = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
     ends = begin + STEPS + 1, begin, begin + STEPS
-    scenes = Scenes(number, begin, *ends, no_lead, everybody)
+    scenes = Scenes(number, begin, *ends, no_lead, others)
     return torch.stack(tables), scenes

@@ -16,7 +16,7 @@ TREES, DEPTH, RATE = 100, 5, 0.1
 """Size of the ensemble, and by how much each tree is believed."""
 
 BINS = 64
-"""Values of a feature are told apart by so many of its quantiles."""
+"""Values of a feature are distinguished by so many of its quantiles."""
 
 LEAST = 20
 """Rows in a leaf."""

@@ -47,9 +47,9 @@ def measured(steps: Steps, people: int, axis: Tensor) -> dict[str, PersonSums]:
     """Return the measures of one rollout, by the names of their columns.
 
     * ``standing_share``: of scored steps, those slower than 0.1 m/s.
-    * ``company_share``: those with a companion, somebody within 1.5 m in each of the last 8 steps (2.8 s)
+    * ``company_share``: those with a companion, a person within 1.5 m in each of the last 8 steps (2.8 s)
       whose relative place has changed by less than 0.5 m meanwhile.
-    * ``crowdes_collision``: those with somebody nearer than 0.2 m.
+    * ``crowdes_collision``: those with a person nearer than 0.2 m.
     * ``lane_order``: how much more often than in a mixed crowd two walkers in the same strip walk the same
       way, see `lane_order`.
 
@@ -96,7 +96,7 @@ def _accompanied(steps: Steps, apart: Tensor, distance: Tensor) -> Tensor:
     person, last = steps.person.transpose(1, 2), TOGETHER - 1
     same = person[:, last:] == person[:, :-last]
     same = same.unsqueeze(2) & same.unsqueeze(3)
-    for back in range(1, last):  # nobody else was in their slots meanwhile
+    for back in range(1, last):  # no other person was in their slots meanwhile
         between = person[:, last - back : person.shape[1] - back] == person[:, last:]
         same &= between.unsqueeze(2) & between.unsqueeze(3)
     near = (distance <= NEAR).unfold(1, TOGETHER, 1).all(-1)

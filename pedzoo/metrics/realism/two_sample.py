@@ -1,7 +1,7 @@
 """The classifier two-sample test: can a small classifier tell simulated people from real ones?
 
 Lopez-Paz and Oquab, "Revisiting classifier two-sample tests", ICLR 2017, with the area under the ROC curve
-(AUC) in place of the accuracy. 0.5: they cannot be told apart; 1: always.
+(AUC) in place of the accuracy. 0.5: it cannot distinguish them; 1: always.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Verdict(NamedTuple):
 
     @property
     def telling(self) -> dict[str, float]:
-        """The three channels that told most, with their shares."""
+        """The three channels that distinguish most, with their shares."""
         order = self.gain.argsort(descending=True)[:3].tolist()
         return {CHANNELS[channel]: round(float(self.gain[channel]), 3) for channel in order}
 

@@ -24,13 +24,13 @@ TURN_GAIN = 2.5
 """Turning rate of untrained wheels for each radian by which they face away, 1/s; weights rely on it."""
 
 _OWN, _PERSON = 9, 13
-"""Numbers that are told of a robot and of a person."""
+"""How many numbers describe a robot and a person."""
 
 
 class Attention(RobotPolicy):
     """The mean of an action is the one of a robot that goes straight on its way, and what a network adds.
 
-    Everything is told in a frame of the robot: discs that move in any direction look along their way, robots
+    All numbers are in a frame of the robot: discs that move in any direction look along their way, robots
     on wheels along their heading. So turning the world changes nothing. Untrained it goes straight.
 
     Attributes:

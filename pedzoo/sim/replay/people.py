@@ -18,7 +18,7 @@ from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
 
 USUAL, STANDS = 1.3, 0.1
-"""m/s: what people like where nobody is seen to walk freely, and below which they stand."""
+"""m/s: what people like where no person is seen to walk freely, and below which they stand."""
 
 LONGEST = 2
 """People are taken out after so many times as long as they really took."""
@@ -31,7 +31,7 @@ REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "
 SpeedOf = Literal["observed", "estimated", "track"]
 
 _FREE = 1.0
-"""Metres: people with nobody so near walk as fast as they like."""
+"""Metres: people without others so near walk as fast as they like."""
 
 _PRIOR = 3
 """Steps for which the speed of others counts beside one's own free steps."""
@@ -160,8 +160,8 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
 def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarray:
     """Return the speed that people would like (P,), m/s, from what is seen of them until they are taken over.
 
-    Free steps are those at whose end nobody is within 1 m: in a queue there are none. The estimate is the
-    mean of a person's free steps and of 3 steps of the crowd's speed, which is the median of everybody's.
+    Free steps are those at whose end no person is within 1 m: in a queue there are none. The estimate is the
+    mean of a person's free steps and of 3 steps of the crowd's speed, which is the median of all people's.
 
     Args:
         tracks: Rows in every frame of 0.4 s, person after person.

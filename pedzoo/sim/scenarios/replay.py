@@ -76,7 +76,7 @@ class Replay(Scenario):
             share: Only people who come in this first share of the time are simulated, others are played
                 back: a tenth gives a quick look.
             speed: The speed that people like: ``observed`` in their first 8 steps; ``estimated`` from those
-                of them in which nobody is near, for recordings of queues; or that of the whole ``track``,
+                of them in which no person is near, for recordings of queues; or that of the whole ``track``,
                 which uses the future. At least 0.3 m/s.
 
         Raises:

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC
-from pedzoo.core.geometry import unrotate
+from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robots.attention import TURN_GAIN, as_decision, frame_of
@@ -75,7 +75,7 @@ def taught(scenes: TensorDictBase) -> Tensor:
 def _samples(device: torch.device) -> Tensor:
     """Return shares of the top speed (S, 2), standing last."""
     angle = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
-    turn = torch.stack((angle.cos(), angle.sin()), dim=-1)
+    turn = direction_of(angle)
     share = torch.arange(SPEEDS, 0, -1, device=device) / SPEEDS
     return torch.cat(((turn[:, None] * share[:, None]).flatten(0, 1), torch.zeros(1, 2, device=device)))
 
@@ -105,7 +105,7 @@ def _gap(seen: TensorDictBase, velocity: Tensor, way: Tensor) -> Tensor:
     if "lidar" in seen.keys():
         beams = seen["lidar"].shape[-1]
         angle = torch.arange(beams, device=way.device) * (2 * math.pi / beams)
-        ends = seen["lidar"].unsqueeze(-1) * torch.stack((angle.cos(), angle.sin()), dim=-1)
+        ends = seen["lidar"].unsqueeze(-1) * direction_of(angle)
         place = torch.cat((place, ends), dim=-2)
         move = torch.cat((move, torch.zeros_like(ends)), dim=-2)
         radius = torch.cat((radius, torch.zeros_like(ends[..., :1])), dim=-2)

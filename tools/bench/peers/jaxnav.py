@@ -9,7 +9,7 @@ when all robots of its scene have touched something or arrived, or after 500 ste
 of 64 starts drawn beforehand. JaxNav's own reset draws a map in every step, needed or not, and is slower.
 
 In the section ``robots`` the lidar has 64 rays: those of the last robot alone
-are computed, and all robots are told them; JaxNav itself computes those of each.
+are computed, and all robots get them; JaxNav itself computes those of each.
 
 One step of all scenes is one compiled program, on one thread and one processor.
 """
@@ -55,7 +55,7 @@ def built(size: dict[str, Any], lidars: tuple[int, bool]) -> tuple[Step, None]:
     from jaxmarl.environments.jaxnav import JaxNav  # pyright: ignore[reportMissingImports]
 
     class LastLidar(JaxNav):
-        """All robots are told what the last one's lidar says: it is computed once."""
+        """All robots get what the last one's lidar says: it is computed once."""
 
         def _lidar_sense(self, idx: Any, state: Any) -> Any:
             return super()._lidar_sense(self.num_agents - 1, state)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.walls.segments import WallSegments
@@ -128,23 +129,31 @@ def _metrics(speeds: list[float], step: float) -> dict[str, Measured]:
     return {"agent_steps_per_s": Measured.of(speeds), "step_s": Measured.of([step])}
 
 
-class Walk:
-    """An environment and who walks in it, in the middle of episodes."""
+class Running:
+    """An environment and the policy that moves its agents, in the middle of episodes."""
 
-    def __init__(self, scene: PreparedScenario | str, size: Size, policy: str, quick: bool = False) -> None:
-        """Walk for about an episode, so that not all scenes are reset in the same step."""
-        self.policy_name, self.title = policy, f"env + {policy}"
-        self.policy = load_policy(policy)
-        self.env: PedestrianEnv = make_env(scene, size.scenes, decision_dt=self.policy.decision_dt)
-        self.now: TensorDictBase = self.env.reset()
-        self.least = 1 if quick else round(TURN / self.env.decision_dt)
-        for _ in range(2 if quick else round(WARM / self.env.decision_dt)):
+    def __init__(self, env: PedestrianEnv, policy: TensorDictModuleBase, quick: bool = False) -> None:
+        """Run for about an episode, so that not all scenes are reset in the same step."""
+        self.env, self.policy = env, policy
+        self.now: TensorDictBase = env.reset()
+        self.least = 1 if quick else round(TURN / env.decision_dt)
+        for _ in range(2 if quick else round(WARM / env.decision_dt)):
             self.step()
 
     @torch.no_grad()
     def step(self) -> None:
-        """Let every person decide once and walk."""
+        """Let every agent decide once and move."""
         _, self.now = self.env.step_and_maybe_reset(self.policy(self.now))
+
+
+class Walk(Running):
+    """People who walk by a policy."""
+
+    def __init__(self, scene: PreparedScenario | str, size: Size, policy: str, quick: bool = False) -> None:
+        """Make the environment, and walk for about an episode."""
+        self.policy_name, self.title = policy, f"env + {policy}"
+        walker = load_policy(policy)
+        super().__init__(make_env(scene, size.scenes, decision_dt=walker.decision_dt), walker, quick)
 
     @torch.no_grad()
     def ask(self) -> None:

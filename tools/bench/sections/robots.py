@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import lightning as L
-import torch
-from tensordict import TensorDictBase
 
 from pedzoo.cli.robot_training import RobotTrainingCLI
 from pedzoo.core.spec import parse
@@ -20,7 +18,7 @@ from tools.bench.figures import Measured, Row
 from tools.bench.peer import Scenes, running
 from tools.bench.scenes import Size, sizes
 from tools.bench.section import Section
-from tools.bench.sections.loop import TURN, WARM
+from tools.bench.sections.loop import Running
 from tools.bench.turns import Clock, Side, in_turns, ratio, repeated
 
 PLAN = "apartment.7"
@@ -125,24 +123,15 @@ def measured(speeds: list[float], agents: int, step: float) -> dict[str, Measure
     }
 
 
-class Drive:
-    """Robots in the middle of episodes."""
+class Drive(Running):
+    """Robots that drive straight among people."""
 
     def __init__(self, size: Size, plan: str, people: str, lidar: bool, quick: bool = False) -> None:
-        """Drive for about an episode, so that not all scenes are reset in the same step."""
-        self.policy = load_robot_policy("straight")
+        """Make the environment, and drive for about an episode."""
         scenario = f"goals:map={plan},people={size.people}"
         sensors = [*SENSES, *([LIDAR] if lidar else [])]
-        self.env = make_robot_env(scenario, "disc", people, size.scenes, sensors)
-        self.now: TensorDictBase = self.env.reset()
-        self.least = 1 if quick else round(TURN / self.env.decision_dt)
-        for _ in range(2 if quick else round(WARM / self.env.decision_dt)):
-            self.step()
-
-    @torch.no_grad()
-    def step(self) -> None:
-        """Let robots decide once and drive."""
-        _, self.now = self.env.step_and_maybe_reset(self.policy(self.now))
+        env = make_robot_env(scenario, "disc", people, size.scenes, sensors)
+        super().__init__(env, load_robot_policy("straight"), quick)
 
 
 class Updates(L.Callback):
