@@ -16,10 +16,12 @@ agents/valid           (B, A, 8) bool         which of them are known
 agents/velocity        (B, A, 2)              current velocity, m/s
 agents/heading         (B, A, 1)              direction in which the body faces, radians from the x axis
 agents/pref_speed      (B, A, 1)              the speed this agent likes, m/s
+agents/top_speed       (B, A, 1)              the speed to which its velocities are shortened, m/s
 agents/radius          (B, A, 1)              radius of the body, metres
 agents/kind            (B, A) long            `PERSON` or `ROBOT`
 agents/goal            (B, A, 2)              short-term goal; absent under the goal protocol ``none``
 agents/desired_velocity(B, A, 2)              pref_speed towards the goal; absent with it
+agents/remaining_path  (B, A, 1)              simulated scenes only: length of the path to the goal, metres
 agents/mask            (B, A) bool            the agent is here
 agents/controlled      (B, A) bool            the policy at hand moves this agent
 agents/future          (B, A, T, 2)           recordings only: the true continuation
@@ -47,7 +49,7 @@ from torch import Tensor
 from pedzoo.core.adapters import non_tensor_of, tensordict_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import heading_of
-from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 
 if TYPE_CHECKING:
     from pedzoo.maps.bank import MapBank
@@ -76,12 +78,14 @@ def scene_batch(
     valid: Tensor,
     mask: Tensor,
     pref_speed: Tensor,
+    top_speed: Tensor | None = None,
     velocity: Tensor | None = None,
     heading: Tensor | None = None,
     radius: Tensor | None = None,
     kind: Tensor | None = None,
     goal: Tensor | None = None,
     desired_velocity: Tensor | None = None,
+    remaining_path: Tensor | None = None,
     controlled: Tensor | None = None,
     id: Tensor | None = None,
     key: Tensor | None = None,
@@ -99,12 +103,14 @@ def scene_batch(
         valid: Which of them are known.
         mask: Which agents are here.
         pref_speed: Preferred speeds.
+        top_speed: Top speeds; None for 1.3 times the preferred ones.
         velocity: Current velocities; None for those of the last observed step.
         heading: Directions of the bodies; None for those of ``velocity``.
         radius: Radii of the bodies; None for `pedzoo.core.types.BODY_RADIUS`.
         kind: Kinds of agents; None for persons.
         goal: Short-term goals; None leaves the key out, as for all that follow but ``controlled`` and ``id``.
         desired_velocity: The planner's velocities.
+        remaining_path: Length of the path to the goal.
         controlled: Which agents the policy moves; None for all that are here.
         id: Numbers of the agents; None for their slots.
         key: Keys of the scenes, the key ``scene_key``.
@@ -124,10 +130,12 @@ def scene_batch(
         "velocity": velocity,
         "heading": heading_of(velocity).unsqueeze(-1) if heading is None else heading,
         "pref_speed": pref_speed,
+        "top_speed": TOP_SPEED_RATIO * pref_speed if top_speed is None else top_speed,
         "radius": radius,
         "kind": torch.zeros_like(mask, dtype=torch.long) if kind is None else kind,
         "goal": goal,
         "desired_velocity": desired_velocity,
+        "remaining_path": remaining_path,
         "mask": mask,
         "controlled": mask if controlled is None else controlled,
         "future": future,

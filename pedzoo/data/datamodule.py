@@ -17,6 +17,7 @@ from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import Recording, Split, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
+from pedzoo.data.tracks import Tracks
 from pedzoo.data.windows import Counts, KeptPeople
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
@@ -178,6 +179,11 @@ class TrajectoryDataModule(L.LightningDataModule):
         if steps:
             self.unrolled = self._scenes(real, steps, "present", 1)
             _print_counts(f"{self.fold} train, unrolled for {steps} steps", self.unrolled)
+
+    def crowds(self, split: Split) -> list[tuple[Tracks, int]]:
+        """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan."""
+        recordings = (self._real or self.source).recordings(split)
+        return [(one.tracks, self._grids[one.plan].map_id if one.plan else -1) for one in recordings]
 
     def _scenes(
         self, recordings: list[Recording], steps: int, people: KeptPeople, min_people: int

@@ -46,6 +46,9 @@ class Forecaster(nn.Module):
     Attributes:
         needs: Inputs besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
+        noise_periods: How often each number of the noise is drawn when it walks, seconds, see
+            `pedzoo.models.blocks.timed_noise`; empty where `walking_noise` says it for all.
+        remembers: Whether its policy keeps how people began, see `pedzoo.policies.learned.first_seen`.
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, by default.
         walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
@@ -60,6 +63,8 @@ class Forecaster(nn.Module):
     needs: frozenset[str] = frozenset()
     stochastic: ClassVar[bool] = True
     noise_dim: int = 0
+    noise_periods: tuple[float, ...] = ()
+    remembers: ClassVar[bool] = False
     mode_at_zero: ClassVar[bool] = False
     walking_noise: Noise = "episode"
     walking_safety: bool = False

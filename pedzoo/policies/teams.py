@@ -1,7 +1,7 @@
 """Mixed crowds: several policies move the agents of a scene, each at its own decision interval."""
 
 import math
-from typing import TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -12,10 +12,10 @@ from pedzoo.core.adapters import copied
 from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
-from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.policies.learned.walker import Walker, check_interval
-from pedzoo.policies.plans import Memory, Plans
 from pedzoo.policies.policy import Policy
+from pedzoo.policies.scene_memory import SceneMemory
 
 _ROUNDING = 1e-3
 """Seconds: clocks are sums of decisions."""
@@ -23,6 +23,32 @@ _ROUNDING = 1e-3
 
 Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 """Policies and their shares of the agents."""
+
+
+class Plans(NamedTuple):
+    """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.scene_memory`.
+
+    Attributes:
+        key: Of the scenes (S,) long.
+        decided: When the whole team decided last (S,), seconds; -inf for never.
+        person: Number of the team's person in each slot (S, A) long, -1 for none.
+        begun: When each person's velocities were decided (S, A), seconds.
+        velocity: For each of the N decisions of the crowd from then on (S, A, N, 2), m/s.
+    """
+
+    key: Tensor
+    decided: Tensor
+    person: Tensor
+    begun: Tensor
+    velocity: Tensor
+
+    @classmethod
+    def none(cls, key: Tensor, time: Tensor, person: Tensor, velocity: Tensor) -> "Plans":
+        """Return plans of scenes (S,) in which nothing was decided, like times (S,) and the last fields."""
+        never = torch.full_like(time, -torch.inf)
+        empty = torch.full_like(person, -1)
+        begun = never.unsqueeze(1).expand(person.shape)
+        return cls(key, never, empty, begun, torch.zeros_like(velocity))
 
 
 class Team(nn.Module):
@@ -40,7 +66,7 @@ class Team(nn.Module):
         """Take the parts; ``every`` is set by the crowd."""
         super().__init__()
         self.policy, self.kind, self.least, self.below, self.every = policy, kind, least, below, 1
-        self._memory = Memory()
+        self._memory = SceneMemory[Plans]()
 
     def of(self, draw: Tensor, kind: Tensor) -> Tensor:
         """Return which agents are of the team (B, A) bool, by their draws and kinds (B, A)."""
@@ -105,7 +131,7 @@ class Team(nn.Module):
         and are held.
         """
         person = (agents["kind"] != ROBOT).unsqueeze(-1)
-        top_speed = TOP_SPEED_RATIO * cast("Tensor", agents["pref_speed"])[..., 0]
+        top_speed = cast("Tensor", agents["top_speed"])[..., 0]
         # what is not finite ends the scene, and is not hidden here
         wanted = torch.where(command.isfinite(), limit_speed(command, top_speed), command)
         points = max(1, round(dt / TRACE_SECONDS))

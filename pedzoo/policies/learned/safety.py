@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT, agents_of, maps_of
 from pedzoo.core.geometry import limit_speed
-from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.learned.clearance import NARROW, ROUNDS, PairConstraints, ProposedSteps, WallConstraints
 from pedzoo.policies.learned.compiled_clearance import kept_clear_compiled, loops_take
@@ -51,7 +51,7 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     steps = ProposedSteps(
         torch.where(there, here, 0.0),
         torch.where(moved.unsqueeze(-1), step, velocity * STEP_SECONDS).where(there, 0.0),
-        TOP_SPEED_RATIO * STEP_SECONDS * cast("Tensor", agents["pref_speed"])[..., 0],
+        STEP_SECONDS * cast("Tensor", agents["top_speed"])[..., 0],
         agents["mask"],
         moved,
         (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED,

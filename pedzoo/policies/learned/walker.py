@@ -13,7 +13,9 @@ from pedzoo.core.batch import ids_of
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
+from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.learned.extended_goals import extend_goals
+from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.safety import safe
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
@@ -86,6 +88,7 @@ class Walker(TensorDictModuleBase):
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
         self._plan: Plan | None = None
+        self._first_seen = FirstSeenMemory()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write each person's velocity (B, A, 2), m/s."""
@@ -119,6 +122,7 @@ class Walker(TensorDictModuleBase):
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
         scenes = extend_goals(tensordict) if self.extend_goal else tensordict
+        scenes = self._first_seen.added(scenes) if self.model.remembers else scenes
         return self.model.next_steps(scenes, self.noise_of(tensordict), steps, PRED_LEN)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
@@ -126,6 +130,9 @@ class Walker(TensorDictModuleBase):
         if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
             return None
         agent = ids_of(tensordict)
+        if self.model.noise_periods:
+            key = randomness.join(tensordict["scene_key"], "noise", self.noise_seed)
+            return timed_noise(key, agent, tensordict["time"], self.model.noise_periods)
         drawn_for = torch.zeros_like(agent) if self.noise == "scene" else agent
         key = randomness.join(tensordict["scene_key"], "noise", drawn_for)
         if self.noise_seed:

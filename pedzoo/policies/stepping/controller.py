@@ -227,6 +227,7 @@ class Controller:
             kind=torch.where(agents.other, ROBOT, PERSON).unsqueeze(0),
             goal=torch.where(other, ahead, guidance.goal).unsqueeze(0),
             desired_velocity=torch.where(other, velocity, guidance.desired_velocity).unsqueeze(0),
+            remaining_path=guidance.distance.view(*size, 1),
             controlled=agents.walks.unsqueeze(0),
             id=agents.number.unsqueeze(0),
             key=self._key.unsqueeze(1),

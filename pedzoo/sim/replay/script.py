@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.replay.people import RecordedPeople
+from pedzoo.sim.replay.people import RecordedPeople, top_speed_of
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
@@ -96,8 +96,8 @@ class Script:
         person = torch.arange(len(people.first), device=self.xy.device)
         person = person.repeat_interleave(people.last - people.first + 1)
         recorded = (self.xy[1:] - self.xy[:-1])[person[1:] == person[:-1]].norm(dim=1)
-        fastest = max(float(recorded.max()) / STEP_SECONDS / TOP_SPEED_RATIO, 0.0) if len(recorded) else 0.0
-        return max(fastest, float(people.pref_speed.max()))
+        fastest = max(float(recorded.max()) / STEP_SECONDS, 0.0) if len(recorded) else 0.0
+        return max(fastest, float(top_speed_of(people.pref_speed).max())) / TOP_SPEED_RATIO
 
     def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
         """Return the person in each slot (B, A) long at a recording's frame (B,); -1 for none."""
@@ -205,7 +205,7 @@ class Script:
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),
             pref_speed=torch.where(comes, self._pref_speed[scheduled], after.pref_speed),
-            top_speed=torch.where(comes, TOP_SPEED_RATIO * self._pref_speed[scheduled], after.top_speed),
+            top_speed=torch.where(comes, top_speed_of(self._pref_speed[scheduled]), after.top_speed),
             goal_id=torch.where(comes, self.people.goal_id[scheduled], after.goal_id),
             drawn=after.drawn.masked_fill(comes, 0),
             reached=after.reached.masked_fill(comes, 0),

@@ -19,7 +19,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.real import real_parts
-from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of
+from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of, top_speed_of
 from pedzoo.sim.replay.script import Scenes, Script
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
@@ -164,11 +164,13 @@ class Replay(Scenario):
         scene = draws.episode % len(script.scenes.table)
         opening, history = script.opening(scene)
         there = opening.person >= 0
+        pref_speed = torch.where(there, script.people.pref_speed[opening.person], self.speed)
         return Layout(
             map_id=prepared.tables[script.scenes.table[scene]],
             start=history[:, :, 0],
             mask=there,
-            pref_speed=torch.where(there, script.people.pref_speed[opening.person], self.speed),
+            pref_speed=pref_speed,
+            top_speed=top_speed_of(pref_speed),
             goal=torch.where(there, script.people.goal_id[opening.person], -1),
             history=history,
             opening=opening,

@@ -1,12 +1,9 @@
 """Map encoder: distances to walls on rings around each person, turned to the heading, and a small network."""
 
-import math
-
-import torch
 from torch import Tensor, nn
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder
+from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder, rings
 
 RADII = (0.3, 0.6, 1.0, 1.6)
 """Metres: doors are a little wider than a person, and a step at walking speed is half a metre."""
@@ -24,9 +21,7 @@ class RingEncoder(MapEncoder):
     def __init__(self, dim: int = 32, hidden_dim: int = 64) -> None:
         """Encode into ``dim`` features, with a layer of ``hidden_dim`` inside."""
         super().__init__(dim)
-        angle = torch.arange(RAYS) * (2 * math.pi / RAYS)
-        ring = torch.stack((angle.cos(), angle.sin()))
-        offsets = torch.cat([torch.zeros(2, 1), *(radius * ring for radius in RADII)], 1)  # (2, 1 + 4 * 12)
+        offsets = rings(RADII, RAYS)
         self.register_buffer("offsets", offsets, persistent=False)
         self.net = nn.Sequential(
             nn.Linear(offsets.shape[1], hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, dim), nn.ReLU()

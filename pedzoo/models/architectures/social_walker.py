@@ -1,0 +1,270 @@
+"""A controller that is stochastic at every step: velocities are held for a while and then changed.
+
+SGAN+goal+map draws a person's noise once, so its people walk in smooth lines that no recorded person walks
+in. Here every step is drawn: a gate decides whether the velocity is held, and a change of velocity is drawn
+if it is not. How far and how often depends on the style of a person's first steps, on the neighbours, the
+companions, the walls and on how late the person is. It is trained on whole walks in the loop.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pedzoo.core.batch import agents_of, goals_of, maps_of
+from pedzoo.core.geometry import rotate, unrotate
+from pedzoo.core.spec import flat
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
+from pedzoo.models.base import Forecaster, Walking
+from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
+from pedzoo.models.blocks.people.nearest import FEATURES, nearest
+from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, style_of
+from pedzoo.models.blocks.timed_noise import timed_noise
+
+LASTING, SMOOTH, EVERY_STEP = 3, (24.0, 8.0, 4.0, 2.0), 5
+"""Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
+
+WALLS, RAYS = (0.4, 0.9), 8
+"""Radii of the rings on which walls are asked for, metres, and points of each."""
+
+FAR_WALL = 1.5
+"""Metres: farther walls are all alike."""
+
+
+@dataclass(frozen=True)
+class WalkerArchitecture:
+    """The network's architecture, and which of its parts are used.
+
+    Attributes:
+        hidden_dim: Width of the two hidden layers.
+        near_dim: Width of a neighbour's features.
+        walls: Whether it sees the floor plan.
+        style: Whether it sees how people walked in their first steps.
+        held: Whether velocities can be held.
+        step_noise: Whether changes of velocity are drawn at every step.
+        companions: Whether it sees companions.
+    """
+
+    hidden_dim: int = 64
+    near_dim: int = 32
+    walls: bool = True
+    style: bool = True
+    held: bool = True
+    step_noise: bool = True
+    companions: bool = True
+
+
+class Situation(NamedTuple):
+    """What decides about the next step of B scenes of A agents.
+
+    Attributes:
+        history: Positions (B, A, 8, 2), metres.
+        mask: Which agents are there (B, A) bool.
+        ahead: Unit vectors towards the waypoint (B, A, 2).
+        pref_speed: The speeds that they like (B, A), m/s.
+        remaining: What is left of the path (B, A), metres.
+        late: By how much they are behind a walk at that speed (B, A), seconds.
+        style: Their styles (B, A, 5), and ...
+        crowd_style: ... the mean over the agents of the scene (B, 1, 5).
+        radius: Radii of their bodies (B, A), metres.
+        walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
+            the network sees none.
+    """
+
+    history: Tensor
+    mask: Tensor
+    ahead: Tensor
+    pref_speed: Tensor
+    remaining: Tensor
+    late: Tensor
+    style: Tensor
+    crowd_style: Tensor
+    radius: Tensor
+    walls: Tensor
+
+
+class SocialWalker(Forecaster):
+    """One step at a time, in the frame of each person's way."""
+
+    needs = frozenset({"goal"})
+    remembers: ClassVar[bool] = True
+    mode_at_zero: ClassVar[bool] = True
+    noise_periods = (*(math.inf,) * LASTING, *SMOOTH, *(STEP_SECONDS,) * EVERY_STEP)
+    noise_dim = len(noise_periods)
+    goal_protocol: GoalProtocol = "destination"
+
+    def __init__(
+        self,
+        architecture: WalkerArchitecture = WalkerArchitecture(),
+        walking: Walking = Walking(safety=True),
+    ) -> None:
+        """Create the parameters.
+
+        Args:
+            architecture: The network's architecture.
+            walking: How it walks.
+        """
+        super().__init__()
+        self.config = flat(architecture, walking)
+        self.architecture = a = architecture
+        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
+        self.needs = frozenset({"goal", "map"} if a.walls else {"goal"})
+        self.register_buffer("offsets", rings(WALLS, RAYS), persistent=False)
+        self.near = nn.Sequential(
+            nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
+        )
+        seen = 2 * (OBS_LEN - 1) + 5 + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
+        seen += (1 + RAYS * len(WALLS)) * a.walls
+        self.body = nn.Sequential(
+            nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
+        )
+        self.head = nn.Linear(a.hidden_dim, 16)
+        with torch.no_grad():  # the untrained network walks to the waypoint
+            self.head.weight.mul_(0.2)
+            self.head.bias.zero_()
+
+    def velocity(self, now: Situation, noise: Tensor) -> Tensor:
+        """Return the velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""
+        a, z = self.architecture, noise
+        frame = now.ahead.unsqueeze(2)
+        past = unrotate(now.history.diff(dim=2), frame) / STEP_SECONDS
+        others = nearest(now.history, now.mask, now.radius, now.ahead)
+        pooled = self.near(others.features).masked_fill(others.absent.unsqueeze(-1), 0.0)
+        company = others.company * float(a.companions)
+        with_me = others.place * company, others.velocity * company  # of the companions
+        style, crowd = now.style * float(a.style), now.crowd_style.expand_as(now.style) * float(a.style)
+        stands = (past[:, :, -1].square().sum(-1) < 0.01).to(past.dtype)
+        arriving = (-(now.remaining / 1.2).square()).exp()
+        own = torch.stack(
+            (
+                now.pref_speed,
+                (-now.remaining / 1.5).exp(),
+                (now.remaining / 10).clamp_max(1),
+                (now.late / 4).tanh(),
+                stands,
+            ),
+            -1,
+        )
+        seen = [past.flatten(2), own, style, crowd, z, pooled.sum(2), pooled.amax(2), *with_me, company]
+        if a.walls:
+            seen.append(now.walls)
+        out = self.head(self.body(torch.cat(seen, -1)))
+
+        # where they want to go: to the waypoint at their speed, and with their companions
+        close = arriving.unsqueeze(-1)
+        speed = now.pref_speed * (0.5 * out[..., 0].tanh()).exp()
+        turn = 0.8 * out[..., 1].tanh() * (1 - 0.9 * arriving)
+        want = torch.stack((speed * turn.cos(), speed * turn.sin()), -1)
+        together = (out[..., 2:3] - 1).sigmoid() * company.clamp_max(1)
+        want = torch.lerp(want, past[:, :, -1] + with_me[1], together)
+        # how fast they change to it, from a mean of the last steps that takes jitter out
+        recent = (out[..., 3:7] + out.new_tensor([2.0, 0.0, 0.0, 0.0])).softmax(-1)
+        base = (recent.unsqueeze(-1) * past.flip(2)[:, :, :4]).sum(2)
+        rate = (out[..., 7:8] - 1).sigmoid()
+        rate = rate + (1 - rate) * 0.8 * close
+        push = 0.8 * (out[..., 8:10] / 2).tanh() * (1 - 0.7 * close)
+        closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
+        change = base - past[:, :, -1] + rate * (want - base) + push + closer
+
+        step = z[..., -EVERY_STEP:]
+        jitter = (jitter_of(style) / STEP_SECONDS).unsqueeze(-1)
+        moves = change
+        result = past[:, :, -1]
+        if a.step_noise:
+            moves = change + (jitter + 0.025) * functional.softplus(out[..., 11:13]) * step[..., 1:3]
+            result = result + 0.5 * jitter * functional.softplus(out[..., 13:15] - 1) * step[..., 3:5]
+        if a.held:
+            patience = 3 * (0.3 * z[..., 0]).exp()
+            late = 2 * (2 * (now.late - patience)).sigmoid()
+            moves = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late) / 0.2).sigmoid().unsqueeze(-1) * moves
+        return rotate(result + moves, now.ahead)
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
+        now = self.situation(batch)
+        if noise is None:
+            noise = now.history.new_zeros(*now.mask.shape, self.noise_dim)
+        there = now.mask.unsqueeze(-1)
+        path = []
+        for _ in range(steps):
+            step = torch.where(there, self.velocity(now, noise) * STEP_SECONDS, 0.0)
+            path.append(step)
+            now = self._after(now, step) if len(path) < steps else now
+        return torch.stack(path, 2)
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
+        now = self.situation(batch)
+        scenes = len(now.mask)
+        now = Situation(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
+        key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
+        agent = torch.arange(now.mask.shape[1], device=key.device).expand(now.mask.shape)
+        path = []
+        for number in range(steps):
+            time = now.history.new_full((len(key), 1), number * STEP_SECONDS)
+            step = self.velocity(now, timed_noise(key, agent, time, self.noise_periods)) * STEP_SECONDS
+            path.append(torch.where(now.mask.unsqueeze(-1), step, 0.0))
+            now = self._after(now, path[-1])
+        return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
+
+    def mode(self, batch: TensorDict, steps: int) -> Tensor:
+        """Return the future (B, 1, A, T, 2) without noise."""
+        return self.next_steps(batch, None, steps, steps).unsqueeze(1)
+
+    def situation(self, batch: TensorDict) -> Situation:
+        """Return what the network sees of a scene batch.
+
+        ``first_history``, ``elapsed`` and ``progress`` are a policy's memory, see
+        `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
+        """
+        agents = agents_of(batch)
+        there = agents["mask"]
+        goal, wanted = goals_of(batch, "this model")
+        history = torch.where(there[..., None, None], cast("Tensor", agents["history"]), 0.0)
+        towards = torch.where(there.unsqueeze(-1), goal - history[:, :, -1], 0.0)
+        ahead = torch.where(there.unsqueeze(-1), wanted, 0.0)
+        ahead = functional.normalize(torch.where(ahead.any(-1, keepdim=True), ahead, towards), dim=-1)
+        pref_speed = torch.where(there, agents["pref_speed"][..., 0], 1.0).clamp_min(0.1)
+        remaining = agents.get("remaining_path", None)
+        remaining = towards.norm(dim=-1) if remaining is None else remaining[..., 0]
+        first = agents.get("first_history", None)
+        first = history if first is None else torch.where(there[..., None, None], first, 0.0)
+        late = torch.zeros_like(pref_speed)
+        if "elapsed" in agents.keys():
+            late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
+        style = style_of(first)
+        known = (there & agents["valid"].all(-1)).unsqueeze(-1)
+        crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
+        walls = (
+            self._walls(batch, history[:, :, -1], ahead) if self.architecture.walls else late.unsqueeze(-1)
+        )
+        late = torch.where(there, late, 0.0)
+        remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
+        radius = agents["radius"][..., 0]
+        return Situation(history, there, ahead, pref_speed, remaining, late, style, crowd, radius, walls)
+
+    def _walls(self, batch: TensorDict, position: Tensor, ahead: Tensor) -> Tensor:
+        scenes, people = position.shape[:2]
+        map_id, pose = (batch[key].repeat_interleave(people, 0) for key in ("map_id", "scene_pose"))
+        places = position.flatten(0, 1), ahead.flatten(0, 1)
+        offsets = self.get_buffer("offsets")
+        result = distances_at(maps_of(batch), offsets, *places, map_id[:, 0], pose)
+        return result.clamp(-FAR_WALL, FAR_WALL).view(scenes, people, -1)
+
+    def _after(self, now: Situation, step: Tensor) -> Situation:
+        """Return the situation after a step (B, A, 2), metres; walls stay as they were seen."""
+        position = now.history[:, :, -1] + step
+        done = (step * now.ahead).sum(-1)
+        target = now.history[:, :, -1] + now.remaining.clamp_min(0.3).unsqueeze(-1) * now.ahead
+        return now._replace(
+            history=torch.cat((now.history[:, :, 1:], position.unsqueeze(2)), 2),
+            ahead=functional.normalize(target - position, dim=-1),
+            remaining=(now.remaining - done).clamp_min(0),
+            late=now.late + STEP_SECONDS - done / now.pref_speed,
+        )

@@ -1,0 +1,41 @@
+"""Noise that changes smoothly with time, each number at a pace of its own, by counter.
+
+A number of period p is drawn anew every p seconds, and turns from one draw into the next in between, so that
+its variance stays 1. It depends on the scene's key, the agent and the time alone: nothing has to be kept.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from pedzoo.core import randomness
+from pedzoo.core.types import STEP_SECONDS
+
+_EVERY_STEP = 1.5 * STEP_SECONDS
+"""Seconds: numbers of shorter periods are drawn at every step, and do not turn."""
+
+
+def timed_noise(key: Tensor, agent: Tensor, time: Tensor, periods: tuple[float, ...]) -> Tensor:
+    """Return normal noise (B, A, Z) of agents.
+
+    Args:
+        key: Of the scenes (B, 1) long.
+        agent: Numbers of the agents (B, A) long.
+        time: Seconds since the scenes began (B, 1).
+        periods: Of each number (Z,), seconds; ``math.inf`` for one that lasts for the whole scene.
+    """
+    period = torch.tensor(periods, device=agent.device)
+    lasts, short = period.isinf(), period < _EVERY_STEP
+    dims = torch.arange(len(periods), device=agent.device)
+    own = randomness.join(key, "timed noise", agent).unsqueeze(-1)
+    own = randomness.join(own, dims)
+    # agents do not all change at the same time
+    place = time.unsqueeze(-1) / torch.where(lasts, 1.0, period) + randomness.uniform(own)
+    step = (time / STEP_SECONDS).round().unsqueeze(-1).expand_as(place)
+    place = torch.where(lasts, 0.0, torch.where(short, step, place))
+    draw = place.floor()
+    number = draw.long()
+    turned = (place - draw) * (math.pi / 2)
+    now, then = (randomness.normal(randomness.join(own, number + more)) for more in (0, 1))
+    return turned.cos() * now + turned.sin() * then

@@ -1,0 +1,82 @@
+"""What a policy remembers of people from the moment in which it saw them first."""
+
+from typing import NamedTuple, cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from pedzoo.core import randomness
+from pedzoo.core.adapters import copied
+from pedzoo.core.batch import agents_of, ids_of
+from pedzoo.policies.scene_memory import SceneMemory
+
+_OTHER_GOAL = 1.0
+"""Metres by which a path gets longer from one decision to the next if it leads to another goal."""
+
+
+class FirstSeen(NamedTuple):
+    """How agents began in S scenes of A slots; see `pedzoo.policies.scene_memory`.
+
+    Attributes:
+        key: Of the scenes (S,) long.
+        person: Number of the agent in each slot (S, A) long, -1 where not all of its positions are known yet.
+        history: Its first 8 known positions (S, A, 8, 2), metres.
+        time: When its way to the present goal began (S, A), seconds.
+        path: Length of that way then (S, A), metres.
+        left: Length of the rest at the last decision (S, A), metres.
+    """
+
+    key: Tensor
+    person: Tensor
+    history: Tensor
+    time: Tensor
+    path: Tensor
+    left: Tensor
+
+
+class FirstSeenMemory:
+    """Adds ``first_history``, ``elapsed`` and ``progress`` to scene batches.
+
+    * ``agents/first_history`` (B, A, 8, 2): the first 8 known positions, metres.
+    * ``agents/elapsed`` (B, A, 1): seconds since then, or since the present goal was given.
+    * ``agents/progress`` (B, A, 1): metres by which the path to the goal has become shorter since then.
+
+    Batches that have them already stay as they are.
+    """
+
+    def __init__(self) -> None:
+        """Remember nothing yet."""
+        self._memory = SceneMemory[FirstSeen]()
+
+    def added(self, scenes: TensorDictBase) -> TensorDictBase:
+        """Return the scenes with the keys."""
+        agents = agents_of(scenes)
+        if "first_history" in agents.keys():
+            return scenes
+        mask, left = cast("Tensor", agents["mask"]), cast("Tensor", agents["remaining_path"])[..., 0]
+        complete = cast("Tensor", agents["valid"]).all(-1) & mask
+        person = ids_of(scenes).where(complete, -1)
+        key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
+        time = cast("Tensor", scenes["time"]).expand(person.shape)
+        history, path = cast("Tensor", agents["history"]).detach(), left.detach()
+        now = FirstSeen(key, person, history, time, path, path)
+        before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
+        # a scene that is walked a second time has the same key
+        known = (before.person == person) & complete & (before.time <= time + 1e-3)
+        on_way = known & (path < before.left + _OTHER_GOAL)
+        first = FirstSeen(
+            key,
+            person,
+            torch.where(known[..., None, None], before.history, history),
+            torch.where(on_way, before.time, time),
+            torch.where(on_way, before.path, path),
+            path,
+        )
+        self._memory.keep(first)
+        result = copied(scenes)
+        seen = agents_of(result)
+        seen["first_history"] = first.history
+        seen["elapsed"] = (time - first.time).unsqueeze(-1)
+        seen["progress"] = (first.path - left).unsqueeze(-1)
+        return result

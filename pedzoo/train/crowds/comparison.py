@@ -1,0 +1,166 @@
+"""What is compared of two crowds: the features of their steps, clips of their walks, and who they are.
+
+The same numbers by which `pedzoo score` judges crowds, with gradients. B excerpts of A people and L frames, M
+scored steps.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from pedzoo.core.geometry import unrotate
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
+from pedzoo.metrics.realism.features import LINE
+from pedzoo.metrics.safety import HORIZON, collision_seconds
+from pedzoo.metrics.smoothness import STANDS
+from pedzoo.train.crowds.excerpts import Excerpts
+from pedzoo.train.crowds.walking_on import CrowdWalk
+
+_GRAZING = 1e-3
+"""m^4/s^2: below, when two people touch changes too fast for a gradient."""
+
+
+class Compared(NamedTuple):
+    """A crowd's walks as numbers.
+
+    Attributes:
+        features: Values of every feature of `pedzoo.metrics.realism.features.FEATURES`, each (N,).
+        clips: As of `pedzoo.metrics.realism.clips` (W, 8, 14).
+        person: Slot of the person of each clip (W,) long.
+        people: A.
+    """
+
+    features: dict[str, Tensor]
+    clips: Tensor
+    person: Tensor
+    people: int
+
+
+class _Near(NamedTuple):
+    """The others around M people: places and velocities of the nearest two (M, 2, 2), and times."""
+
+    place: Tensor
+    velocity: Tensor
+    absent: Tensor
+    seconds: Tensor
+
+
+def compared(walk: CrowdWalk, real: Excerpts) -> Compared:
+    """Return the numbers of a crowd that walks in the place of the people of ``real``."""
+    where = walk.scored.nonzero(as_tuple=True)
+    scene, slot, frame = where
+    velocity = functional.pad(walk.xy.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))
+    now, before = velocity[where], velocity[scene, slot, frame - 1]
+    change = (now - before) / STEP_SECONDS
+    near = _nearest_two(walk, velocity, where)
+    way = (real.exit - real.start)[scene, slot]
+    length = way.norm(dim=1)
+    has_line = length >= LINE
+    offset = walk.xy[where] - real.start[scene, slot]
+    across = way[:, 0] * offset[:, 1] - way[:, 1] * offset[:, 0]
+    company = ~near.absent[:, 0]
+    features = {
+        "speed": _length(now),
+        "acceleration": _length(change),
+        "heading_rate": _turn(before, now) / STEP_SECONDS,
+        "nearest_distance": _length(near.place[company, 0]),
+        "time_to_collision": near.seconds[company],
+        "lateral_deviation": across[has_line] / length[has_line],
+    }
+    away = real.exit[scene, slot] - walk.xy[where]
+    ahead = functional.normalize(torch.where(has_line.unsqueeze(1), way, away), dim=1)
+    far = way.new_tensor([FAR, 0.0])
+    missing = near.absent.unsqueeze(2)
+    frame_of = ahead.unsqueeze(1)
+    place = torch.where(missing, far, unrotate(near.place, frame_of))
+    relative = torch.where(missing, 0.0, unrotate(near.velocity, frame_of))
+    vectors = torch.cat((unrotate(torch.stack((now, change), 1), frame_of), place, relative), 1)
+    value = torch.cat((vectors.flatten(1), near.seconds.unsqueeze(1), _length(away).unsqueeze(1)), 1)
+    steps = value.new_zeros(*walk.scored.shape, len(CHANNELS)).index_put(where, value)
+    whole = walk.scored.unfold(2, LENGTH, 1).all(3)
+    person = whole.nonzero()[:, 1]
+    return Compared(features, steps.unfold(2, LENGTH, 1)[whole].transpose(1, 2), person, whole.shape[1])
+
+
+def coarse(walk: CrowdWalk) -> CrowdWalk:
+    """Return the crowd with positions averaged over three frames, see `pedzoo.metrics.realism.features`."""
+    there = walk.there
+    middle = there[:, :, :-2] & there[:, :, 1:-1] & there[:, :, 2:]
+    has_mean = functional.pad(middle, (1, 1))
+    mean = (walk.xy[:, :, :-2] + walk.xy[:, :, 1:-1] + walk.xy[:, :, 2:]) / 3
+    mean = functional.pad(mean, (0, 0, 1, 1))
+    both = functional.pad(has_mean[:, :, 1:] & has_mean[:, :, :-1], (1, 0))
+    return walk._replace(xy=torch.where(has_mean.unsqueeze(3), mean, walk.xy), scored=walk.scored & both)
+
+
+def summaries(walk: CrowdWalk, real: Excerpts) -> tuple[Tensor, Tensor]:
+    """Return 7 numbers of each person's walk (B, A, 7), each of the order of 1, and which have them (B, A).
+
+    Mean and spread of speed, of the logarithm of acceleration and of the place beside the line start-exit,
+    and the share of steps that stand: two of a kind differ in them less than two people of a crowd.
+    """
+    scored = walk.scored.to(walk.xy.dtype)
+    count = scored.sum(2).clamp_min(1)
+
+    def both(values: Tensor, scale: float, spread: float) -> list[Tensor]:
+        mean = (values * scored).sum(2) / count
+        variance = ((values - mean.unsqueeze(2)).square() * scored).sum(2) / count
+        return [mean / scale, (variance + 1e-4).sqrt() / spread]
+
+    velocity = functional.pad(walk.xy.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))
+    speed = _length(velocity)
+    change = (_length(functional.pad(velocity.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))) + 0.02).log()
+    line = functional.normalize(real.exit - real.start, dim=2).unsqueeze(2)
+    offset = walk.xy - real.start.unsqueeze(2)
+    aside = line[..., 0] * offset[..., 1] - line[..., 1] * offset[..., 0]
+    stands = (((STANDS + 0.02 - speed) / 0.03).sigmoid() * scored).sum(2) / count
+    parts = [*both(speed, 0.5, 0.2), *both(change, 0.8, 0.5), *both(aside, 0.6, 0.3), 2 * stands]
+    return torch.stack(parts, 2), walk.scored.sum(2) >= LENGTH
+
+
+def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -> _Near:
+    """Return the others around people; no gradient flows through the choice."""
+    scene, slot, frame = where
+    there = walk.there.transpose(1, 2)[scene, frame]
+    away = walk.xy.transpose(1, 2)[scene, frame] - walk.xy[where].unsqueeze(1)
+    moves = velocity.transpose(1, 2)[scene, frame] - velocity[where].unsqueeze(1)
+    people = there.shape[1]
+    with torch.no_grad():
+        absent = ~there.scatter(1, slot.unsqueeze(1), False)
+        apart = away.norm(dim=2).masked_fill(absent, torch.inf)
+        apart = functional.pad(apart, (0, max(0, 2 - people)), value=torch.inf)
+        distance, nearest = apart.topk(2, largest=False)
+        reach = torch.full_like(away[..., 0], 2 * BODY_RADIUS)
+        x, y, vx, vy = (*away.unbind(2), *moves.unbind(2))
+        seconds = collision_seconds(x, y, vx, vy, reach).masked_fill(absent, HORIZON)
+        seconds, first = seconds.min(1)
+    two = nearest.clamp_max(people - 1).unsqueeze(2).expand(-1, -1, 2)
+    one = first.view(-1, 1, 1).expand(-1, 1, 2)
+    place, moving = away.gather(1, one)[:, 0], moves.gather(1, one)[:, 0]
+    meets = (seconds > 0) & (seconds < HORIZON)
+    seconds = torch.where(meets, _touch(place, moving).clamp(0, HORIZON), seconds)
+    return _Near(away.gather(1, two), moves.gather(1, two), distance.isinf(), seconds)
+
+
+def _touch(away: Tensor, velocity: Tensor) -> Tensor:
+    """Return when pairs (M,) touch that are ``away`` from each other with a relative ``velocity`` (M, 2)."""
+    closing = -(away * velocity).sum(1)
+    gap = away.square().sum(1) - (2 * BODY_RADIUS) ** 2
+    under = closing.square() - velocity.square().sum(1) * gap
+    return gap / (under.clamp_min(_GRAZING).sqrt() + closing.clamp_min(1e-3))
+
+
+def _turn(before: Tensor, now: Tensor) -> Tensor:
+    """Return by how much headings turn, radians, of velocities (M, 2) that both have one."""
+    walks = (before.detach().norm(dim=1) > STANDS) & (now.detach().norm(dim=1) > STANDS)
+    before, now = before[walks], now[walks]
+    across = before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0]
+    return torch.atan2(across.abs(), (before * now).sum(1))
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """Return the lengths of vectors (..., 2), with a gradient of at most 1 everywhere."""
+    return (vectors.square().sum(-1) + 1e-8).sqrt()

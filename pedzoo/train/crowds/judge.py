@@ -1,0 +1,83 @@
+"""Judges of crowds: small networks that learn to tell clips of walking people from recorded ones."""
+
+from collections import deque
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pedzoo.metrics.realism.clips import CHANNELS, LENGTH
+
+_LARGEST = 6.0
+"""Standard deviations: rarer values are all alike."""
+
+
+def legible(clips: Tensor) -> Tensor:
+    """Return clips (W, 8, 14) as a network reads them (W, N): changes and distances, small and large."""
+    velocity, change, near, relative, seconds, exit = clips.split((2, 2, 4, 4, 1, 1), 2)
+    distance = (near.unflatten(2, (2, 2)).square().sum(3) + 1e-6).sqrt()
+    parts = (
+        velocity,
+        (change / 0.05).asinh(),
+        (change / 0.5).asinh(),
+        near.asinh(),
+        (-distance).exp(),
+        relative,
+        seconds,
+        exit.asinh(),
+    )
+    held = ((velocity[:, 1:] - velocity[:, :-1]) / 0.02).asinh()
+    return torch.cat([*(part.flatten(1) for part in parts), held.flatten(1)], 1)
+
+
+class Judge(nn.Module):
+    """A network, and the clips of the last updates."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, hidden_dim: int = 96, kept: int = 40, drawn: int = 3) -> None:
+        """Create the parameters.
+
+        Args:
+            hidden_dim: Width of the first hidden layer.
+            kept: Updates whose clips are kept.
+            drawn: Of these are drawn for each step of the judge, beside the present one. Both crowds of an
+                update are of one recording: recordings differ more than crowds.
+        """
+        super().__init__()
+        size = legible(torch.zeros(1, LENGTH, len(CHANNELS))).shape[1]
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("scale", torch.zeros(size))
+        self.net = nn.Sequential(
+            nn.Linear(size, hidden_dim), nn.LeakyReLU(0.2), nn.Linear(hidden_dim, 64), nn.LeakyReLU(0.2),
+            nn.Linear(64, 1),
+        )  # fmt: skip
+        self.drawn = drawn
+        self._past: deque[tuple[Tensor, Tensor]] = deque(maxlen=kept)
+
+    def forward(self, clips: Tensor) -> Tensor:
+        """Return how real clips (W, 8, 14) look (W,): logits."""
+        rows = (legible(clips) - self.mean) / self.scale.clamp_min(0.02)
+        return self.net(rows.clamp(-_LARGEST, _LARGEST))[:, 0]
+
+    def learning(self, made: Tensor, true: Tensor, random: torch.Generator) -> Tensor:
+        """Return the cross entropy of the judge on clips of people who walk and of recorded ones."""
+        if not self._past:
+            rows = legible(true)
+            self.mean, self.scale = rows.mean(0), rows.std(0)
+        self._past.append((made.detach(), true.detach()))
+        picked = torch.randint(len(self._past), (self.drawn,), generator=random).tolist()
+        pairs = [self._past[-1], *(self._past[number] for number in picked)]
+        costs = [
+            functional.softplus(self(made)).mean() + functional.softplus(-self(true)).mean()
+            for made, true in pairs
+        ]
+        return torch.stack(costs).mean() / 2
+
+    def passing(self, made: Tensor) -> Tensor:
+        """Return the cost of clips that do not pass as real; without gradients for the judge."""
+        self.requires_grad_(False)
+        cost = functional.softplus(-self(made)).mean()
+        self.requires_grad_(True)
+        return cost

@@ -1,0 +1,166 @@
+"""The loss of a crowd that walks unlike the recorded one."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from pedzoo.core.types import OBS_LEN
+from pedzoo.train.crowds.comparison import coarse, compared, summaries
+from pedzoo.train.crowds.excerpts import Excerpts
+from pedzoo.train.crowds.judge import Judge
+from pedzoo.train.crowds.walking_on import CrowdWalk, recorded
+from pedzoo.train.loop.likeness import SPREADS, wasserstein
+
+COARSE = {"speed": 1.0, "acceleration": 2.0, "heading_rate": 1.5}
+"""Weights of features of coarse positions: of changes less is left."""
+
+PLACES = (3, 8, 14, 22, 30)
+"""Steps after which places are compared."""
+
+_LEAST_CLIPS = 8
+"""Fewer clips teach a judge nothing."""
+
+
+class CrowdLikeness(nn.Module):
+    """Compares K walks of a crowd with the recorded one."""
+
+    def __init__(
+        self,
+        distribution: float = 3.0,
+        places: float = 1.0,
+        persons: float = 0.5,
+        judged: float = 1.0,
+        judge_steps: int = 3,
+        near: float = 2.0,
+        nearest: float = 0.4,
+        safety_correction: float = 0.5,
+    ) -> None:
+        """Weigh the terms.
+
+        Args:
+            distribution: Distances of the distributions of features, as they are and coarse, in standard
+                deviations of recorded people.
+            places: Energy score of places after some steps (Gneiting and Raftery, JASA 2007, eq. 21).
+            persons: Energy score of the numbers that sum up each person's walk.
+            judged: Cross entropy of two judges, of clips as they are and of coarse ones.
+            judge_steps: Steps of the judges in each update.
+            near: Metres short of ``nearest`` between two people.
+            nearest: Metres between centres.
+            safety_correction: Change by a safety layer, m/s.
+        """
+        super().__init__()
+        self.weights = {
+            "distribution": distribution,
+            "places": places,
+            "persons": persons,
+            "judged": judged,
+            "near": near,
+            "safety_correction": safety_correction,
+        }
+        self.nearest, self.judge_steps = nearest, judge_steps
+        self.judges = nn.ModuleDict({"fine": Judge(), "coarse": Judge()} if judged else {})
+
+    def forward(
+        self,
+        walk: CrowdWalk,
+        real: Excerpts,
+        samples: int,
+        before: int,
+        optimizer: torch.optim.Optimizer | None,
+        random: torch.Generator,
+    ) -> dict[str, Tensor]:
+        """Return the weighted terms, scalars; the judges learn first.
+
+        Args:
+            walk: Walks of K x B excerpts, all first walks first.
+            real: The B excerpts.
+            samples: K.
+            before: Frames that are not scored, see `pedzoo.train.crowds.walking_on.walked_on`.
+            optimizer: Of the judges; None to leave them as they are.
+            random: Draws earlier updates for the judges.
+        """
+        many, truth = real.repeated(samples), recorded(real, before)
+        terms: dict[str, Tensor] = {}
+        apart, passing = [], []
+        for name, made_walk, true_walk in (
+            ("fine", walk, truth),
+            ("coarse", coarse(walk), coarse(truth)),
+        ):
+            made = compared(made_walk, many)
+            with torch.no_grad():
+                true = compared(true_walk, real)
+            weights: Mapping[str, float] = dict.fromkeys(SPREADS, 1.0) if name == "fine" else COARSE
+            apart += [
+                weight * wasserstein(made.features[key], true.features[key]) / SPREADS[key]
+                for key, weight in weights.items()
+            ]
+            if self.judges and min(len(made.clips), len(true.clips)) >= _LEAST_CLIPS:
+                judge: Judge = self.judges[name]  # type: ignore[assignment]
+                for _ in range(self.judge_steps if optimizer is not None else 0):
+                    assert optimizer is not None
+                    optimizer.zero_grad()
+                    cost = judge.learning(made.clips, true.clips, random)
+                    cost.backward()
+                    optimizer.step()
+                passing.append(judge.passing(made.clips))
+        terms["distribution"] = torch.stack(apart).mean()
+        terms["places"] = _places(walk, truth, many, samples)
+        terms["persons"] = _persons(walk, truth, real, samples)
+        terms["near"] = _too_near(walk, self.nearest)
+        if passing:
+            terms["judged"] = torch.stack(passing).mean()
+        if walk.asked is not None and walk.walked is not None:
+            change = ((walk.asked - walk.walked).square().sum(-1) + 1e-8).sqrt()
+            mine = walk.scored[:, :, -change.shape[2] :]
+            terms["safety_correction"] = (change * mine).sum() / mine.sum().clamp_min(1)
+        return {key: self.weights[key] * value for key, value in terms.items()}
+
+
+def _places(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> Tensor:
+    """Return the energy score of places, in units of how far people usually get off; who arrived is there."""
+    scenes = len(truth.xy)
+    total = []
+    for step in PLACES:
+        frame = OBS_LEN - 1 + step
+        if frame >= walk.xy.shape[2]:
+            continue
+        walks = (real.walks & (real.taken < OBS_LEN) & (real.last >= OBS_LEN))[:scenes]
+        made = walk.xy[:, :, frame].unflatten(0, (samples, scenes))
+        true = torch.where(truth.there[:, :, frame].unsqueeze(2), truth.xy[:, :, frame], real.exit[:scenes])
+        score = _energy(made, true)
+        usual = 0.12 * step**0.75 + 0.1
+        total.append((score * walks).sum() / walks.sum().clamp_min(1) / usual)
+    return torch.stack(total).mean()
+
+
+def _persons(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> Tensor:
+    """Return the energy score of the summaries of walks."""
+    made, has_made = summaries(walk, real.repeated(samples))
+    true, has_true = summaries(truth, real)
+    both = has_made.unflatten(0, (samples, -1)).all(0) & has_true
+    score = _energy(made.unflatten(0, (samples, -1)), true)
+    return (score * both).sum() / both.sum().clamp_min(1)
+
+
+def _energy(made: Tensor, true: Tensor) -> Tensor:
+    """Return the energy score (B, A) of samples (K, B, A, N) for the true values (B, A, N)."""
+    score = _distance(made, true).mean(0)
+    # neighbours in a ring: as many pairs as samples
+    return score - 0.5 * _distance(made, made.roll(1, 0)).mean(0) if len(made) > 1 else score
+
+
+def _too_near(walk: CrowdWalk, nearest: float) -> Tensor:
+    """Return by how many metres people come nearer to others than they should, per step."""
+    begin = OBS_LEN
+    xy, there = (values.transpose(1, 2)[:, begin:] for values in (walk.xy, walk.there))
+    scored = walk.scored.transpose(1, 2)[:, begin:]
+    apart = _distance(xy.unsqueeze(2), xy.unsqueeze(3))
+    pairs = there.unsqueeze(2) & scored.unsqueeze(3)
+    pairs &= ~torch.eye(there.shape[2], dtype=torch.bool, device=xy.device)
+    short = (nearest - apart).clamp_min(0)
+    return torch.where(pairs, short, 0.0).sum() / scored.sum().clamp_min(1)
+
+
+def _distance(first: Tensor, second: Tensor) -> Tensor:
+    return ((first - second).square().sum(-1) + 1e-10).sqrt()

@@ -1,0 +1,186 @@
+"""Training a walker on whole recorded crowds, and beside them in scenarios."""
+
+from typing import Any, cast
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from tensordict import TensorDict
+from torch import Tensor
+from torch.optim import Optimizer
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import OBS_LEN
+from pedzoo.models.base import Forecaster
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
+from pedzoo.train.crowds.likeness import CrowdLikeness
+from pedzoo.train.crowds.validation import whole_replays
+from pedzoo.train.crowds.walking_on import walked_on
+from pedzoo.train.loop.courses import Course, CourseSampler
+from pedzoo.train.loop.loop_losses import LoopLosses
+from pedzoo.train.loop.segments import unrolled
+from pedzoo.train.modules.module import ForecastModule
+
+_PAIRS = 60.0
+"""People who walk at once, in all excerpts of an update."""
+
+_FEWEST = 2
+"""People whom an excerpt needs to be compared."""
+
+
+class CrowdModule(ForecastModule):
+    """All people of an excerpt of a recording walk on, and are compared with those who really did."""
+
+    def __init__(
+        self,
+        generator: Forecaster,
+        likeness: CrowdLikeness,
+        courses: list[Course] | None = None,
+        walking: LoopLosses | None = None,
+        steps: int = 30,
+        before: tuple[int, ...] = (0, 0, 20, 40),
+        scenes: int = 3,
+        samples_walked: int = 2,
+        course_every: int = 2,
+        course_steps: int = 14,
+        max_segments: int = 6,
+        course_weight: float = 1.0,
+        safety: bool | None = None,
+        judge_lr: float = 1e-3,
+        **options: Any,
+    ) -> None:
+        """Take a generator and what it is compared by.
+
+        Args:
+            generator: The model.
+            likeness: The loss of crowds.
+            courses: Scenarios to train in, too; none for recordings alone.
+            walking: The loss there.
+            steps: Of 0.4 s that are compared.
+            before: Steps for which people may walk on before, without gradients: one of these is drawn.
+            scenes: Excerpts in an update, fewer of crowded recordings.
+            samples_walked: Walks of each excerpt.
+            course_every: A scenario in every so many updates.
+            course_steps: Steps of a segment there.
+            max_segments: Segments after which an episode is given up.
+            course_weight: Weight of the loss in scenarios.
+            safety: Whether the safety layer is on in training; None: as the model says.
+            judge_lr: Learning rate of the judges.
+            options: Of the optimisation and of validation; see `ForecastModule`.
+
+        Raises:
+            UserError: A number is out of range.
+        """
+        super().__init__(generator, **options)
+        least = min(steps, scenes, samples_walked, course_every, course_steps, max_segments)
+        if least < 1 or not before or min(before) < 0:
+            raise UserError(
+                f"steps {steps}, before {before}, scenes {scenes}, samples_walked {samples_walked}, "
+                f"course_every {course_every}, course_steps {course_steps}, max_segments {max_segments}: "
+                "expected at least 1, and before at least one number from 0"
+            )
+        self.automatic_optimization = False
+        self.likeness, self.walking = likeness, walking or LoopLosses()
+        self.steps, self.before, self.scenes, self.walks = steps, before, scenes, samples_walked
+        self.course_every, self.course_steps = course_every, course_steps
+        self.max_segments, self.course_weight, self.judge_lr = max_segments, course_weight, judge_lr
+        self._walker = (Walker(generator, safety=safety),)  # in a tuple: registered already
+        self.courses = CourseSampler(courses, self.seed) if courses else None
+        self._crowds: list[RecordedCrowd] = []
+        self._unseen: list[RecordedCrowd] = []
+
+    @property
+    def walker(self) -> Walker:
+        """The generator as a policy."""
+        return self._walker[0]
+
+    def setup(self, stage: str) -> None:
+        """Read the training recordings on the true clock; see `ForecastModule.setup`.
+
+        Raises:
+            UserError: There are no people to compare with.
+        """
+        super().setup(stage)
+        data: Any = getattr(self.trainer, "datamodule", None)
+        if stage != "fit" or data is None:
+            return
+        crowds = [RecordedCrowd.of(tracks, map_id) for tracks, map_id in data.crowds("train")]
+        self._crowds = [crowd for crowd in crowds if int(crowd.walks.sum()) >= _FEWEST]
+        unseen = [RecordedCrowd.of(tracks, map_id) for tracks, map_id in data.crowds("val")]
+        self._unseen = [crowd for crowd in unseen if int(crowd.walks.sum()) >= _FEWEST]
+        if not self._crowds:
+            raise UserError(
+                f"no recording of {data.fold!r} has {_FEWEST} people with more than {OBS_LEN} steps"
+            )
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return Adam for the generator and, if there are judges, for them."""
+        result: list[Optimizer] = [torch.optim.Adam(self.generator.parameters(), self.lr)]
+        if self.likeness.judges:
+            result.append(torch.optim.Adam(self.likeness.parameters(), self.judge_lr, betas=(0.5, 0.9)))
+        return cast("OptimizerLRScheduler", result)
+
+    def training_step(self, batch: TensorDict, batch_idx: int) -> None:
+        """Make one update: on recordings, or in a scenario."""
+        optimizers = self.optimizers()
+        first, *others = optimizers if isinstance(optimizers, list) else [optimizers]
+        optimizer = cast("Optimizer", first)
+        random = self.random()
+        if self.courses is not None and int(self.iteration) % self.course_every == 0:
+            terms = {name: self.course_weight * value for name, value in self._in_scenario().items()}
+        else:
+            terms = self._among_recorded(others[0] if others else None, random)
+        loss = torch.stack(list(terms.values())).sum()
+        optimizer.zero_grad()
+        self.manual_backward(loss)
+        norm = torch.nn.utils.clip_grad_norm_(self.generator.parameters(), self.clip or torch.inf)
+        self.set_lr(optimizer, self.lr)
+        if bool(norm.isfinite()):
+            first.step()
+        self.iteration += 1
+        for name, value in {**terms, "loss": loss}.items():
+            self.log(f"train/{name}", value.detach(), on_step=False, on_epoch=True, batch_size=1)
+
+    def _among_recorded(self, judges: Any, random: torch.Generator) -> dict[str, Tensor]:
+        """Return the terms of excerpts of one recording."""
+        shares = torch.tensor([float(crowd.walks.sum()) ** 0.5 for crowd in self._crowds])
+        while True:
+            crowd = self._crowds[int(torch.multinomial(shares, 1, generator=random))]
+            before = self.before[int(torch.randint(len(self.before), (1,), generator=random))]
+            steps = before + self.steps
+            people = float(crowd.there.sum()) / crowd.frames
+            scenes = max(1, min(self.scenes, round(_PAIRS / (1.5 * people + 1))))
+            latest = max(1, crowd.frames - OBS_LEN - steps)
+            begin = torch.randint(latest, (scenes,), generator=random).tolist()
+            mirrored = (torch.rand(scenes, generator=random) < 0.5).tolist()
+            real = excerpts(crowd, begin, steps, mirrored)
+            walking = real.walks & (real.taken < OBS_LEN + steps - 8) & (real.last > OBS_LEN + before)
+            if int(walking.sum()) >= _FEWEST:
+                break
+        key = torch.randint(2**62, (self.walks * scenes,), generator=random)
+        data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
+        walk = walked_on(self.walker, real.repeated(self.walks), data.bank, key, before)
+        return self.likeness(walk, real, self.walks, before, judges, random)
+
+    def _in_scenario(self) -> dict[str, Tensor]:
+        """Return the terms of a segment."""
+        assert self.courses is not None
+        active = self.courses.at(int(self.iteration), self.current_epoch, self.device)
+        seen = active.begin(self.max_segments)
+        noise = self.walker.noise_of(seen)
+        segment = unrolled(active.env, self.walker, seen, self.course_steps)
+        active.end(segment.done)
+        return self.walking(segment, active.env.bank, noise)
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the errors of forecasts, and how unlike whole replays are, as ``val/unlike`` and so on."""
+        super().on_validation_epoch_end()
+        if not self.trainer.sanity_checking and self._unseen:
+            data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
+            for name, value in whole_replays(self.walker, self._unseen, data.bank).items():
+                self.log(f"val/{name}", value, prog_bar=name == "unlike")
+
+    def teardown(self, stage: str) -> None:
+        """Close the environments."""
+        if self.courses is not None:
+            self.courses.close()

@@ -1,0 +1,61 @@
+"""Whole recordings that the training does not see, walked from begin to end: what checkpoints are chosen by."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.types import OBS_LEN
+from pedzoo.maps.bank import MapBank
+from pedzoo.metrics.realism.clips import Clips
+from pedzoo.metrics.realism.features import FEATURES
+from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
+from pedzoo.train.crowds.comparison import Compared, coarse, compared
+from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
+from pedzoo.train.crowds.walking_on import Policy, recorded, walked_on
+from pedzoo.train.loop.likeness import wasserstein
+
+
+@torch.no_grad()
+def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], maps: MapBank) -> dict[str, float]:
+    """Return how unlike the crowds are in which a policy walks in everybody's place, from begin to end.
+
+    ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
+    ``unlike``, their sum. Paths are straight.
+    """
+    made: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
+    true: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
+    for number, crowd in enumerate(crowds):
+        real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
+        walk = walked_on(policy, real, maps, torch.tensor([number]))
+        for into, one in ((made, walk), (true, recorded(real))):
+            into["auc"].append(compared(one, real))
+            into["auc_coarse"].append(compared(coarse(one), real))
+    result = {name: _area(made[name], true[name]) for name in made}
+    distances = [
+        wasserstein(one, other) / other.std()
+        for name in FEATURES
+        for one, other in [[_all(side["auc"], name) for side in (made, true)]]
+    ]
+    result["realism"] = float(torch.stack(distances).mean())
+    return result | {"unlike": result["realism"] + (result["auc"] + result["auc_coarse"]) / 2}
+
+
+def _area(made: list[Compared], true: list[Compared]) -> float:
+    """Return the area under the classifier's ROC curve; no person is in training and test."""
+    begin = torch.tensor([0, *(one.people for one in made)]).cumsum(0).tolist()
+    people = begin[-1]
+    part = torch.arange(people) * 2654435761 % 2**32 % FOLDS  # of Knuth: neighbours in different parts
+    sides = [
+        Clips(
+            torch.cat([one.clips.flatten(1) for one in side]),
+            torch.cat([one.person + first for one, first in zip(side, begin, strict=False)]),
+        )
+        for side in (made, true)
+    ]
+    each = torch.ones(1, people)
+    return float(auc(two_sample(sides[0], sides[1], part, part), each, each))
+
+
+def _all(side: list[Compared], name: str) -> Tensor:
+    return torch.cat([one.features[name] for one in side])

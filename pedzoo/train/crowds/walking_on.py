@@ -1,0 +1,136 @@
+"""A policy walks in the place of recorded people, differentiably and without an environment."""
+
+from collections.abc import Callable
+from typing import NamedTuple, cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from pedzoo.core.batch import scene_batch
+from pedzoo.core.geometry import limit_speed, passes
+from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.sim.replay.people import top_speed_of
+from pedzoo.train.crowds.excerpts import Excerpts
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+"""Writes each person's ``action`` (B, A, 2), m/s, into a scene batch."""
+
+
+class CrowdWalk(NamedTuple):
+    """A crowd in L frames, walked or recorded.
+
+    Attributes:
+        xy: Positions (B, A, L, 2), metres.
+        there: Where people are there (B, A, L) bool.
+        scored: Steps that are compared (B, A, L) bool, by the frame at their end: those that a policy walks,
+            but for the one in which a person arrives.
+        asked: Velocities before the safety layer (B, A, N, 2), m/s, and ...
+        walked: ... after it, of the N steps with gradients; None for recorded people.
+    """
+
+    xy: Tensor
+    there: Tensor
+    scored: Tensor
+    asked: Tensor | None = None
+    walked: Tensor | None = None
+
+
+def recorded(real: Excerpts, before: int = 0) -> CrowdWalk:
+    """Return the recorded crowd, with ``scored`` as of `walked_on`."""
+    frame = torch.arange(real.xy.shape[2])
+    moves = real.walks.unsqueeze(2) & (frame > real.taken.unsqueeze(2)) & real.there
+    moves &= frame >= OBS_LEN
+    before_it = real.xy.roll(1, 2)
+    arrived = (passes(before_it, real.xy, real.exit.unsqueeze(2)) & moves).cummax(2).values
+    return CrowdWalk(real.xy, real.there, moves & ~arrived & (frame >= OBS_LEN + before))
+
+
+def walked_on(policy: Policy, real: Excerpts, maps: MapBank, key: Tensor, before: int = 0) -> CrowdWalk:
+    """Return how the crowd goes on if a policy moves all people that it can.
+
+    People are played back until the policy takes them over, 8 rows after they came. They leave within 0.3 m
+    of their exit. Paths are straight. The first ``before`` steps have no gradients and are not scored: the
+    crowd is one that has walked on for a while.
+
+    Args:
+        policy: The policy, in most cases a `pedzoo.policies.learned.walker.Walker`.
+        real: The recorded crowd.
+        maps: The floor plans.
+        key: Keys of the scenes' draws (B,) long.
+        before: Steps of 0.4 s.
+    """
+    steps = real.xy.shape[2] - OBS_LEN
+    path = list(real.xy[:, :, :OBS_LEN].unbind(2))
+    there = list(real.there[:, :, :OBS_LEN].unbind(2))
+    scored = [torch.zeros_like(real.walks)] * OBS_LEN
+    gone = real.last < OBS_LEN - 1
+    asked, walked = [], []
+    for number in range(steps):
+        frame = OBS_LEN - 1 + number
+        mine = real.walks & (real.taken <= frame) & ~gone
+        others = real.there[:, :, frame] & ~(real.walks & (real.taken <= frame))
+        with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
+            batch = _observed(real, maps, path, there, mine, mine | others, key, number)
+            agents = cast("TensorDictBase", policy(batch)["agents"])
+            here, command = path[-1], cast("Tensor", agents["action"])
+            command = limit_speed(command, top_speed_of(real.pref_speed))
+            plays = real.there[:, :, frame + 1] & ~mine & ~(real.walks & (real.taken <= frame))
+            place = torch.where(
+                mine.unsqueeze(2),
+                here + STEP_SECONDS * command,
+                torch.where(plays.unsqueeze(2), real.xy[:, :, frame + 1], here.detach()),
+            )
+        arrives = mine & passes(here.detach(), place.detach(), real.exit)
+        gone = gone | arrives
+        path.append(place)
+        there.append(mine | plays)
+        scored.append(mine & ~arrives if number >= before else torch.zeros_like(mine))
+        if number >= before:
+            asked.append(agents.get("asked", command))
+            walked.append(command)
+    return CrowdWalk(*(torch.stack(values, 2) for values in (path, there, scored, asked, walked)))
+
+
+def _observed(
+    real: Excerpts,
+    maps: MapBank,
+    path: list[Tensor],
+    there: list[Tensor],
+    mine: Tensor,
+    mask: Tensor,
+    key: Tensor,
+    number: int,
+) -> TensorDictBase:
+    """Return the scene batch that an environment with the scenario ``replay`` would give on open floor."""
+    history, valid = torch.stack(path[-OBS_LEN:], 2), torch.stack(there[-OBS_LEN:], 2)
+    here, frame = history[:, :, -1], OBS_LEN - 1 + number
+    # as in the environment: before their first row people are where they come
+    history = torch.where(valid.unsqueeze(3), history, real.head[:, :, :1])
+    towards = real.exit - here
+    left = (towards.square().sum(-1) + 1e-6).sqrt()
+    wanted = towards / left.unsqueeze(2) * real.pref_speed.unsqueeze(2)
+    batch = scene_batch(
+        maps=maps,
+        map_id=real.map_id.unsqueeze(1),
+        pose=real.pose,
+        history=history,
+        valid=valid,
+        mask=mask,
+        pref_speed=real.pref_speed.unsqueeze(2),
+        top_speed=top_speed_of(real.pref_speed).unsqueeze(2),
+        velocity=(history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS,
+        goal=here + AHEAD_SECONDS * wanted,
+        desired_velocity=wanted,
+        remaining_path=left.unsqueeze(2),
+        controlled=mine,
+        key=key.unsqueeze(1),
+        time=history.new_full((len(key), 1), number * STEP_SECONDS),
+    )
+    whole = (real.exit - real.start).norm(dim=-1)
+    agents = cast("TensorDictBase", batch["agents"])
+    agents["first_history"] = real.head
+    agents["elapsed"] = ((frame - real.taken) * STEP_SECONDS).unsqueeze(2)
+    agents["progress"] = (whole - left).unsqueeze(2)
+    return batch
