@@ -96,7 +96,7 @@ def integrate(
     Returns:
         Paths, and distances to the nearest wall at all of their points (S * M, B, A), None without walls.
     """
-    ticks, strides = velocity.shape[1], steps // STRIDE
+    strides = steps // STRIDE
     seconds = TRACE_SECONDS / strides
     if walls is None:
         time = torch.arange(1, steps + 1, device=position.device, dtype=position.dtype)
@@ -105,42 +105,38 @@ def integrate(
         time = time.view(1, 1, -1, 1, 1) * (TRACE_SECONDS / steps)
         return (begin.unsqueeze(2) + velocity.unsqueeze(2) * time).flatten(1, 2), None
     reach = radius - SKIN
-    here = position
-    gap, away = _look(walls, here)
-    allowed = gap.detach().minimum(reach)
-    blocked_gap, blocked_away = torch.full_like(gap, _NO_WALL), torch.zeros_like(away)
-    blocked_at = here
-    points, gaps = [], []
-    for tick in range(ticks):
-        wanted = velocity[:, tick] * seconds
-        length = (wanted.square().sum(0) + 1e-12).sqrt()
+    wanted = velocity * seconds
+    length = (wanted.square().sum(0) + 1e-12).sqrt()
+    slowest, fastest = CREEP / length, torch.ones_like(reach)
+    here, near = position, radius + reach  # no stride is longer than the reach
+    # what the nearest wall leaves free, and what the wall does that the last stride ran into
+    gap, wall = walls.half_planes(here, near)
+    allowed = gap.minimum(reach)
+    wall[0].add_(allowed)
+    no_wall = wall.new_zeros(3, 1, 1)
+    no_wall[0] = -_NO_WALL
+    blocked, places, gaps = no_wall, [here], []
+    for tick_wanted, tick_length, least in zip(wanted.unbind(1), length, slowest, strict=True):
         for _ in range(strides):
             # near a wall strides are short: a straight line between two places must not cut a corner
-            move = wanted * (allowed.clamp_min(CREEP) / length).clamp_max(1.0)
-            lacking = (allowed - gap - (move * away).sum(0)).clamp_min(0)
-            target = here + move + lacking * away
-            ahead = blocked_gap + ((target - blocked_at) * blocked_away).sum(0)
-            target = target + (allowed - ahead).clamp_min(0) * blocked_away
-            new_gap, new_away = _look(walls, target)
+            share = (allowed / tick_length).clamp(least, fastest)
+            target = _kept_off(_kept_off(torch.addcmul(here, tick_wanted, share), wall), blocked)
+            new_gap, new_wall = walls.half_planes(target, near)
             stuck = new_gap < allowed - ROUNDING
-            blocked_at = torch.where(stuck, target, blocked_at)
-            blocked_gap = torch.where(stuck, new_gap, _NO_WALL)
-            blocked_away = torch.where(stuck, new_away, blocked_away)
-            before = here
-            here = torch.where(stuck, here, target)
-            gap, away = torch.where(stuck, gap, new_gap), torch.where(stuck, away, new_away)
-            allowed = gap.detach().minimum(reach).maximum(allowed)
-            points += [0.5 * (before + here), here]
+            allowed = new_gap.clamp(allowed, reach)
+            new_wall[0].add_(allowed)
+            blocked, wall = torch.where(stuck, new_wall, no_wall), torch.where(stuck, wall, new_wall)
+            here, gap = torch.where(stuck, here, target), torch.where(stuck, gap, new_gap)
+            places.append(here)
             gaps.append(gap)
-    path = torch.stack(points, dim=1)
-    middle, _ = walls.look(path[:, ::2].detach(), edges=False)
-    return path, torch.stack((middle, torch.stack(gaps)), dim=1).flatten(0, 1)
+    ends = torch.stack(places, dim=1)
+    middle = 0.5 * (ends[:, :-1] + ends[:, 1:])
+    path = torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
+    between, _ = walls.half_planes(middle, radius)
+    return path, torch.stack((between, torch.stack(gaps)), dim=1).flatten(0, 1)
 
 
-def _look(walls: LocalWalls, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the distance to the nearest wall (B, A), differentiable, and where it grows (2, B, A)."""
-    gap, away = walls.look(place.detach().unsqueeze(1), edges=False)
-    gap, away = gap[0], away[:, 0]
-    if place.requires_grad:
-        gap = gap + ((place - place.detach()) * away).sum(0)
-    return gap, away
+def _kept_off(place: Tensor, half_plane: Tensor) -> Tensor:
+    """Return places (2, B, A) moved straight into half-planes (3, B, A); see `LocalWalls.half_planes`."""
+    normal = half_plane[1:]
+    return torch.addcmul(place, (half_plane[0] - (place * normal).sum(0)).clamp_min(0), normal)

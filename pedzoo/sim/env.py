@@ -221,8 +221,9 @@ class PedestrianEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
-        if flags is None or self._scenes is None or bool(flags.all()):
-            self._scenes = self._next(torch.arange(self.batch_size[0]))
+        if flags is None or self._scenes is None:
+            everything = torch.arange(self.batch_size[0])
+            self._scenes = self._begin(everything, 1) if self._ahead is None else self._next(everything)
         elif bool(flags.any()):
             index = flags.view(-1).nonzero().view(-1)
             self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
@@ -237,8 +238,6 @@ class PedestrianEnv(EnvBase):
         A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
         made together as soon as one row needs its own. For few rows several of each are made.
         """
-        if self._ahead is None and len(index) == self.batch_size[0]:
-            return self._begin(index, 1)
         depth = self._depth
         if self._ahead is None or bool((self._taken[index] >= depth).any()):
             empty = (self._taken >= depth).nonzero().view(-1)

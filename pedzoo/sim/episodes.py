@@ -17,6 +17,7 @@ from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.sim import kernel
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
+from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Opening
 from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, filled
@@ -42,7 +43,7 @@ class Episodes:
         Args:
             prepared: The scenario, with its floor plans and ways.
             warm_start: Where the first observed steps come from.
-            physics: Moves agents in the warm start.
+            physics: Says how wide bodies are where nothing else does.
             rules: Of the scenes.
             device: Where the scenes will be. They are laid out on the CPU, alike for every device.
 
@@ -52,7 +53,9 @@ class Episodes:
         if warm_start not in get_args(warm.WarmStart):
             raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
         self._prepared, self._warm_start = prepared, warm_start
-        self._physics, self._rules, self._device = physics, rules, torch.device(device)
+        self._rules, self._device = rules, torch.device(device)
+        # episodes begin alike in all backends
+        self._physics = Compiled(prepared.bank, physics.body_radius)
         self._walls = WallSegments(prepared.bank, most=warm.ORCA.max_obstacles)
 
     @torch.no_grad()

@@ -15,6 +15,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
+from pedzoo.maps.library import load_plan
 from pedzoo.maps.walls.boxes import boxes, merge_cells
 
 
@@ -259,3 +260,21 @@ def test_distances_on_a_real_map(shared: Path) -> None:
     assert error.max() < 0.05 * grid.resolution
     assert error[np.abs(expected) < 0.2].max() < 1e-9
     assert (error < 1e-9).mean() > 0.9999
+
+
+def test_compiled_half_planes_are_those_of_torch():
+    bank = MapBank([load_plan("apartment.7")])
+    row, pose = torch.zeros(40, dtype=torch.long), torch.tensor([[0.7, -1.0, 2.0, 1.0]]).repeat(40, 1)
+    walls = bank.walls_of_state(*bank.walls_of_scenes(row, pose))
+    assert walls is not None
+    points = 12 * torch.rand(2, 3, 40, 5, generator=torch.Generator().manual_seed(0)) - 4
+    within = torch.full((40, 5), 0.3)
+    gap, planes = walls.half_planes(points, within)
+    exact, exact_planes = walls.half_planes(points.double(), within.double())
+    near = exact <= 0.3
+    assert 0.1 < near.float().mean() < 0.9 and bool((gap[~near] > 0.3 - 1e-5).all())
+    assert torch.allclose(gap[near].double(), exact[near], atol=1e-5)
+    assert torch.allclose(planes[:, near].double(), exact_planes[:, near], atol=1e-4)
+    # a place is as far inside of its half-plane as it is away from the wall
+    inside = (points * planes[1:]).sum(0) - planes[0]
+    assert torch.allclose(inside[near], gap[near], atol=1e-5)

@@ -1,10 +1,10 @@
-"""Loops over segments and cells of walls compiled by numba: buckets of segments, their look-up, and rays."""
+"""Loops over segments and cells of walls compiled by numba: buckets of segments, look-ups, and rays."""
 
 import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, jit
+from pedzoo.maps.walls.compiled import compiled, jit, quarter, wall_gap
 from pedzoo.maps.walls.constants import BUCKET, HALF, INTO, ROUNDED, WALL
 
 
@@ -113,6 +113,23 @@ def nearest(place, row, reach, segments, candidates, offset, corner, buckets, nu
             number[at, i], squared[at, i] = s, distance2[0]
         used = max(used, count)
     return used
+
+
+@compiled("void(f4[:,:,:,:], f4[:,:], f4[:,:,:], i4[:,:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:,:])")
+def look(points, within, frames, places, choice, option, least, limit, result):
+    """Write distances to walls and half-planes (4, K, B, A): see `LocalWalls.half_planes`."""
+    frame, place = np.empty(7), np.empty(3, np.int64)
+    for b in range(points.shape[2]):
+        frame[:], place[:] = frames[:, b, 0], places[:, b, 0]
+        for k in range(points.shape[1]):
+            for a in range(points.shape[3]):
+                x, y = points[0, k, b, a], points[1, k, b, a]
+                _, _, index = quarter(x, y, frame, place)
+                gap, away_x, away_y = float(least[index]), 0.0, 0.0
+                if not gap > within[b, a]:
+                    gap, away_x, away_y = wall_gap(x, y, frame, place, choice, option, limit)
+                result[0, k, b, a], result[1, k, b, a] = gap, x * away_x + y * away_y - gap
+                result[2, k, b, a], result[3, k, b, a] = away_x, away_y
 
 
 @compiled("void(f8[:,:,:], f8[:,:,:], f4[:], i4[:,:], f8[:], f8, f8[:,:])")

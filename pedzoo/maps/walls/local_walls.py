@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from pedzoo.core.machine import compiles
 from pedzoo.maps.walls.constants import INTO, WALL
 from pedzoo.maps.walls.nearest_boxes import CANDIDATES
 from pedzoo.maps.walls.walls import Walls
@@ -144,6 +146,27 @@ class LocalWalls:
         away = torch.stack([torch.addcmul(axis[0] * scaled[0], axis[1], scaled[1]) for axis in axes])
         return distance.clamp_max(walls.limit) * sign, away
 
+    def half_planes(self, points: Tensor, within: Tensor) -> tuple[Tensor, Tensor]:
+        """Return distances to walls (*K, B, A) at points (2, *K, B, A), and what the walls leave free nearby.
+
+        The latter are half-planes (3, *K, B, A). Places p with n p > c are free: c, then x and y of n, which
+        is where the distance grows. A wall farther away than ``within`` (B, A), metres, may be any distance
+        above that away, with n = 0. That is what the compiled loops for single precision on the CPU say.
+        No gradient flows.
+        """
+        shape = points.shape
+        points = points.detach().reshape(2, -1, *shape[-2:])
+        if compiles(points, within):
+            from pedzoo.maps.walls.compiled_walls import look
+
+            result = points.new_empty(4, *points.shape[1:])
+            look(points.numpy(), within.numpy(), *self._arrays, result.numpy())
+        else:
+            gap, away = self.look(points, edges=False)
+            result = torch.cat((torch.stack((gap, (points * away).sum(0) - gap)), away))
+        result = result.view(4, *shape[1:])
+        return result[0], result[1:]
+
     @torch.no_grad()
     def cast(self, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
         """Return how far rays go before they meet a wall (R, N), metres, ``reach`` where there is none.
@@ -191,6 +214,11 @@ class LocalWalls:
     @cached_property
     def _single(self) -> tuple[Tensor, ...]:
         return self.frame[:6].float().view(3, 2, 1, *self.frame.shape[1:]).unbind()
+
+    @cached_property
+    def _arrays(self) -> tuple[Any, ...]:
+        """What the compiled look-up reads: frames of scenes (7, B, 1), places (3, B, 1), and tables."""
+        return self.frame.numpy(), self.place.numpy(), *self.walls.arrays
 
     @cached_property
     def _ends(self) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Torch alone, batched, differentiable, on any device: walls are squares of the grid, bodies discs."""
+"""Torch, batched, differentiable, on any device: walls are squares of the grid, bodies discs."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.types import GOAL_RADIUS
+from pedzoo.sim.arrival import arrived
 from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
 from pedzoo.sim.physics_parts.camera import Camera
-from pedzoo.sim.physics_parts.near import agent_contacts
+from pedzoo.sim.physics_parts.near import contacts_of
 from pedzoo.sim.physics_parts.top_view import draw_top_view
 from pedzoo.sim.state import State
 
@@ -48,17 +48,11 @@ class Torch(Physics):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `Physics.advance`; contacts come from the distances that the path has looked up already."""
-        (path, gap), substeps = self._integrated(state, inputs), inputs.substeps
-        with torch.no_grad():
-            radius = state.radius
-            points = path.detach()
-            agent = agent_contacts(points, state.mask, radius)
-            wall = torch.zeros_like(agent) if gap is None else (gap < radius) & state.mask
-            near = (points - state.goal_point.movedim(-1, 0).unsqueeze(1)).square().sum(0) < GOAL_RADIUS**2
-            flags = torch.stack((agent, wall, near & inputs.wanted)).unflatten(1, (-1, substeps)).any(2)
-            reached = flags[2].cumsum(0) > 0
-        trace = path[:, substeps - 1 :: substeps].permute(2, 3, 1, 0)
-        return Motion(trace, *(part.permute(1, 2, 0) for part in (flags[0], flags[1], reached)))
+        path, gap = self._integrated(state, inputs)
+        steps = path.unflatten(1, (-1, inputs.substeps))
+        gap = gap if gap is None else gap.view(steps.shape[1:])
+        contacts = contacts_of(steps.detach(), gap, state.mask, state.radius)
+        return Motion(steps[:, :, -1].permute(2, 3, 1, 0), *contacts, arrived(path, state.goal_point, inputs))
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:
@@ -67,15 +61,9 @@ class Torch(Physics):
         row = self.bank.index(people.map_id[:, 0])
         frame, place = self.bank.walls_of_scenes(row, people.pose)
         present = people.mask & path.isfinite().flatten(2).all(2)
-        points = path.flatten(2, 3).permute(3, 2, 0, 1)
-        agent = agent_contacts(points, present, radius)
-        walls = self.bank.walls_of_state(frame, place)
-        wall = torch.zeros_like(agent)
-        if walls is not None:
-            wall = (walls.look(points.contiguous(), edges=False)[0] < radius) & present
-        return Contacts(
-            *(touch.unflatten(0, path.shape[2:4]).any(1).permute(1, 2, 0) for touch in (agent, wall))
-        )
+        steps, walls = path.permute(4, 2, 3, 0, 1), self.bank.walls_of_state(frame, place)
+        gap = None if walls is None else walls.half_planes(steps, radius)[0]
+        return contacts_of(steps, gap, present, radius)
 
     @torch.no_grad()
     def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:

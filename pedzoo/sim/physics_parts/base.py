@@ -188,7 +188,7 @@ class Physics(ABC):
             scripted = state.mask & ~inputs.moving
             path = torch.where(scripted, given, path)
             if walls is not None and gap is not None:
-                gap = torch.where(scripted, walls.look(given, edges=False)[0], gap)
+                gap = torch.where(scripted, walls.half_planes(given, state.radius)[0], gap)
         return path, gap
 
     @abstractmethod
