@@ -40,9 +40,9 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
     """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
 
     Two people share a correction, by who goes first: see `pedzoo.policies.learned.precedence`. Agents that
-    the policy does not move take no part in it, and robots leave it to people: the other one makes all of it. Agents that touch already come no closer. Neither turning a
-    scene nor the order of its people changes anything. Differentiable. Walls are those of
-    `MapBank.walls_around`.
+    the policy does not move take no part in it, and robots leave it to people: the other one makes all of
+    it. Agents that touch already come no closer. Neither turning a scene nor the order of its people changes
+    anything. Differentiable. Walls are those of `MapBank.walls_around`.
     """
     return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
 
