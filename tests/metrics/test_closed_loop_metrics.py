@@ -66,13 +66,14 @@ def busy() -> Rollout:
         reached=(torch.arange(120) >= when).long() + (torch.arange(120) >= 2 * when).long(),
         pref_speed=speeds,
         gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 3.0], dtype=torch.float64).expand(5, 5),
+        changed=0.1 * torch.rand(5, 3, 120, generator=generator, dtype=torch.float64),
     )
 
 
 def permuted(walked: Rollout, order: list[int]) -> Rollout:
     """Return the rollout with its people in another order."""
     values = {field.name: getattr(walked, field.name) for field in fields(walked)}
-    people = {*OVER_TIME, "overdue", "mask", "past", "pref_speed", "first_path_length"}
+    people = {*OVER_TIME, "changed", "overdue", "mask", "past", "pref_speed", "first_path_length"}
     return replace(walked, **{name: value[:, order] for name, value in values.items() if name in people})
 
 
