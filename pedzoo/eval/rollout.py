@@ -3,16 +3,20 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from pedzoo.core import renamed
+from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import limit_speed
 from pedzoo.core.machine import usable
 from pedzoo.core.spec import Spec
+from pedzoo.core.types import TOP_SPEED_RATIO
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
@@ -142,11 +146,24 @@ def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None
     recorder = Recorder(env)
     while recorder.alive.any():
         result = env.step(policy(now))
-        recorder.add(result["next"])
+        recorder.add(result["next"], changed=_changed(result, env.decision_dt))
         if ended:
             ended(int((~recorder.alive).sum()))
         now = step_mdp(result)
     return recorder.rollout()
+
+
+def _changed(scenes: TensorDictBase, decision_dt: float) -> Tensor | None:
+    """Return by how many metres a safety layer changed steps (B, A), as far as agents could have walked them.
+
+    None where there is no layer.
+    """
+    agents = agents_of(scenes)
+    if "asked" not in agents.keys():
+        return None
+    asked, pref_speed = cast("Tensor", agents["asked"]), cast("Tensor", agents["pref_speed"])
+    possible = limit_speed(asked, TOP_SPEED_RATIO * pref_speed[..., 0])
+    return decision_dt * (cast("Tensor", agents["action"]) - possible).norm(dim=-1)
 
 
 class Recorder:
@@ -167,15 +184,19 @@ class Recorder:
         self.progress = _progress(self.state)
         self._steps: list[dict[str, Tensor]] = []
 
-    def add(self, after: Any, done: Tensor | None = None) -> None:
+    def add(self, after: Any, done: Tensor | None = None, changed: Tensor | None = None) -> None:
         """Keep a decision.
 
         Args:
             after: What it led to: ``next`` of the environment's step.
             done: Which episodes end with it (B,) bool; None for what the environment says.
+            changed: Metres by which a safety layer changed it (B, A); None without one.
         """
         before, self.state, alive = self.state, self._env.state, self.alive
-        self._steps.append(_kept(after, before, self.state, alive, self._steps[-1] if self._steps else None))
+        step = _kept(after, before, self.state, alive, self._steps[-1] if self._steps else None)
+        if changed is not None:
+            step["changed"] = changed.unsqueeze(2).expand_as(step["reached"])
+        self._steps.append(step)
         self._overdue = torch.where(alive.unsqueeze(1), self.state.overdue, self._overdue)
         self._failed = torch.where(alive, self.state.failed, self._failed)
         self.progress = torch.where(alive.unsqueeze(1), _progress(self.state), self.progress)

@@ -12,6 +12,7 @@ from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import CLEARANCE
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
@@ -92,6 +93,7 @@ class EvaluationCase(NamedTuple):
         shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
         people: Who walks beside a robot; empty where there is none, or where people are played back.
         robot: The robot's body; empty where there is none.
+        clearance: Metres that planned ways keep from walls.
     """
 
     suite: str
@@ -106,6 +108,7 @@ class EvaluationCase(NamedTuple):
     shares: str = ""
     people: str = ""
     robot: str = ""
+    clearance: float = CLEARANCE
 
 
 class WorkUnit(NamedTuple):
@@ -168,6 +171,8 @@ class Suite(ABC):
         "time_ratio",
         "path_ratio",
         "least_distance_m",
+        "intervention_share",
+        "intervention_m",
     )
     legend: ClassVar[Mapping[str, str]] = {}
 
@@ -207,7 +212,8 @@ class Suite(ABC):
         Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
         """
         case = unit.case
-        parts = list(walked(unit, prepared(case.scenario, case.inputs), unit.seeds, case.episodes, tell))
+        scenario = prepared(case.scenario, case.inputs, case.clearance)
+        parts = list(walked(unit, scenario, unit.seeds, case.episodes, tell))
         rollout = joined([part for part, _ in parts])
         result = row(unit.policy, rollout, self.more(rollout), unit.metrics)
         for person in result["per_agent"]:
@@ -224,7 +230,8 @@ def walked(
     ``episodes`` are those of every seed; ``tell`` is called with the share that is done.
     """
     for number, seed in enumerate(seeds):
-        policy, env = prepare(unit.walks, scenario, unit.case.physics, episodes, seed, device=unit.device)
+        where = {"device": unit.device, "clearance": unit.case.clearance}
+        policy, env = prepare(unit.walks, scenario, unit.case.physics, episodes, seed, **where)
 
         def share(name: str, done: int, total: int, number: int = number) -> None:
             if tell:

@@ -29,7 +29,7 @@ def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
     That is the last of an odd number of crossings of the door line, interpolated between two trace points.
     People who come back are not through.
     """
-    ahead, beside = _from_door(path, gate)
+    ahead, beside = from_door(path, gate)
     side = ahead >= 0
     at = ahead[..., :-1] / (ahead[..., :-1] - ahead[..., 1:])  # share of the step that is before the line
     between = beside[..., :-1] + at * beside.diff(dim=2)
@@ -42,7 +42,7 @@ def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
 
 def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     """Return the pair of an episode's people ``mask`` (E, A), and where there is one (E,) bool."""
-    ahead, _ = _from_door(start.unsqueeze(2), gate)
+    ahead, _ = from_door(start.unsqueeze(2), gate)
     away = (start - gate[:, None, :2]).norm(dim=-1)
     sides = torch.stack((ahead[..., 0] < 0, ahead[..., 0] >= 0), dim=1) & mask.unsqueeze(1)
     nearest = away.unsqueeze(1).masked_fill(~sides, torch.inf).min(2)
@@ -117,7 +117,7 @@ def of_pair(value: Tensor, pair: Tensor) -> Tensor:
     return value[torch.arange(len(pair), device=pair.device).unsqueeze(1), pair]
 
 
-def _from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+def from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     """Return how far positions (E, A, N, 2) are along the normal and along the wall (E, A, N), metres."""
     off = path - gate[:, None, None, :2]
     normal = gate[:, None, None, 2:4]

@@ -87,6 +87,9 @@ class Episodes:
         if layout.opening is not None:  # played-back people may stand where no path leads away
             remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
         clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
+        if until is None:
+            patience = self._prepared.scenario.patience
+            until = deadline(clock, remaining_path, state.pref_speed).clamp_min(patience)
         position, past = state.position, state.past
         if velocity is None:
             velocity = (position - past[:, :, -2]) / TRACE_SECONDS
@@ -100,7 +103,7 @@ class Episodes:
             heading=faces,
             goal_point=guidance.goal_point,
             reached=torch.zeros_like(state.reached),
-            deadline=deadline(clock, remaining_path, state.pref_speed) if until is None else until,
+            deadline=until,
             overdue=torch.zeros_like(state.overdue),
             remaining_path=remaining_path,
             planned=torch.where(opening.controlled, planned(remaining_path), 0.0),

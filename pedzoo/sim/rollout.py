@@ -57,6 +57,8 @@ class Rollout:
         gate: The scene's door (E, 5): centre x and y, unit normal x and y of its wall, clear width; metres.
             None where the scenario has none.
         decision_dt: Seconds between two decisions of the policy.
+        changed: By how many metres a safety layer changed the step of which a point is part (E, A, T); None
+            where the policy has no layer, or is a mixed crowd.
     """
 
     trace: Tensor
@@ -81,6 +83,7 @@ class Rollout:
     goals: int
     gate: Tensor | None = None
     decision_dt: float = STEP_SECONDS
+    changed: Tensor | None = None
 
     @property
     def length(self) -> Tensor:
@@ -164,7 +167,8 @@ def joined(parts: Sequence[Rollout]) -> Rollout:
     for field in fields(Rollout):
         values = [getattr(part, field.name) for part in parts]
         if isinstance(values[0], Tensor):
-            values = [grown(value, longest) for value in values] if field.name in OVER_TIME else values
+            if field.name in (*OVER_TIME, "changed"):
+                values = [grown(value, longest) for value in values]
             result[field.name] = torch.cat(values)
         else:
             result[field.name] = values[0]
@@ -190,13 +194,14 @@ def rollout_of(
     Args:
         scenario: Where they are from.
         start: How they began.
-        steps: Values for every trace point, piece by piece (E, A, S, ...).
+        steps: Values for every trace point, piece by piece (E, A, S, ...); ``changed`` may be left out.
         overdue: Which agents did not reach a goal in time (E, A) bool.
         failed: In which the policy gave no number (E,) bool.
         decision_dt: Seconds between two decisions.
     """
+    known = [*OVER_TIME, *(["changed"] if "changed" in steps[0] else [])]
     return Rollout(
-        **{key: torch.cat([step[key] for step in steps], dim=2) for key in OVER_TIME},
+        **{key: torch.cat([step[key] for step in steps], dim=2) for key in known},
         overdue=overdue,
         failed=failed,
         mask=start.mask,

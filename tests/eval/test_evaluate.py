@@ -236,7 +236,7 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
         (
             ["orca", "--suite", "replay", "--episodes", "9"],
             "in replay; door, encounters, figure4, goals, loop_buildings, loop_doors, loop_noise, "
-            "robots, table2",
+            "queues, robots, table2",
         ),
         (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),
         (["orca", "--sute", "encounters"], "--suite"),

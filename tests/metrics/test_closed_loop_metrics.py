@@ -66,13 +66,14 @@ def busy() -> Rollout:
         reached=(torch.arange(120) >= when).long() + (torch.arange(120) >= 2 * when).long(),
         pref_speed=speeds,
         gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 3.0], dtype=torch.float64).expand(5, 5),
+        changed=0.1 * torch.rand(5, 3, 120, generator=generator, dtype=torch.float64),
     )
 
 
 def permuted(walked: Rollout, order: list[int]) -> Rollout:
     """Return the rollout with its people in another order."""
     values = {field.name: getattr(walked, field.name) for field in fields(walked)}
-    people = {*OVER_TIME, "overdue", "mask", "past", "pref_speed", "first_path_length"}
+    people = {*OVER_TIME, "changed", "overdue", "mask", "past", "pref_speed", "first_path_length"}
     return replace(walked, **{name: value[:, order] for name, value in values.items() if name in people})
 
 
@@ -211,7 +212,7 @@ def test_metrics_depend_neither_on_the_frame_nor_on_how_people_are_numbered() ->
     assert tuple(expected) == NAMES
     trivial = {key for key, value in expected.items() if value in (0.0, 1.0)}
     touched = {"agent_contact_episodes", "wall_contact_episodes", "clean", "contact_free"}
-    assert trivial == {"failed", "deadlock"} | touched
+    assert trivial == {"failed", "deadlock", "through", "all_through"} | touched
     assert metrics(turned(walked, 2.0, (3.0, -7.0))) == pytest.approx(expected, rel=1e-6)
     assert metrics(permuted(walked, [2, 0, 1])) == pytest.approx(expected, rel=1e-9)
     assert walked.gate is not None
@@ -236,7 +237,8 @@ def two_episodes_with_door() -> Rollout:
     """Return three people who stand for 20 s beside a door."""
     path = torch.tensor([[-1.0, 0.0], [1.0, 0.0], [-2.0, 0.0]], dtype=torch.float64)
     path = path.view(1, 3, 1, 2).expand(2, 3, 201, 2)
-    return made(path, gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 0.85], dtype=torch.float64).expand(2, 5))
+    gate = torch.tensor([0.0, 0.0, 1.0, 0.0, 0.85], dtype=torch.float64)
+    return made(path, gate=gate.expand(2, 5), changed=torch.zeros(2, 3, 200, dtype=torch.float64))
 
 
 def hasty() -> Rollout:

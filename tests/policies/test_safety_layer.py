@@ -19,6 +19,7 @@ from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 from pedzoo.policies.learned.clearance import MARGIN, SHOULDERS, ProposedSteps
+from pedzoo.policies.learned.precedence import SPREAD
 from pedzoo.policies.learned.safety import kept_clear, safe
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
@@ -170,7 +171,7 @@ def test_who_hardly_moved_in_the_observed_steps_waits() -> None:
     agents: Any = seen["agents"]
     place, ahead = torch.tensor([[-0.4, -0.05], [0.4, 0.05]]), torch.tensor([[0.4, 0.0], [-0.4, 0.0]])
     ago = torch.arange(-7.0, 1.0).view(-1, 1)
-    for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN), (0.3, SHOULDERS)):
+    for walked, room_left in ((0.0, 2 * BODY_RADIUS + MARGIN + SPREAD), (0.3, SHOULDERS)):
         agents["history"] = (place.unsqueeze(1) + walked * ago * ahead.unsqueeze(1)).unsqueeze(0)
         agents["velocity"] = ahead.unsqueeze(0) / STEP_SECONDS
         result = safe(seen, ahead.unsqueeze(0))

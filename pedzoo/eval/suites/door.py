@@ -24,6 +24,8 @@ class Door(Suite):
         "yield_delay_s",
         "yielder_speed_m_per_s",
         "specific_flow_per_m_s",
+        "intervention_share",
+        "intervention_m",
     )
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:

@@ -14,9 +14,13 @@ from torch import Tensor
 
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.policies.learned.precedence import LEAST_SHARE, SPREAD, passing, precedence
 
 ROUNDS = 8
 """Corrections at most: each may undo a part of another."""
+
+SHARES = 1.0, 0.5, 0.15, 0.0
+"""Parts of a step that are tried, one after the other, if more of it would touch something."""
 
 NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
@@ -62,6 +66,7 @@ class ProposedSteps(NamedTuple):
         robot: Which of them are robots (B, A) bool.
         velocity: With which they begin the step (B, A, 2), m/s: the simulation blends it with the new one.
             None where velocities are switched, and steps straight.
+        rank: Of two people who wait side by side, the one of higher rank goes first (B, A). None: none does.
     """
 
     position: Tensor
@@ -73,6 +78,7 @@ class ProposedSteps(NamedTuple):
     radius: Tensor
     robot: Tensor
     velocity: Tensor | None = None
+    rank: Tensor | None = None
 
     @property
     def first(self) -> float:
@@ -114,6 +120,8 @@ class PairConstraints(NamedTuple):
         mine: Share of the correction that the first agent of a pair makes (B, A, A).
         least: Distance below which they touch (B, A, A), metres: the sum of their radii.
         first: Of the steps.
+        stands: Which agents wait in the way of one who waits, too, and goes first, or press on that one
+            (B, A) bool: they stand but for corrections, by which they make way.
     """
 
     away: Tensor
@@ -122,10 +130,14 @@ class PairConstraints(NamedTuple):
     mine: Tensor
     least: Tensor
     first: float
+    stands: Tensor
 
     @classmethod
     def of(cls, steps: ProposedSteps, narrow: Tensor | None) -> PairConstraints:
-        """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool."""
+        """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool.
+
+        Steps are at most the longest ones.
+        """
         position = steps.position.movedim(-1, 0)
         away = position.unsqueeze(3) - position.unsqueeze(2)
         apart = (away.square().sum(0) + 1e-9).sqrt()
@@ -134,16 +146,27 @@ class PairConstraints(NamedTuple):
         yields = steps.moved & ~steps.robot
         gives = yields.unsqueeze(2) | (steps.moved.unsqueeze(2) & ~yields.unsqueeze(1))
         share = gives.to(away.dtype)
-        mine = share / (share + share.mT).clamp_min(1)
+        wait = steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1)
+        order = precedence(steps.step, away, wait, steps.rank, steps.velocity)
+        order = torch.where(yields.unsqueeze(2) & yields.unsqueeze(1), order, 0.0)
+        mine = share / (share + share.mT).clamp_min(1) - (0.5 - LEAST_SHARE) * order
         least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
         bodies = wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
+        past = passing(steps.step, away)
+        # people who press on one ahead would hold up that one's way back
+        presses = (past < bodies) & (apart < bodies + SPREAD)
+        stands = (both & wait & (order < 0) & ((past.mT < bodies) | presses)).any(2)
         if narrow is not None:
-            broad = narrow.unsqueeze(2) | narrow.unsqueeze(1)
-            broad &= ~(steps.waits.unsqueeze(2) & steps.waits.unsqueeze(1))
-            wanted = torch.where(broad, wanted.clamp_min(SHOULDERS), wanted)
+            broad = (narrow.unsqueeze(2) | narrow.unsqueeze(1)) & ~wait
+            # the other need not make more room than the one who goes first takes
+            room = torch.where(order > 0.5, past, torch.where(order < -0.5, past.mT, SHOULDERS))
+            wanted = torch.where(broad, wanted.maximum(room.clamp_max(SHOULDERS)), wanted)
         rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
         room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
-        return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first)
+        if steps.velocity is not None:
+            rest = torch.where(both & wait & (order != 0), bodies + SPREAD, room[3])
+            room = torch.cat((room[:3], rest.unsqueeze(0)))
+        return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first, stands)
 
     def correction(self, walk: Tensor) -> Tensor:
         """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off others."""
@@ -165,8 +188,8 @@ class PairConstraints(NamedTuple):
         full = (line * move[2]).sum(0)
         back = self.room[0] - self.apart - full
         if len(part) > 1:
-            less = self.room[1] - self.apart
-            back = back.maximum((less - (line * move[0]).sum(0)) / self.first).maximum(less / BEYOND - full)
+            begin = (self.room[1] - self.apart - (line * move[0]).sum(0)) / self.first
+            back = back.maximum(begin).maximum((self.room[3] - self.apart) / BEYOND - full)
         way = torch.where(aside < back, (aside.clamp_max(1e3) / gap) * at, back.clamp_min(0) * line)
         way = torch.where(active, self.mine * way, 0.0)
         # an agent with many corrections need not make each of them alone
@@ -174,7 +197,7 @@ class PairConstraints(NamedTuple):
 
     def touching(self, mine: Tensor, theirs: Tensor) -> Tensor:
         """Return which pairs run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
-        bound = torch.minimum(self.room, _plus(self.least, 0.001, 2 * BODY_RADIUS)) - 1e-4
+        bound = torch.minimum(self.room, _plus(self.least, 0.004, 2 * BODY_RADIUS)) - 1e-4
         return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
 
     def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -21,20 +21,21 @@ from pedzoo.policies.learned.clearance_parts import (
 
 
 @compiled(
-    "void(f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:], b1[:,:], b1[:,:], b1[:,:], f4[:,:], b1[:,:], b1,"
-    " i8, f8, f8, f8, f8, f8, f8, f4[:,:], i4[:,:], i4[:], f4[:,:], f4[:], f8,"
-    " f4[:,:,:], b1[:,:], f4[:,:,:], f4[:,:], i8[:], f8[:,:,:,:])"
+    "void(f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:], b1[:,:], b1[:,:], b1[:,:], f4[:,:], b1[:,:], f4[:,:], b1,"
+    " UniTuple(f8, 6), UniTuple(f8, 4), i8, f8, f8, f8, f8, f8, f8, f4[:,:], i4[:,:], i4[:], f4[:,:], f4[:],"
+    " f8, f4[:,:,:], b1[:,:], f4[:,:,:], f4[:,:], i8[:], f8[:,:,:,:], b1[:,:])"
 )
 def keep_clear(
-    position, asked, velocity, longest, present, moved, waits, radius, robot, blends,
-    rounds, margin, shoulders, narrow_gap, first, beyond, rounding, frames, places,
-    choice, option, bound, limit, out, narrow, slope, shares, used, record,
+    position, asked, velocity, longest, present, moved, waits, radius, robot, rank, blends,
+    order, parts, rounds, margin, shoulders, narrow_gap, first, beyond, rounding, frames, places,
+    choice, option, bound, limit, out, narrow, slope, shares, used, record, stands,
 ):  # fmt: skip
     """Write steps (B, A, 2), metres, without contacts: see `pedzoo.policies.learned.safety.kept_clear`.
 
     Args are those of `ProposedSteps`, with velocities in metres per quarter of a step; whether velocities
-    blend; and constants. Then the walls: frames (B, 7) and places (B, 3), no rows without walls, and their
-    tables. Then the results:
+    blend; and constants, those of precedence in a tuple, and the parts of
+    a step that are tried. Then the walls: frames (B, 7) and places (B, 3), no
+    rows without walls, and their tables. Then the results:
 
     * the steps;
     * which agents are in a narrow place (B, A);
@@ -42,15 +43,16 @@ def keep_clear(
     * share of their steps that they walk (B, A);
     * how many rounds had corrections (B,);
     * of each round (B, R, A, 7): size, 0 for none; steps at its begin, after others and after walls; the
-      place on the way that a wall corrects, 0 for none.
+      place on the way that a wall corrects, 0 for none;
+    * which agents stand to make way (B, A).
     """
     scenes, agents = moved.shape
     step, change = np.zeros((agents, 2)), np.zeros((agents, 2))
-    path, levels, still = np.zeros((agents, 6)), np.zeros((3, agents, 6)), np.zeros(6)
+    path, levels, still = np.zeros((agents, 6)), np.zeros((len(parts), agents, 6)), np.zeros(6)
     room, asking, level = np.zeros(agents), np.zeros(agents), np.zeros(agents, np.int64)
     near, stops = np.zeros((2, agents), np.bool_)
-    members, number = np.zeros((agents * agents, 2), np.int64), np.zeros((8, agents * agents))
-    from_x, from_y, apart, wanted, firm, touch, mine, theirs = number
+    members, number = np.zeros((agents * agents, 2), np.int64), np.zeros((9, agents * agents))
+    from_x, from_y, apart, wanted, firm, touch, mine, theirs, rest = number
     frame, place = np.zeros(7), np.zeros(3, np.int64)
     for b in range(scenes):
         has_walls = frames.shape[0] > 0
@@ -85,9 +87,14 @@ def keep_clear(
                 blends and moved[b, a], path[a],
             )  # fmt: skip
         pairs = meetings(
-            position[b], step, longest[b], present[b], moved[b], waits[b], radius[b], robot[b], narrow[b],
-            margin, shoulders, beyond, members, number,
+            position[b], step, velocity[b], longest[b], present[b], moved[b], waits[b], radius[b], robot[b],
+            rank[b], narrow[b], margin, shoulders, order, beyond, members, number, stands[b],
         )  # fmt: skip
+        for a in range(agents):
+            if stands[b, a]:
+                step[a] = 0.0
+                before = velocity[b, a]
+                walk(0.0, 0.0, before[0], before[1], longest[b, a], blends, path[a])
         settled, safe = False, False
         used[b] = 0
         for r in range(rounds):
@@ -96,7 +103,7 @@ def keep_clear(
             for k in range(pairs):
                 a, o = members[k]
                 lacks, x, y = correction(
-                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], path[a], path[o],
+                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], rest[k], path[a], path[o],
                     blends, first, beyond, rounding,
                 )  # fmt: skip
                 if lacks:
@@ -141,23 +148,26 @@ def keep_clear(
         level[:] = 0
         if not (settled and safe):
             for a in range(agents):
-                for part in range(3):
-                    share = 1 - 0.5 * part
+                for part in range(len(parts)):
+                    share = parts[part]
                     walk(
                         share * step[a, 0], share * step[a, 1], velocity[b, a, 0], velocity[b, a, 1],
                         longest[b, a], blends and moved[b, a], levels[part, a],
                     )  # fmt: skip
-            for turn in range(agents + 2):
+            for turn in range(agents + len(parts) - 1):
                 stops[:] = False
                 for k in range(pairs):
                     a, o = members[k]
                     x, y, least = from_x[k], from_y[k], touch[k]
                     my_path, their_path = levels[level[a], a], levels[level[o], o]
-                    if closest(x, y, my_path, their_path, least, least, blends, first, 1.0)[0] > 0:
-                        alone = closest(x, y, my_path, still, least, least, blends, first, 1.0)[0] > 0
-                        other = closest(x, y, still, their_path, least, least, blends, first, 1.0)[0] > 0
-                        stops[a] = stops[a] or (mine[k] > 0 and (alone or not other))
-                        stops[o] = stops[o] or (theirs[k] > 0 and (other or not alone))
+                    if closest(x, y, my_path, their_path, least, least, least, blends, first, 1.0)[0] > 0:
+                        alone = closest(x, y, my_path, still, least, least, least, blends, first, 1.0)[0] > 0
+                        other = (
+                            closest(x, y, still, their_path, least, least, least, blends, first, 1.0)[0] > 0
+                        )
+                        # where both have to walk for a touch, who goes first need not stop
+                        stops[a] = stops[a] or (mine[k] > 0 and (alone or (not other and mine[k] >= 0.5)))
+                        stops[o] = stops[o] or (theirs[k] > 0 and (other or (not alone and theirs[k] >= 0.5)))
                 ended = True
                 for a in range(agents):
                     if near[a] and not stops[a]:
@@ -168,9 +178,9 @@ def keep_clear(
                         )  # fmt: skip
                     if stops[a]:
                         ended = False
-                        level[a] = 2 if turn else 1
+                        level[a] = min(turn + 1, len(parts) - 1)
                 if ended:
                     break
         for a in range(agents):
-            shares[b, a] = 1 - 0.5 * level[a]
+            shares[b, a] = parts[level[a]]
             out[b, a, 0], out[b, a, 1] = shares[b, a] * step[a, 0], shares[b, a] * step[a, 1]

@@ -55,7 +55,7 @@ def nearest(x, y, to_x, to_y):
 
 
 @jit
-def closest(x, y, mine, theirs, room, firm, blends, first, beyond):
+def closest(x, y, mine, theirs, room, firm, rest, blends, first, beyond):
     """Return how much room two lack where they lack most, and where that is.
 
     That is one of four straight parts, how much of it is walked, the relative place (x, y) and the distance.
@@ -75,8 +75,8 @@ def closest(x, y, mine, theirs, room, firm, blends, first, beyond):
     if beyond > 1:
         near_x, near_y = x + beyond * (mine[4] - theirs[4]), y + beyond * (mine[5] - theirs[5])
         near = length(near_x, near_y)
-        if firm - near > lack:
-            lack, part, along, at_x, at_y, gap = firm - near, 3, 1.0, near_x, near_y, near
+        if rest - near > lack:
+            lack, part, along, at_x, at_y, gap = rest - near, 3, 1.0, near_x, near_y, near
     return lack, part, along, at_x, at_y, gap
 
 
@@ -93,7 +93,7 @@ def weight_of(part, along, first, beyond):
 
 
 @jit
-def way_back(line_x, line_y, apart, room, firm, mine, theirs, blends, first, beyond):
+def way_back(line_x, line_y, apart, room, firm, rest, mine, theirs, blends, first, beyond):
     """Return by how much a step lacks room along the line between two, and which demand is the greatest."""
     full = line_x * (mine[4] - theirs[4]) + line_y * (mine[5] - theirs[5])
     back, demand = room - apart - full, 0
@@ -101,8 +101,8 @@ def way_back(line_x, line_y, apart, room, firm, mine, theirs, blends, first, bey
         along = line_x * (mine[0] - theirs[0]) + line_y * (mine[1] - theirs[1])
         if (firm - apart - along) / first > back:
             back, demand = (firm - apart - along) / first, 1
-        if (firm - apart) / beyond - full > back:
-            back, demand = (firm - apart) / beyond - full, 2
+        if (rest - apart) / beyond - full > back:
+            back, demand = (rest - apart) / beyond - full, 2
     return max(back, 0.0), demand
 
 
@@ -159,13 +159,13 @@ def touches_wall(x, y, path, least, frame, place, choice, option, bound, limit):
 
 
 @jit
-def correction(x, y, apart, room, firm, mine, theirs, blends, first, beyond, rounding):
+def correction(x, y, apart, room, firm, rest, mine, theirs, blends, first, beyond, rounding):
     """Return whether two come too near, and the change of their relative step that prevents it."""
-    lack, part, along, at_x, at_y, gap = closest(x, y, mine, theirs, room, firm, blends, first, beyond)
+    lack, part, along, at_x, at_y, gap = closest(x, y, mine, theirs, room, firm, rest, blends, first, beyond)
     if lack <= rounding:
         return False, 0.0, 0.0
     line_x, line_y = x / apart, y / apart
-    back, _ = way_back(line_x, line_y, apart, room, firm, mine, theirs, blends, first, beyond)
+    back, _ = way_back(line_x, line_y, apart, room, firm, rest, mine, theirs, blends, first, beyond)
     aside = lack / max(weight_of(part, along, first, beyond), 1e-3) if gap > 1e-3 else np.inf
     if aside < back:
         share = min(aside, 1e3) / gap
@@ -174,36 +174,74 @@ def correction(x, y, apart, room, firm, mine, theirs, blends, first, beyond, rou
 
 
 @jit
+def precedence(x, y, mine, theirs, velocity, other_velocity, wait, rank, constants):
+    """Return how clearly an agent at (x, y) from another goes first: see `precedence.precedence`."""
+    ahead, tie, _, least, seconds, _ = constants
+    size = max(math.sqrt(mine[0] * mine[0] + mine[1] * mine[1]), least)
+    other = max(math.sqrt(theirs[0] * theirs[0] + theirs[1] * theirs[1]), least)
+    lead = 0.5 * (x * (mine[0] / size + theirs[0] / other) + y * (mine[1] / size + theirs[1] / other))
+    lead += seconds * (mine[0] * velocity[0] + mine[1] * velocity[1]) / size
+    lead -= seconds * (theirs[0] * other_velocity[0] + theirs[1] * other_velocity[1]) / other
+    lead = (lead + tie * np.sign(rank)) / tie if wait else lead / ahead
+    return min(max(lead, -1.0), 1.0)
+
+
+@jit
 def meetings(
-    position, step, longest, present, moved, waits, radius, robot, narrow, margin, shoulders, beyond,
-    members, number,
+    position, step, velocity, longest, present, moved, waits, radius, robot, rank, narrow, margin, shoulders,
+    order, beyond, members, number, stands,
 ):  # fmt: skip
     """Write the pairs of a scene that may come too near, and return their number.
 
-    Args are the agents' (A, ...), constants, and the results: the agents of each pair (N, 2), and of each
-    pair (8, N) the place, the distance, the wanted, firm and untouchable room, and both shares.
+    Args are the agents' (A, ...), constants, those of precedence in a tuple, and the results: the agents of
+    each pair (N, 2); of each pair (9, N) the place, the distance, the wanted, firm and untouchable room, both
+    shares, and the room after the step; and which agents stand to make way (A,).
     """
     pairs = 0
+    stands[:] = False
+    shift = 0.5 - order[2]
     for a in range(len(moved)):
         for o in range(a):
             if not (present[a] and present[o] and (moved[a] or moved[o])):
                 continue
             x, y = position[a, 0] - position[o, 0], position[a, 1] - position[o, 1]
             distance, bodies = length(x, y), radius[a] + radius[o]
-            most = bodies + margin
-            if (narrow[a] or narrow[o]) and not (waits[a] and waits[o]):
-                most = max(most, shoulders)
+            most, wait = bodies + margin, waits[a] and waits[o]
+            broad = (narrow[a] or narrow[o]) and not wait
             reach = longest[a] if moved[a] else length(step[a, 0], step[a, 1])
             reach += longest[o] if moved[o] else length(step[o, 0], step[o, 1])
-            if distance > most + beyond * reach + margin:
+            if distance > (max(most, shoulders) if broad else most) + beyond * reach + margin:
                 continue
             yields, other = moved[a] and not robot[a], moved[o] and not robot[o]
             gives, other_gives = yields or (moved[a] and not other), other or (moved[o] and not yields)
             share = 0.5 if gives and other_gives else 1.0
+            share, other_share, room = share * gives, share * other_gives, shoulders
+            rest = min(distance, bodies + margin)
+            if yields and other:
+                first = precedence(
+                    x, y, step[a], step[o], velocity[a], velocity[o], wait, rank[a] - rank[o], order
+                )  # fmt: skip
+                share, other_share = share - shift * first, share + shift * first
+                if wait and first != 0 and beyond > 1:
+                    rest = bodies + margin + order[5]
+                if (broad or wait) and first != 0:
+                    mine = nearest(x, y, step[a, 0], step[a, 1])
+                    theirs = nearest(-x, -y, step[o, 0], step[o, 1])
+                    past, press = (mine, theirs) if first > 0 else (theirs, mine)
+                    if abs(first) > 0.5 and past[0] > 0:
+                        room = min(room, past[3])
+                    near = bodies + margin
+                    holds_up = past[0] > 0 and past[3] < near
+                    if wait and (
+                        holds_up or (press[0] > 0 and press[3] < near and distance < near + order[5])
+                    ):
+                        stands[o if first > 0 else a] = True
+            if broad:
+                most = max(most, room)
             members[pairs, 0], members[pairs, 1] = a, o
             number[0, pairs], number[1, pairs], number[2, pairs] = x, y, distance
             number[3, pairs], number[4, pairs] = min(distance, most), min(distance, bodies + margin)
-            number[5, pairs] = min(distance, bodies + 0.001) - 1e-4
-            number[6, pairs], number[7, pairs] = share * gives, share * other_gives
+            number[5, pairs] = min(distance, bodies + 0.004) - 1e-4
+            number[6, pairs], number[7, pairs], number[8, pairs] = share, other_share, rest
             pairs += 1
     return pairs

@@ -11,6 +11,7 @@ from pedzoo.maps.walls.compiled import compiled, jit
 from pedzoo.policies.learned.clearance_parts import (
     closest,
     correction,
+    limited,
     meetings,
     place_on,
     walk,
@@ -80,12 +81,12 @@ def walk_slope(x, y, before_x, before_y, longest, blends, of_path, out):
 
 
 @jit
-def correction_slope(x, y, apart, room, firm, mine, theirs, blends, first, beyond, of_x, of_y, out):
+def correction_slope(x, y, apart, room, firm, rest, mine, theirs, blends, first, beyond, of_x, of_y, out):
     """Write gradients by the place (x, y) and by the relative walk (6,), out (8,), for a correction's."""
     out[:] = 0.0
-    lack, part, along, at_x, at_y, gap = closest(x, y, mine, theirs, room, firm, blends, first, beyond)
+    lack, part, along, at_x, at_y, gap = closest(x, y, mine, theirs, room, firm, rest, blends, first, beyond)
     line_x, line_y = x / apart, y / apart
-    back, demand = way_back(line_x, line_y, apart, room, firm, mine, theirs, blends, first, beyond)
+    back, demand = way_back(line_x, line_y, apart, room, firm, rest, mine, theirs, blends, first, beyond)
     weight = max(weight_of(part, along, first, beyond), 1e-3)
     aside, of_apart = lack / weight if gap > 1e-3 else np.inf, 0.0
     if aside < back:
@@ -102,7 +103,7 @@ def correction_slope(x, y, apart, room, firm, mine, theirs, blends, first, beyon
         elif part != 1:
             of_end = along if part == 0 else beyond
             out[6], out[7] = of_end * go_x, of_end * go_y
-        if (room if part == 0 else firm) >= apart:
+        if (room if part == 0 else rest if part == 3 else firm) == apart:
             of_apart = of_lack
     elif back > 0:
         of_back = of_x * line_x + of_y * line_y
@@ -113,7 +114,7 @@ def correction_slope(x, y, apart, room, firm, mine, theirs, blends, first, beyon
         of_line_x -= of_back / weight * (mine[point] - theirs[point])
         of_line_y -= of_back / weight * (mine[point + 1] - theirs[point + 1])
         # rooms that are the distance itself move with it
-        if (room if demand == 0 else firm) < apart:
+        if (room if demand == 0 else rest if demand == 2 else firm) != apart:
             of_apart = -of_back / (beyond if demand == 2 else weight)
         of_apart -= (of_line_x * line_x + of_line_y * line_y) / apart
         out[0], out[1] = of_line_x / apart, of_line_y / apart
@@ -121,13 +122,13 @@ def correction_slope(x, y, apart, room, firm, mine, theirs, blends, first, beyon
 
 
 @compiled(
-    "void(f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:], b1[:,:], b1[:,:], b1[:,:], f4[:,:], b1[:,:], b1,"
-    " f8, f8, f8, f8, f8, b1[:,:], f4[:,:,:], f4[:,:], i8[:], f8[:,:,:,:], f4[:,:,:],"
-    " f4[:,:,:], f4[:,:,:], f4[:,:,:])"
+    "void(f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:], b1[:,:], b1[:,:], b1[:,:], f4[:,:], b1[:,:], f4[:,:], b1,"
+    " UniTuple(f8, 6), f8, f8, f8, f8, f8, b1[:,:], f4[:,:,:], f4[:,:], i8[:], f8[:,:,:,:], b1[:,:],"
+    " f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:,:])"
 )
 def keep_clear_slope(
-    position, asked, velocity, longest, present, moved, waits, radius, robot, blends,
-    margin, shoulders, first, beyond, rounding, narrow, slope, shares, used, record, gradient,
+    position, asked, velocity, longest, present, moved, waits, radius, robot, rank, blends,
+    order, margin, shoulders, first, beyond, rounding, narrow, slope, shares, used, record, stands, gradient,
     of_position, of_step, of_velocity,
 ):  # fmt: skip
     """Write gradients (B, A, 2) by positions, steps asked for and velocities, for ``gradient`` of the result.
@@ -138,18 +139,22 @@ def keep_clear_slope(
     step, path, of_path = np.zeros((agents, 2)), np.zeros((agents, 6)), np.zeros((agents, 6))
     grown, place, asking = np.zeros((agents, 2)), np.zeros((agents, 2)), np.zeros(agents)
     before, pair, out = np.zeros((agents, 2)), np.zeros(8), np.zeros(4)
-    members, number = np.zeros((agents * agents, 2), np.int64), np.zeros((8, agents * agents))
-    from_x, from_y, apart, wanted, firm, _, mine, theirs = number
+    members, number = np.zeros((agents * agents, 2), np.int64), np.zeros((9, agents * agents))
+    stood = np.zeros(agents, np.bool_)
+    from_x, from_y, apart, wanted, firm, _, mine, theirs, rest = number
     for b in range(scenes):
         place[:], before[:] = 0.0, 0.0
         for a in range(agents):
             grown[a, 0], grown[a, 1] = shares[b, a] * gradient[b, a, 0], shares[b, a] * gradient[b, a, 1]
         pairs = 0
         if used[b] > 0:
-            step[:] = record[b, 0, :, 0:2]
+            for a in range(agents):
+                step[a, 0], step[a, 1] = asked[b, a, 0], asked[b, a, 1]
+                if moved[b, a]:
+                    step[a, 0], step[a, 1] = limited(step[a, 0], step[a, 1], longest[b, a])
             pairs = meetings(
-                position[b], step, longest[b], present[b], moved[b], waits[b], radius[b], robot[b], narrow[b],
-                margin, shoulders, beyond, members, number,
+                position[b], step, velocity[b], longest[b], present[b], moved[b], waits[b], radius[b],
+                robot[b], rank[b], narrow[b], margin, shoulders, order, beyond, members, number, stood,
             )  # fmt: skip
         for r in range(used[b] - 1, -1, -1):
             steps = record[b, r]
@@ -162,7 +167,7 @@ def keep_clear_slope(
             for k in range(pairs):
                 a, o = members[k]
                 lacks, _, _ = correction(
-                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], path[a], path[o],
+                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], rest[k], path[a], path[o],
                     blends, first, beyond, rounding,
                 )  # fmt: skip
                 if lacks:
@@ -196,14 +201,14 @@ def keep_clear_slope(
                 if asking[a] == 0 or asking[o] == 0:
                     continue
                 lacks, _, _ = correction(
-                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], path[a], path[o],
+                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], rest[k], path[a], path[o],
                     blends, first, beyond, rounding,
                 )  # fmt: skip
                 if not lacks:
                     continue
                 mine_part, their_part = mine[k] / math.sqrt(asking[a]), theirs[k] / math.sqrt(asking[o])
                 correction_slope(
-                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], path[a], path[o],
+                    from_x[k], from_y[k], apart[k], wanted[k], firm[k], rest[k], path[a], path[o],
                     blends, first, beyond, mine_part * grown[a, 0] - their_part * grown[o, 0],
                     mine_part * grown[a, 1] - their_part * grown[o, 1], pair,
                 )  # fmt: skip
@@ -222,7 +227,9 @@ def keep_clear_slope(
                 before[a, 0], before[a, 1] = before[a, 0] + out[2], before[a, 1] + out[3]
         for a in range(agents):
             x, y = grown[a, 0], grown[a, 1]
-            if moved[b, a]:
+            if stands[b, a]:
+                x, y = 0.0, 0.0
+            elif moved[b, a]:
                 x, y = limited_slope(asked[b, a, 0], asked[b, a, 1], longest[b, a], x, y)
             of_step[b, a, 0], of_step[b, a, 1] = x, y
             of_position[b, a, 0], of_position[b, a, 1] = place[a, 0], place[a, 1]

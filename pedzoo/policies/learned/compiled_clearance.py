@@ -9,7 +9,16 @@ from torch import Tensor
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import MARGIN, NARROW, ROUNDING, ROUNDS, SHOULDERS, ProposedSteps
+from pedzoo.policies.learned.clearance import (
+    MARGIN,
+    NARROW,
+    ROUNDING,
+    ROUNDS,
+    SHARES,
+    SHOULDERS,
+    ProposedSteps,
+)
+from pedzoo.policies.learned.precedence import AHEAD, LEAD_SECONDS, LEAST_ASKED, LEAST_SHARE, SPREAD, TIE
 
 _NONE: Any = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), np.zeros(1, np.int32)
 _NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
@@ -45,12 +54,14 @@ class _KeptClear(torch.autograd.Function):
         )  # fmt: skip
         records = any(ctx.needs_input_grad)
         record = np.empty((size[0], ROUNDS, size[1], 7)) if records else _NO_RECORD
+        stands = np.empty(size, np.bool_)
         keep_clear(
-            *people, ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond, ROUNDING,
-            *_wall_arrays(walls), stored.numpy(), *result, record,
+            *people, _order(steps), SHARES, ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond,
+            ROUNDING, *_wall_arrays(walls), stored.numpy(), *result, record, stands,
         )  # fmt: skip
         if records:
-            ctx.people, ctx.paths, ctx.result = people, (steps.first, steps.beyond), (*result, record)
+            ctx.order = _order(steps)
+            ctx.people, ctx.paths, ctx.result = people, (steps.first, steps.beyond), (*result, record, stands)
         return stored
 
     @staticmethod
@@ -60,7 +71,7 @@ class _KeptClear(torch.autograd.Function):
 
         values = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
         keep_clear_slope(
-            *ctx.people, MARGIN, SHOULDERS, *ctx.paths, ROUNDING, *ctx.result,
+            *ctx.people, ctx.order, MARGIN, SHOULDERS, *ctx.paths, ROUNDING, *ctx.result,
             gradients[0].detach().numpy(), *(part.numpy() for part in values),
         )  # fmt: skip
         place, step, velocity = values
@@ -71,8 +82,15 @@ def _people(steps: ProposedSteps) -> list[Any]:
     """Return the arrays of `ProposedSteps`, velocities as metres in 0.1 s, and whether velocities blend."""
     blends = steps.velocity is not None
     before = steps.step if steps.velocity is None else steps.velocity * TRACE_SECONDS
-    people: Any = steps.position, steps.step, before, *steps[2:8]
+    rank = torch.zeros_like(steps.longest) if steps.rank is None else steps.rank
+    people: Any = steps.position, steps.step, before, *steps[2:8], rank
     return [*(part.detach().numpy() for part in people), blends]
+
+
+def _order(steps: ProposedSteps) -> tuple[float, ...]:
+    """Return the constants of `precedence`."""
+    seconds = 0.0 if steps.velocity is None else LEAD_SECONDS / TRACE_SECONDS
+    return AHEAD, TIE, LEAST_SHARE, LEAST_ASKED, seconds, SPREAD
 
 
 def _wall_arrays(walls: LocalWalls | None) -> tuple[Any, ...]:

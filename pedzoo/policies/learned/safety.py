@@ -12,31 +12,37 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT, agents_of, maps_of
+from pedzoo.core import randomness
+from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import NARROW, ROUNDS, PairConstraints, ProposedSteps, WallConstraints
+from pedzoo.policies.learned.clearance import (
+    NARROW,
+    ROUNDS,
+    SHARES,
+    PairConstraints,
+    ProposedSteps,
+    WallConstraints,
+)
 from pedzoo.policies.learned.compiled_clearance import kept_clear_compiled, loops_take
 from pedzoo.policies.learned.yielding import yielding
 
 WAITED = 0.4
 """Metres within the observed steps, 2.8 s, below which a person waits.
 
-Two people who wait for each other in a narrow place turn a shoulder, too: otherwise they wait for ever.
+Two people who wait for each other in a narrow place turn a shoulder, too, and one of them makes way:
+otherwise they wait for ever.
 """
-
-_SHARES = 1.0, 0.5, 0.0
-"""Of a step that would touch something all the same."""
 
 
 def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
     """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
 
-    Two people share a correction. Agents that the policy does not move take no part in it, and robots leave
-    it to people: the other one makes all of it. Agents that touch already come no closer. Neither turning a
-    scene nor the order of its people changes anything. Differentiable. Walls are those of
-    `MapBank.walls_around`.
+    Two people share a correction, by who goes first: see `pedzoo.policies.learned.precedence`. Agents that
+    the policy does not move take no part in it, and robots leave it to people: the other one makes all of
+    it. Agents that touch already come no closer. Neither turning a scene nor the order of its people changes
+    anything. Differentiable. Walls are those of `MapBank.walls_around`.
     """
     return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
 
@@ -58,9 +64,16 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
         cast("Tensor", agents["radius"])[..., 0],
         agents["kind"] == ROBOT,
         torch.where(there, velocity, 0.0),
+        randomness.uniform(randomness.join(_scene_keys(batch), "rank", ids_of(batch))),
     )
     walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
+
+
+def _scene_keys(batch: TensorDictBase) -> Tensor:
+    """Return what names the scenes (B, 1) long; 0 where nothing does."""
+    keys = batch.get("scene_key", None)
+    return torch.zeros_like(batch["map_id"]) if keys is None else cast("Tensor", keys)
 
 
 def kept_clear_in_torch(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
@@ -75,8 +88,9 @@ def kept_clear_in_torch(steps: ProposedSteps, walls: LocalWalls | None) -> Tenso
         wall_constraints = WallConstraints.of(
             steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)
         )
-    pairs = PairConstraints.of(steps, narrow)
     step = _capped(steps, steps.step)
+    pairs = PairConstraints.of(steps._replace(step=step.detach()), narrow)
+    step = torch.where(pairs.stands.unsqueeze(-1), 0.0, step)
     for _ in range(ROUNDS):
         step = step + pairs.correction(steps.integrate(step)).movedim(0, -1)
         if wall_constraints is not None:
@@ -93,32 +107,31 @@ def _kept_share(
 
     A person that others run into goes on: in a jam those in front have to get away first.
     """
-    walks = [steps.integrate(share * step) for share in _SHARES]
+    walks = [steps.integrate(share * step) for share in SHARES]
     kinds = len(walks)
     # contacts of a pair depend on both shares: they are known for all of them before an agent stops
-    upper = {
-        (i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds) for j in range(i, kinds) if i < 2
-    }
-    upper[2, 2] = torch.zeros_like(upper[0, 0])
+    upper = {(i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds - 1) for j in range(i, kinds)}
+    upper[kinds - 1, kinds - 1] = torch.zeros_like(upper[0, 0])
     touch = torch.stack(
         [upper[i, j] if i <= j else upper[j, i].mT for i in range(kinds) for j in range(kinds)]
     )
     wall = torch.zeros(kinds, *steps.moved.shape, dtype=torch.bool, device=step.device)
     if wall_constraints is not None:
-        wall = torch.stack([*(wall_constraints.touching(walk) for walk in walks[:2]), wall[2]])
+        wall = torch.stack([*(wall_constraints.touching(walk) for walk in walks[:-1]), wall[-1]])
     chosen = torch.zeros_like(steps.moved, dtype=torch.long)
-    # half a step first, then none; every turn stops some agent, and agents that all stand do not touch
-    for turn in range(step.shape[1] + 2):
+    # less at every turn; later ones all stop some agent, and agents that all stand do not touch
+    for turn in range(step.shape[1] + kinds - 1):
         mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
         none = torch.full_like(chosen, kinds - 1)
         both, alone, other = (
             touch.gather(0, (kinds * i + j).expand(touch.shape[1:]).unsqueeze(0))[0]
             for i, j in ((mine, theirs), (mine, none.unsqueeze(1)), (none.unsqueeze(2), theirs))
         )
-        stops = (both & (alone | ~other) & (pairs.mine > 0)).any(2)
+        # where both have to walk for a touch, who goes first need not stop
+        stops = (both & (alone | (~other & (pairs.mine >= 0.5))) & (pairs.mine > 0)).any(2)
         stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
-        chosen = torch.where(stops, min(turn + 1, 2), chosen)
-    return 1 - 0.5 * chosen.to(step.dtype)
+        chosen = torch.where(stops, min(turn + 1, kinds - 1), chosen)
+    return torch.tensor(SHARES, dtype=step.dtype, device=step.device)[chosen]
 
 
 def _capped(steps: ProposedSteps, step: Tensor) -> Tensor:

@@ -17,7 +17,8 @@ class GoToGoal(Policy):
         Args:
             dt: Seconds between decisions.
             safety: Whether it has the safety layer of learned models, see `pedzoo.policies.learned.safety`:
-                what that does where nothing was learned.
+                what that does where nothing was learned. What it had asked for is then written, too, as
+                ``asked`` (B, A, 2) in m/s.
 
         Raises:
             UserError: With it, decisions at another step.
@@ -31,6 +32,7 @@ class GoToGoal(Policy):
         """Write each person's velocity."""
         velocity = tensordict["agents", "desired_velocity"]
         if self.safety:
+            tensordict["agents", "asked"] = velocity
             velocity = safe(tensordict, velocity * STEP_SECONDS) / STEP_SECONDS
         tensordict["agents", "action"] = velocity
         return tensordict

@@ -96,6 +96,7 @@ class Scenario(ABC):
     Attributes:
         people: A, the largest number of people in a scene; where there is a script, that says it.
         goals: Goals that each agent has to reach.
+        patience: Seconds that agents have for their first goal at least, where that is more than usual.
         finished: An agent that has reached them all will ``leave`` the scene, ``continue`` to later goals
             until all agents have, or ``stand``.
         later: Goals after the first that are drawn ahead for each agent, and used in turn.
@@ -117,6 +118,7 @@ class Scenario(ABC):
     meet: float | None = None
     later: int = 0
     goals: int = 1
+    patience: float = 0.0
     people: int
 
     def __init__(self, people: int, speed: float = 1.3, speed_std: float = 0.2) -> None:

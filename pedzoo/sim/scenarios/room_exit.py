@@ -27,14 +27,20 @@ BESIDE_RAYS = 0.3
 """Metres on each side of a direction that belong to it."""
 
 
+SLOWEST_FLOW = 1.0
+"""People per second and metre of the door's width who get out in time: half as many as in real queues."""
+
+
 class RoomExit(Encounter):
     """A room left of x = 0, a corridor along y right of it, and a door between them at the origin.
 
     *Exiting room* and *entering room* of Francis et al. 2023 (Fig. 7, Table 3); with many people, the
     bottleneck of evacuation studies. People who leave turn left or right behind the door. People who enter
     come along the corridor, from above and from below in turn. Agents are numbered by their distance from
-    the door.
+    the door. They have the time that a slow queue takes.
     """
+
+    most = 150
 
     def __init__(
         self,
@@ -60,6 +66,7 @@ class RoomExit(Encounter):
         if not 0 <= entering < people:
             raise UserError(f"room_exit: entering {entering} of {people} people: expected 0 to {people - 1}")
         self.entering, self.stray = entering, 0.5
+        self.patience = people / (SLOWEST_FLOW * min(self.variants.values["width"]))
 
     def gate(self, draws: Draws) -> Tensor:
         """Return the room's door, (B, 5)."""

@@ -1,0 +1,107 @@
+"""Who goes first in the safety layer: those ahead, a draw between equals; and queues that never lock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.types import BODY_RADIUS
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.policies.learned.clearance import MARGIN, ProposedSteps
+from pedzoo.policies.learned.precedence import LEAST_SHARE, precedence
+from pedzoo.policies.learned.safety import kept_clear, kept_clear_in_torch
+from pedzoo.policies.load import load_policy
+from pedzoo.sim.make import make_env
+
+NARROW = rectangles(
+    [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.5)])], 0.05
+)
+"""A wall along x = 0 with a door of 0.5 m in its middle."""
+
+
+def order(place: list[list[float]], step: list[list[float]], waits: bool = False) -> float:
+    """Return the precedence of the first of two; the second has the higher rank."""
+    at = torch.tensor(place).T.unsqueeze(1)
+    wait = torch.full((1, 2, 2), waits)
+    rank = torch.tensor([[0.0, 1.0]])
+    result = precedence(torch.tensor([step]), at.unsqueeze(3) - at.unsqueeze(2), wait, rank)
+    assert torch.equal(result, -result.mT)
+    return float(result[0, 0, 1])
+
+
+def test_people_ahead_go_first() -> None:
+    """One behind the other; towards one place, the nearer one, in proportion up to 0.2 m; head-on neither."""
+    assert order([[0.0, 0.0], [-0.6, 0.1]], [[0.3, 0.0], [0.5, 0.0]]) == 1
+    nearer, farther = [[-0.9, 0.0], [0.0, -1.0]], [[0.5, 0.0], [0.0, 0.5]]
+    assert order(nearer, farther) == pytest.approx(0.5 * 0.1 / 0.2)
+    assert order([[-0.4, 0.0], [0.4, 0.0]], [[0.5, 0.0], [-0.5, 0.0]]) == pytest.approx(0, abs=1e-6)
+
+
+def test_of_two_who_wait_one_goes_first() -> None:
+    """Head-on the one with the higher rank; else the one who is ahead, however little."""
+    assert order([[-0.4, 0.0], [0.4, 0.0]], [[0.5, 0.0], [-0.5, 0.0]], waits=True) == pytest.approx(-1)
+    assert order([[0.0, 0.0], [-0.1, 0.4]], [[0.5, 0.0], [0.5, 0.0]], waits=True) == 1
+
+
+@pytest.mark.parametrize("answer", [kept_clear, kept_clear_in_torch])
+def test_people_behind_make_way(answer: Callable[..., Tensor]) -> None:
+    """In the open: of the correction of two, one behind the other, the person behind makes nearly all."""
+    place, step = torch.tensor([[[0.0, 0.0], [-0.5, 0.0]]]), torch.tensor([[[0.1, 0.0], [0.5, 0.0]]])
+    one = torch.ones(1, 2, dtype=torch.bool)
+    size = torch.full((1, 2), BODY_RADIUS)
+    result = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one), None)
+    lacks = 2 * BODY_RADIUS + MARGIN - 0.1
+    assert float(result[0, 0, 0]) == pytest.approx(0.1 + LEAST_SHARE * lacks, abs=5e-3)
+    assert float(result[0, 1, 0]) == pytest.approx(0.5 - (1 - LEAST_SHARE) * lacks, abs=5e-3)
+
+
+def passed(scenario: str, policy: str, scenes: int, decisions: int) -> tuple[Tensor, int, int]:
+    """Return where all ended up (B, A, 2), and how often people touched others and walls."""
+    env = make_env(scenario, scenes, "compiled", clearance=0.2)
+    walks = load_policy(policy)
+    seen: TensorDictBase = env.reset(seed=3)
+    people = walls = 0
+    for _ in range(decisions):
+        seen = env.step(walks(seen))["next"]
+        info: Any = seen["agents", "info"]
+        people, walls = people + int(info["agent_contact"].sum()), walls + int(info["wall_contact"].sum())
+        if bool(seen["done"].all()):
+            break
+    return env.state.position.where(env.state.mask.unsqueeze(-1), torch.inf), people, walls
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        "room_exit:people=20,entering=0,width=0.5",
+        "door:people=18,from_right=0,abreast=3,width=0.46,resolution=0.01",
+        "door:people=6,width=0.5,jitter=0,speed_std=0,offset=0",
+    ],
+)
+def test_no_queue_locks(scenario: str) -> None:
+    """All get through the narrowest doors, without touching others or walls; also where two groups meet."""
+    place, people, walls = passed(scenario, "go_to_goal:safety=true", 2, 250)
+    assert not place.isfinite().any() and people == walls == 0
+
+
+def test_two_who_wait_head_on_in_a_narrow_door_pass() -> None:
+    """One lets the other through, in either order of the two."""
+    bank = MapBank([NARROW])
+    place, step = torch.tensor([[[-0.4, 0.0], [0.4, 0.0]]]), torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]])
+    one = torch.ones(1, 2, dtype=torch.bool)
+    size = torch.full((1, 2), BODY_RADIUS)
+    walls = bank.walls_around(torch.tensor([bank.grids[0].map_id]), identity_pose(1))
+    for rank in ([[0.0, 1.0]], [[1.0, 0.0]]):
+        asked = ProposedSteps(
+            place, step, size + 1, one, one, one, size, ~one, 0 * step, rank=torch.tensor(rank)
+        )
+        move = kept_clear(asked, walls)[0, :, 0]
+        first, second = (move[0], -move[1]) if rank[0][0] else (-move[1], move[0])
+        assert first > second + 0.1
