@@ -38,7 +38,6 @@ class RobotTrainingCLI(RunCLI):
                 *("--config", str(self.run.path / "config.yaml"), "--ckpt_path", str(self.run.last)),
                 *typed,
             ]
-        self.resuming = self.run is not None
         super().__init__(
             RobotPPO,
             args=argv,
@@ -65,8 +64,7 @@ class RobotTrainingCLI(RunCLI):
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
         self.run = self.run or RunFolder.claim(self._base())
-        if self.resuming:
-            self.run.keep_earlier()
+        self.run.begin()
         options = self.config_init["trainer"]
         callbacks = self.run.callbacks(
             self.plain_config(),
@@ -76,6 +74,7 @@ class RobotTrainingCLI(RunCLI):
         )
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
+        kwargs |= self.run.trainer_options(options.get("plugins"))
         return super().instantiate_trainer(callbacks=callbacks, logger=self.run.loggers("off"), **kwargs)
 
     def fit(self) -> int:
@@ -85,7 +84,7 @@ class RobotTrainingCLI(RunCLI):
         try:
             self.trainer.fit(self.model, ckpt_path=self.config["ckpt_path"])
         finally:
-            run.discard_if_empty()
+            run.end()
         chosen = run.best if run.best.is_file() else run.last
         print(f"\nnext: pedzoo.policies.load.load_robot_policy({str(chosen)!r})")
         return 0

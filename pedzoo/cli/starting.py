@@ -1,21 +1,34 @@
 """Where a training starts from: what ``--resume``, ``--weights`` and checkpoints stand for."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from pedzoo.cli.parsing import given
 from pedzoo.core.errors import UserError
-from pedzoo.train.fine_tuning import architecture_options, options_of, options_to_continue
+from pedzoo.core.registry import names_code
+from pedzoo.models.zoo.keys import refuse_code
+from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
 
 Command = Literal["fit", "validate", "test"]
 
 
-def expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | None]:
-    """Write out what ``--resume RUN``, ``--weights NAME`` and a checkpoint in a run folder stand for.
+class Expanded(NamedTuple):
+    """A command line with what its options stand for.
 
-    Returns:
-        The command line with the options that were left to them, and the run that goes on, if one does.
+    Attributes:
+        argv: With the options that were left to runs and weights.
+        run: The run that goes on, if one does.
+        beside: The config among these options that the person did not name: it lies beside a checkpoint.
+    """
+
+    argv: list[str]
+    run: RunFolder | None = None
+    beside: Path | None = None
+
+
+def expand(command: Command, argv: list[str]) -> Expanded:
+    """Write out what ``--resume RUN``, ``--weights NAME`` and a checkpoint in a run folder stand for.
 
     Raises:
         UserError: No such run, checkpoint or weights, or two of them at once.
@@ -27,20 +40,32 @@ def expand(command: Command, argv: list[str]) -> tuple[list[str], RunFolder | No
         raise UserError(f"--weights begins a training and {other} goes on with one: give one of them")
     if folder := named.get("--resume"):
         run = RunFolder.resume(folder)
-        return [*options_to_continue(run), *argv], run
+        return Expanded([*options_to_continue(run), *argv], run)
     configured = given(argv, "--config") or given(argv, "-c")
     if weights := named.get("--weights"):
         if configured:
-            return _behind_configs(argv, architecture_options(weights, configured)), None
-        return [*options_of(weights), *argv], None
+            options = _without_code(architecture_options(weights, configured), argv, weights)
+            return Expanded(_behind_configs(argv, options))
+        options = _without_code(options_of(weights), argv, weights)
+        return Expanded([*options, *argv], beside=config_beside(weights))
     checkpoint = named.get("--ckpt_path")
     if checkpoint and not Path(checkpoint).is_file():
         raise UserError(f"no checkpoint {checkpoint!r}")
     if command != "fit" and checkpoint and not configured:
-        config = Path(checkpoint).parent.parent / "config.yaml"
-        if config.is_file():
-            return ["--config", str(config), *argv], None
-    return argv, None
+        if config := config_beside(checkpoint):
+            return Expanded(["--config", str(config), *argv], beside=config)
+    return Expanded(argv)
+
+
+def _without_code(options: list[str], argv: list[str], weights: str) -> list[str]:
+    """Return what weights say, as options, without what was typed instead of a file of code.
+
+    Raises:
+        UserError: They name a file of code.
+    """
+    left = [one for one in options if not (names_code(one) and given(argv, one.partition("=")[0]))]
+    refuse_code(left, f"--weights {weights}", "name it yourself, as in --data.fold file.py:Class:fold")
+    return left
 
 
 def _behind_configs(argv: list[str], options: list[str]) -> list[str]:

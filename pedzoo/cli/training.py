@@ -37,7 +37,7 @@ _EXPECTED = (
     "callbacks used to create the checkpoint need to be provided",  # validate and test need none of them
     "does not have many workers",  # batches are cut from tensors in memory: workers would slow it down
     "is smaller than the logging interval",  # small recordings; epoch means are logged anyway
-    "Experiment logs directory .* is not empty",  # a resumed run; RunFolder.keep_earlier has copied them
+    "Experiment logs directory .* is not empty",  # a resumed run; RunFolder.begin has copied them
     "Checkpoint directory .* exists and is not empty",  # likewise
 )
 
@@ -65,11 +65,9 @@ class TrainingCLI(RunCLI):
 
     def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
         """Parse the command line as it was ``typed``, and build trainer, model and data."""
-        argv, resumed = expand(command, typed)
+        argv, self.run, self.beside = expand(command, typed)
         self.command: Command = command
         self.typed = typed
-        self.run = resumed
-        self.resuming = resumed is not None
         super().__init__(
             ForecastModule,
             TrajectoryDataModule,
@@ -102,7 +100,9 @@ class TrainingCLI(RunCLI):
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
-        cast("ConfigParser", parser).classes = classes = classes_named(args)
+        files = cast("ConfigParser", parser)
+        files.classes = classes = classes_named(args)
+        files.beside = self.beside
         args = new_options(args, classes)
         self.config = parse(parser, args, [("model", ForecastModule)])
 
@@ -137,6 +137,8 @@ class TrainingCLI(RunCLI):
         callbacks = [*callbacks] if isinstance(callbacks, list) else [callbacks]
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
+        # Slurm's checkpoints of other runs may lie in the working directory, Lightning's own choice
+        kwargs |= {"default_root_dir": self.config["runs"]}
         if self.command != "fit":
             kwargs |= {"logger": False, "enable_checkpointing": False}
         elif options.get("fast_dev_run"):
@@ -145,15 +147,15 @@ class TrainingCLI(RunCLI):
             monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
             rollout.check_monitor(monitor, self.config["monitor_mode"])
             self.run = self.run or RunFolder.claim(self._base())
-            if self.resuming:
-                self.run.keep_earlier()
+            self.run.begin()
+            kwargs |= self.run.trainer_options(options.get("plugins"))
             typed = ["pedzoo", self.command, *self.typed]
             callbacks += self.run.callbacks(self.plain_config(), typed, monitor, self.config["monitor_mode"])
             if options.get("logger") in (None, True):
                 kwargs |= {"logger": self.run.loggers(self.config["wandb"])}
         with ExitStack() as if_it_fails:
             if self.run:
-                if_it_fails.callback(self.run.discard_if_empty)
+                if_it_fails.callback(self.run.end)
             trainer = super().instantiate_trainer(callbacks=callbacks, **kwargs)
             if_it_fails.pop_all()
         return trainer
@@ -177,7 +179,7 @@ class TrainingCLI(RunCLI):
             if self.config["wandb"] != "off":
                 finish_wandb(self.trainer.state.finished)
             if run:
-                run.discard_if_empty()
+                run.end()
         if not self.trainer.is_global_zero:
             return 0
         if run and (chosen := next((path for path in (run.best, run.last) if path.is_file()), None)):

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +13,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.core.configs import load_config
+from pedzoo.train.run_settings import lent
 
 
 class ProgressBar(RichProgressBar):
@@ -27,9 +29,11 @@ class ConfigParser(LightningArgumentParser):
 
     Attributes:
         classes: Those that the command line and its config files name, by their place.
+        beside: The config beside a checkpoint, which the person did not name: not all of it is taken.
     """
 
     classes: Mapping[str, str] = MappingProxyType({})
+    beside: Path | None = None
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
@@ -37,7 +41,10 @@ class ConfigParser(LightningArgumentParser):
 
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file; arguments as of jsonargparse's."""
-        whole = yaml.safe_dump(load_config(os.fspath(path), self.classes), sort_keys=False)
+        settings = load_config(os.fspath(path), self.classes)
+        if self.beside and Path(path) == self.beside:
+            settings = lent(settings, self.beside)
+        whole = yaml.safe_dump(settings, sort_keys=False)
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
 
 

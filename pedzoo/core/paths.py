@@ -1,6 +1,8 @@
 """Where things are: shipped configs and checkpoints, the user's data and cache."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pedzoo.core.errors import UserError, unknown
@@ -69,12 +71,41 @@ def data_home() -> Path:
     return cache_home() / "data"
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all; its folder is made where it is missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+PARTS = ".*.part*"
+"""Pattern of what a process that was killed leaves beside the file that it was writing."""
+
+
+def write_whole(path: Path, data: bytes | memoryview) -> None:
+    """Write a file, whole or not at all, see `whole`."""
+    with whole(path) as part:
         part.write_bytes(data)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Yield a path beside a file, to write to; at the end of the block it takes the file's place.
+
+    An error, a full disk, a killed process or a power cut leaves the old file or the new one, never a part
+    of one. The folder of the file is made where it is missing.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield part
+        with part.open("r+b") as file:
+            os.fsync(file.fileno())
         os.replace(part, path)
     finally:
-        part.unlink(missing_ok=True)  # a full disk
+        part.unlink(missing_ok=True)
+    if os.name != "nt":
+        _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk; some network disks cannot, and do it by themselves."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -26,6 +26,11 @@ ROOT = Path(__file__).parents[2]
 """The checkout, or where the wheel is installed."""
 
 
+def names_code(name: str) -> bool:
+    """Return whether a name is that of something in a file of code, ``path/to/file.py:NAME``."""
+    return ".py:" in name
+
+
 class Registry:
     """The drop-ins of a package's folder, by file name."""
 
@@ -98,7 +103,7 @@ class Registry:
         return cls
 
     def _class(self, name: str) -> type:
-        if ".py:" in name:
+        if names_code(name):
             return _in_file(name, "class", inspect.isclass)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
@@ -145,7 +150,7 @@ class FunctionRegistry(Registry):
 
     def get(self, name: str) -> Callable[..., Any]:
         """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
-        if ".py:" in name:
+        if names_code(name):
             return function_in_file(name)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 from pedzoo.core.errors import unknown
-from pedzoo.core.registry import DATASETS
+from pedzoo.core.registry import DATASETS, names_code
 from pedzoo.core.spec import name_of
 from pedzoo.core.types import TimeBase
 from pedzoo.data.tracks import Tracks
@@ -89,7 +89,7 @@ def find_fold(text: str | None) -> Fold | None:
     """
     if text is None:
         return None
-    if ".py:" not in text:
+    if not names_code(text):
         known = {fold: name for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()}
         return Fold(known[text], text) if text in known else None
     dataset = name_of(text)
@@ -106,7 +106,7 @@ def open_fold(fold: str, root: str | None, clock: TimeBase) -> Dataset:
     """
     if result := find_fold(fold):
         return DATASETS.get(result.dataset)(result.name, root, clock)
-    dataset = name_of(fold) if ".py:" in fold else ""
+    dataset = name_of(fold) if names_code(fold) else ""
     datasets, kind = ([dataset], f"fold of {dataset}") if dataset else (DATASETS.names(), "fold")
     known = [name for one in datasets for name in DATASETS.constant(one, "FOLDS") or ()]
     raise unknown(kind, fold.removeprefix(dataset).removeprefix(":"), known)

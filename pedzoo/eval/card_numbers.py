@@ -142,17 +142,10 @@ def again(
     for before in card.evaluations:
         job = Job(model, before["protocol"], before["seeds"], root, workers, progress)
         try:
-            _check_fold(before["protocol"])
             result.append(Again(before, report_of(str(before["command"]), job)))
         except UserError as error:
             result.append(Again(before, None, str(error)))
     return result
-
-
-def _check_fold(protocol: Report) -> None:
-    """Refuse a dataset in a file: a card never makes code of a file run."""
-    if ".py:" in (fold := str(protocol.get("fold", ""))):
-        raise UserError(f"the dataset {fold!r} is a file of code, which no card runs: use pedzoo forecast")
 
 
 def compare(before: Report, now: Report) -> list[Compared]:

@@ -8,14 +8,13 @@ from typing_extensions import TypedDict
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.machine import versions
-from pedzoo.core.registry import SUITES
 from pedzoo.core.types import GoalProtocol, TimeBase
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.workers.progress_meter import ProgressReport
-from pedzoo.models.zoo.keys import check
+from pedzoo.models.zoo.keys import check, refuse_code
 from pedzoo.models.zoo.loading import load
 
 Progress = Callable[[str, int, int], None]
@@ -44,6 +43,7 @@ def report_of(command: str, job: Job) -> Report:
     form, make = _MAKERS[command]
     job = job._replace(protocol=renamed.new_keys(job.protocol))
     check(job.protocol, form, f"protocol of {command}:")
+    refuse_code(job.protocol, f"protocol of {command}", f"name it yourself, with pedzoo {command}")
     protocol, rows = make(job)
     content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}
     return {"command": command, **content}
@@ -76,16 +76,10 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
 
 
 def _walks(job: Job) -> tuple[Report, list[Report]]:
-    for suite in job.protocol["suites"]:
-        if suite not in SUITES.names():  # a card never makes code of a file run
-            raise unknown("suite", str(suite), SUITES.names())
     asked: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in only(job.protocol, EvaluationOptions._fields).items()
     }
-    for key in ("people", "robot"):
-        if ".py:" in str(asked.get(key, "")):
-            raise UserError(f"{key} {asked[key]}: a file of code, which no card runs: use pedzoo evaluate")
     options = EvaluationOptions(**asked)._replace(root=job.root)
     still = job.protocol.get("deterministic", False)
     evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)

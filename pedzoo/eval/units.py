@@ -9,8 +9,8 @@ from typing import Any
 
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.machine import versions
-from pedzoo.core.registry import SUITES, folder_of
-from pedzoo.core.spec import Spec, parse
+from pedzoo.core.registry import SUITES, folder_of, names_code
+from pedzoo.core.spec import Spec, parse, unquoted
 from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.load import parts
@@ -56,14 +56,16 @@ def fingerprint(*known: Any) -> str:
 
 def _model_sum(policy: str) -> str:
     """Return the sha256 of the weights or the file that walk, nothing where that is pedzoo's own code."""
-    entry = find(parse(policy).name)
-    return entry.card.sha256 if entry else _file_sum(policy)
+    name, settings = parse(policy)
+    entry = find(name)
+    own = _file_sum(unquoted(settings["weights"])) if names_code(name) and "weights" in settings else ""
+    return entry.card.sha256 if entry else _file_sum(policy) + own
 
 
 def _file_sum(what: str | Spec) -> str:
     """Return the sha256 of the file that a name with settings stands for, nothing where there is none."""
     name = parse(what).name if isinstance(what, str) else what.name
-    path = Path(name.rpartition(":")[0] if ".py:" in name else name)
+    path = Path(name.rpartition(":")[0] if names_code(name) else name)
     return sha256_of(path) if path.is_file() else ""
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple, cast
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES
+from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, names_code
 from pedzoo.core.spec import build, make, name_of, parse, split
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.address import is_address
@@ -52,12 +52,15 @@ def load_policy(name: str) -> Policy | Walker:
     if is_crowd(name):
         return Teams(crowd_of(name))
     spec, more = parse(name), {}
-    own = ".py:" in spec.name and issubclass(POLICIES.get(spec.name), Policy)
+    own = names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy)
     if own or spec.name in POLICIES.names():
         kind, cls = "policy", POLICIES.get(spec.name, Policy)
     elif is_file(spec.name) or spec.name in MODELS.names() or find(spec.name):
-        kind, cls, more = "walker", Walker, {"model": load(spec.name)}
-        spec = spec._replace(settings=renamed.new_settings(spec.settings))
+        model, settings = spec.name, renamed.new_settings(spec.settings)
+        if names_code(model) and "weights" in settings:
+            model = f"{model}:weights={settings.pop('weights')}"
+        kind, cls, more = "walker", Walker, {"model": load(model)}
+        spec = spec._replace(settings=settings)
     else:
         raise unknown("policy", spec.name, list_policies())
     return make(cls, kind, spec, **more)
@@ -102,7 +105,7 @@ def load_robot_policy(name: str) -> RobotPolicy:
         UserError: Unknown name or setting, with the nearest spelling in the message.
     """
     spec = parse(name)
-    if spec.name not in ROBOT_POLICIES.names() and (".py:" not in spec.name or _is_pedestrian(spec.name)):
+    if spec.name not in ROBOT_POLICIES.names() and (not names_code(spec.name) or _is_pedestrian(spec.name)):
         if (trained := load_robot_weights(name)) is not None:
             return trained
         if not any(map(_is_policy, parts(name))):
@@ -215,5 +218,5 @@ def _is_policy(text: str) -> bool:
 def _exists(text: str) -> bool:
     """Return whether the name in a text is that of a file, or of a model in a folder."""
     name = os.path.expanduser(name_of(text.strip()))
-    file = name.rpartition(":")[0] if ".py:" in name else name
+    file = name.rpartition(":")[0] if names_code(name) else name
     return os.path.exists(file) or os.path.exists(f"{file}.yaml")

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
-from pedzoo.core.registry import ROBOT_POLICIES
+from pedzoo.core.registry import ROBOT_POLICIES, names_code
 from pedzoo.core.spec import name_of
 from pedzoo.models.zoo.header import config_in, opened
 from pedzoo.models.zoo.loading import read_checkpoint
@@ -34,6 +34,8 @@ def load_robot_weights(name: str) -> RobotPolicy | None:
     Raises:
         UserError: The weights cannot be read, or do not fit their architecture.
     """
+    if names_code(name):
+        return None
     if name.endswith(".ckpt"):
         checkpoint = read_checkpoint(name)
         config, state = checkpoint["pedzoo"], checkpoint["state_dict"]

@@ -7,7 +7,6 @@ from typing import Any
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
-from pedzoo.core.registry import MODELS
 from pedzoo.core.spec import grouped
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.models.base import Forecaster
@@ -26,7 +25,7 @@ def start_from(module: ForecastModule, weights: str) -> None:
     Raises:
         UserError: No such weights, or they are of another architecture.
     """
-    model = load(weights)
+    model = load(weights, own=type(module.generator))
     if changed := differences(config_of(model), config_of(module.generator), {"goal_protocol", "noise"}):
         raise UserError(
             f"--weights {weights} are of another architecture ({'; '.join(changed)}): "
@@ -35,18 +34,23 @@ def start_from(module: ForecastModule, weights: str) -> None:
     module.generator.load_state_dict(model.state_dict())
 
 
+def config_beside(checkpoint: str | Path) -> Path | None:
+    """Return the configuration of the run in whose folder a checkpoint lies, None where there is none."""
+    path = Path(checkpoint)
+    config = path.parent.parent / "config.yaml"
+    return config if path.suffix == ".ckpt" and config.is_file() else None
+
+
 def options_of(weights: str) -> list[str]:
     """Return the options of ``pedzoo fit`` for a training like the one that ``weights`` come from.
 
-    Of a checkpoint in a run folder these are the run's; of other weights the shipped config they were
-    trained with, and what their metadata say of model and data.
+    Of a checkpoint in a run folder these are the run's, see `lent`; of other weights the shipped config they
+    were trained with, and what their metadata say of model and data.
 
     Raises:
         UserError: No such weights, or it is unknown how they were trained.
     """
-    path = Path(weights)
-    run = path.parent.parent / "config.yaml"
-    if path.suffix == ".ckpt" and run.is_file():
+    if run := config_beside(weights):
         return ["--config", str(run)]
     config = saved_config(weights)
     name = config.get("training", {}).get("config")
@@ -94,11 +98,12 @@ def architecture_options(weights: str, config: str) -> list[str]:
 
 
 def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:
-    cls = MODELS.get(config["architecture"])
+    model = build(config)
+    cls = type(model)
     # all options, also those that weights of an earlier version do not know: a config may set them
-    options = grouped(cls, build(config).config)
+    options = grouped(cls, model.config)
     options |= {group: options[group] | changes for group, changes in decided.items() if group in options}
-    model = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
+    written = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
     protocol = config.get("protocol", {})
     data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]
-    return ["--model.generator", json.dumps(model), *data]
+    return ["--model.generator", json.dumps(written), *data]

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
+from datetime import datetime
 from pathlib import Path
+from socket import gethostname
 from typing import Any, Literal
 
 import lightning as L
+import torch
 import yaml
+from filelock import FileLock, Timeout
+from lightning.fabric.plugins import CheckpointIO, TorchCheckpointIO
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
-from pedzoo.core.paths import shipped
+from pedzoo.core.paths import PARTS, shipped, write_whole
 
 Wandb = Literal["off", "offline", "online"]
+
+LOCK = ".lock"
+"""File of a run folder that the process which trains there has locked."""
 
 
 def run_name(config: Path) -> str:
@@ -29,18 +38,35 @@ def run_name(config: Path) -> str:
     return ".".join(name.with_suffix("").parts)
 
 
-class RunFolder:
-    """``runs/<config>/<data>-seed<seed>``, with ``-2``, ``-3``, ... where that exists."""
+def slurm_job() -> str | None:
+    """Return the number of the Slurm job that this process is in, which a requeued job keeps."""
+    array = os.environ.get("SLURM_ARRAY_JOB_ID")
+    return f"{array}_{os.environ.get('SLURM_ARRAY_TASK_ID')}" if array else os.environ.get("SLURM_JOB_ID")
 
-    def __init__(self, path: Path) -> None:
+
+class RunFolder:
+    """``runs/<config>/<data>-seed<seed>``, with ``-2``, ``-3``, ... where that exists.
+
+    Attributes:
+        path: The folder.
+        last: Checkpoint of the last epoch.
+        best: Checkpoint of the best validation.
+        goes_on: Whether an earlier run is continued.
+    """
+
+    def __init__(self, path: Path, goes_on: bool = False) -> None:
         """Stand for a folder, existing or not."""
-        self.path = path
+        self.path, self.goes_on = path, goes_on
         self.last = path / "checkpoints" / "last.ckpt"
         self.best = path / "checkpoints" / "best.ckpt"
+        self._lock = FileLock(path / LOCK)
 
     @classmethod
     def claim(cls, base: Path) -> RunFolder:
-        """Create ``base``, or the first free of ``base-2``, ``base-3``, ... and return it."""
+        """Create ``base``, or the first free of ``base-2``, ``base-3``, ... and return it.
+
+        A Slurm job that was requeued gets the folder in which it was when Slurm stopped it.
+        """
         if rank_zero_only.rank:
             # a further process of a distributed run: the first one chooses, and it alone writes
             return cls(Path(os.environ.get("PEDZOO_RUN", base)))
@@ -50,6 +76,8 @@ class RunFolder:
                 path.mkdir(parents=True)
                 break
             except FileExistsError:
+                if _left_by_this_job(path):
+                    return cls(path, goes_on=True)
                 number += 1
                 path = base.with_name(f"{base.name}-{number}")
         os.environ["PEDZOO_RUN"] = str(path)
@@ -62,14 +90,50 @@ class RunFolder:
         Raises:
             UserError: It has no configuration or no checkpoint.
         """
-        run = cls(Path(path))
+        run = cls(Path(path), goes_on=True)
         for file in (run.path / "config.yaml", run.last):
             if not file.is_file():
                 raise UserError(f"cannot resume {str(path)!r}: it has no {file.relative_to(run.path)}")
         return run
 
     @rank_zero_only
-    def keep_earlier(self) -> None:
+    def begin(self) -> None:
+        """Keep other processes out until `end`, or until this one is gone, and earlier records aside.
+
+        Raises:
+            UserError: Another process is training in this folder.
+        """
+        try:
+            self._lock.acquire(blocking=False)
+        except Timeout as error:
+            holder = self._holder.read_text() if self._holder.is_file() else "another process"
+            raise UserError(
+                f"run {str(self.path)!r} is in use by {holder}: wait until it ends, or end it, then resume"
+            ) from error
+        self._holder.write_text(f"process {os.getpid()} on {gethostname()} since {datetime.now():%F %T}")
+        if self.goes_on:
+            for part in self.path.rglob(PARTS):
+                part.unlink()
+            self._keep_earlier()
+
+    @rank_zero_only
+    def end(self) -> None:
+        """Let other processes in. The folder of a run that failed before it wrote anything is removed."""
+        self._holder.unlink(missing_ok=True)
+        files = [file for file in self.path.rglob("*") if file.is_file() and file.name != LOCK]
+        if not files and self._lock.is_locked:
+            shutil.rmtree(self.path, ignore_errors=True)
+            for parent in list(self.path.parents)[:2]:
+                if parent.is_dir() and not any(parent.iterdir()):
+                    parent.rmdir()
+        self._lock.release()
+
+    @property
+    def _holder(self) -> Path:
+        """Says who has the lock: the file of the lock itself is emptied by whoever asks for it."""
+        return self.path / ".in-use"
+
+    def _keep_earlier(self) -> None:
         """Copy the records of the runs so far aside: a resumed run writes its own in their place."""
         records = [self.path / name for name in ("config.yaml", "versions.json", "metrics.csv")]
         stored = self.path / f"before-resume-{len(list(self.path.glob('before-resume-*'))) + 1}"
@@ -78,14 +142,14 @@ class RunFolder:
             if record.is_file():
                 shutil.copy2(record, stored)
 
-    @rank_zero_only
-    def discard_if_empty(self) -> None:
-        """Remove the folder of a run that failed before it wrote anything, and its empty parents."""
-        if not any(file.is_file() for file in self.path.rglob("*")):
-            shutil.rmtree(self.path, ignore_errors=True)
-            for parent in list(self.path.parents)[:2]:
-                if parent.is_dir() and not any(parent.iterdir()):
-                    parent.rmdir()
+    def trainer_options(self, plugins: Any) -> dict[str, Any]:
+        """Return the trainer's options that keep all of a run in its folder, whole, beside ``plugins``.
+
+        Lightning puts the checkpoints that Slurm asks for there, and looks for them there.
+        """
+        own = plugins if isinstance(plugins, list) else [plugins] if plugins else []
+        saves = any(isinstance(plugin, CheckpointIO) for plugin in own)
+        return {"default_root_dir": str(self.path), "plugins": own if saves else [*own, WholeCheckpoints()]}
 
     def loggers(self, wandb: Wandb) -> list[Logger]:
         """Return the CSV logger, and Weights & Biases' where it is wanted."""
@@ -121,6 +185,25 @@ def finish_wandb(succeeded: bool) -> None:
         wandb.finish(exit_code=int(not succeeded))
 
 
+def _left_by_this_job(path: Path) -> bool:
+    """Return whether a run was stopped by Slurm, with a checkpoint, in the job that this process is in."""
+    record = path / "versions.json"
+    job = slurm_job()
+    if job is None or not record.is_file() or not any(path.glob("hpc_ckpt_*.ckpt")):
+        return False
+    return json.loads(record.read_text()).get("slurm_job") == job
+
+
+class WholeCheckpoints(TorchCheckpointIO):
+    """Writes checkpoints whole or not at all. Lightning's own way goes through TMPDIR, often another disk."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        """Write a checkpoint."""
+        buffer = io.BytesIO()
+        torch.save(checkpoint, buffer)
+        write_whole(Path(path), buffer.getbuffer())
+
+
 class Record(Callback):
     """Writes configuration and versions."""
 
@@ -132,6 +215,9 @@ class Record(Callback):
         """Write ``config.yaml`` and ``versions.json``: data and model are known to fit together by now."""
         if trainer.is_global_zero:
             print(f"run folder: {self.run.path}", flush=True)
-            (self.run.path / "config.yaml").write_text(yaml.safe_dump(self.config, sort_keys=False))
+            settings = yaml.safe_dump(self.config, sort_keys=False)
             record = {"command": self.argv, "versions": versions()}
-            (self.run.path / "versions.json").write_text(json.dumps(record, indent=2) + "\n")
+            if job := slurm_job():
+                record["slurm_job"] = job
+            write_whole(self.run.path / "config.yaml", settings.encode())
+            write_whole(self.run.path / "versions.json", f"{json.dumps(record, indent=2)}\n".encode())

@@ -1,6 +1,5 @@
 """Robots among people from above, with what their lidar sees."""
 
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, move_to_scene
+from pedzoo.core.paths import whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.sim.physics_parts.base import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, free_corners, person_color
@@ -205,19 +205,15 @@ def _write_gif(path: Path, frames: Sequence[Image]) -> None:
     bodies = [np.full((SWATCH, frames[0].shape[1], 3), person_color(agent), np.uint8) for agent in range(10)]
     palette = Pillow.fromarray(np.vstack([*frames[:: max(1, len(frames) // 4)], *bodies])).quantize(COLORS)
     pictures = [picture.quantize(palette=palette, dither=Pillow.Dither.NONE) for picture in pictures]
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part.gif")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pictures[0].save(
-            part,
-            save_all=True,
-            append_images=pictures[1:],
-            duration=round(1000 * TRACE_SECONDS),
-            loop=0,
-            optimize=False,
-        )
-        os.replace(part, path)
+        with whole(path) as part:
+            pictures[0].save(
+                part,
+                save_all=True,
+                append_images=pictures[1:],
+                duration=round(1000 * TRACE_SECONDS),
+                loop=0,
+                optimize=False,
+            )
     except OSError as error:
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import whole
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.physics_parts.base import Bodies
@@ -110,30 +111,25 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
     check_video_path(path)
     path = Path(path)
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     writer, size, count = None, (0, 0), 0
     try:
-        for frame in frames:
+        with whole(path) as part:
+            for frame in frames:
+                if writer is None:
+                    size = (frame.shape[1], frame.shape[0])
+                    with _silence():
+                        writer = cv2.VideoWriter(str(part), codec, rate, size)
+                    if not writer.isOpened():
+                        raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
+                writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+                count += 1
             if writer is None:
-                size = (frame.shape[1], frame.shape[0])
-                with _silence():
-                    writer = cv2.VideoWriter(str(part), codec, rate, size)
-                if not writer.isOpened():
-                    raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
-            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-            count += 1
-        if writer is None:
-            raise UserError(f"{str(path)!r}: a video needs at least one frame")
-        writer.release()
-        if (result := read_video(part)) != (count, size):
-            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {result} can be read")
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+                raise UserError(f"{str(path)!r}: a video needs at least one frame")
+            writer.release()
+            if (result := read_video(part)) != (count, size):
+                raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {result} can be read")
+    except OSError as error:
+        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 
 def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:

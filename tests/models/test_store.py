@@ -419,7 +419,7 @@ def test_configs_with_unknown_keys_and_cards_of_others_are_refused(model: Foreca
         ("init", {"encoder_dim": "wide"}, "'sgan' cannot be built with the arguments .*wide"),
         ("init", {"encoder_dim": 10**9}, "'sgan' cannot be built with the arguments"),
         ("architecture", "sgam", "unknown model 'sgam': did you mean 'sgan'"),
-        ("architecture", "own.py:Mine", "never makes code run"),
+        ("architecture", "own.py:Mine", "no other file ever makes code run"),
     ],
 )
 def test_weights_and_cards_that_agree_on_something_wrong_are_refused(

@@ -23,6 +23,9 @@ from pedzoo.models.zoo import loading as zoo
 from pedzoo.models.zoo import store
 from pedzoo.models.zoo.header import read_config
 from pedzoo.models.zoo.loading import fill, list_models, load, save_weights
+from pedzoo.models.zoo.saved import saved_config
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import load_policy, load_robot_policy
 
 OPTIONS: dict[str, Any] = {
     "bottleneck_dim": 8,
@@ -299,8 +302,30 @@ def test_no_map_and_no_frozen_network_is_saved(alexnet: Path, tmp_path: Path) ->
 
 
 def test_weights_never_make_a_file_of_code_run(own: Path, tmp_path: Path) -> None:
-    path = tmp_path / "drifting.safetensors"
-    save_weights(load(f"{own}:Drifting"), path)
+    model = load(f"{own}:Drifting")
+    state = {f"generator.{key}": value for key, value in model.state_dict().items()}
+    torch.save({"pedzoo": zoo.config_of(model), "state_dict": state}, tmp_path / "drifting.ckpt")
+    save_weights(model, tmp_path / "drifting.safetensors")
     own.write_text("raise SystemExit('this must not run')")
-    with pytest.raises(UserError, match="never makes code run"):
-        load(str(path))
+    for name in ("drifting.ckpt", "drifting.safetensors"):
+        for action in (load, load_policy, load_robot_policy):
+            with pytest.raises(UserError, match=f"no other file ever makes code run.*weights=.*{name}"):
+                action(str(tmp_path / name))
+
+
+def test_who_names_the_class_gets_weights_of_it(own: Path, model: Forecaster, tmp_path: Path) -> None:
+    drifting = random_weights(load(f"{own}:Drifting"))
+    state = {f"generator.{key}": value for key, value in drifting.state_dict().items()}
+    torch.save({"pedzoo": zoo.config_of(drifting), "state_dict": state}, tmp_path / "a.ckpt")
+    save_weights(drifting, tmp_path / "a.safetensors")
+    for name in ("a.ckpt", "a.safetensors"):
+        spec = f"{own}:Drifting:weights={tmp_path / name}"
+        assert torch.equal(answers(load(spec)), answers(drifting))
+        walker = load_policy(f"{spec},noise=step")
+        assert isinstance(walker, Walker) and torch.equal(answers(walker.model), answers(drifting))
+        assert saved_config(spec)["init"] == drifting.config
+    save_weights(model, tmp_path / "sgan.safetensors")
+    with pytest.raises(UserError, match="holds weights of 'sgan', not of "):
+        load(f"{own}:Drifting:weights={tmp_path / 'sgan.safetensors'}")
+    with pytest.raises(UserError, match=r"unknown setting of .*'weight': did you mean 'weights'"):
+        load(f"{own}:Drifting:weight=a.ckpt")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 import yaml
+from helpers.runs import make_run
 from safetensors.torch import save_file
 
 import pedzoo
 from pedzoo.cli.main import main
+from pedzoo.core.configs import load_config
 from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
@@ -143,5 +146,81 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(
     Path("own.py").write_text("raise SystemExit('this must not run')")
     config = {"architecture": "own.py:Mine", "init": {}, "training": {"config": "sgan"}}
     save_file({"x": torch.zeros(1)}, "trap.safetensors", {"config": json.dumps(config)})
-    assert "never makes code run" in refused(capsys, "--weights", "trap.safetensors", *fold)
+    assert "no other file ever makes code run" in refused(capsys, "--weights", "trap.safetensors", *fold)
     assert "no weights at 'none.safetensors'" in refused(capsys, "--weights", "none.safetensors", *fold)
+
+
+TRAP = "raise SystemExit('this must not run')"
+
+
+def test_weights_name_no_dataset_in_a_file_of_code(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("own.py").write_text(TRAP)
+    protocol = {"fold": "own.py:Mine", "goal": "none"}
+    save_weights(SGAN(), Path("trap.safetensors"), training={"config": "sgan"}, protocol=protocol)
+    for more in ([], ["--config", "closed_loop/sgan_goal"]):
+        error = refused(capsys, "--weights", "trap.safetensors", *more)
+        assert "'--data.fold=own.py:Mine' is in a file of code" in error and "--data.fold file.py" in error
+    run = fit("--weights", "trap.safetensors", "--data.fold", "embedded")
+    assert yaml.safe_load((run / "config.yaml").read_text())["data"]["fold"] == "embedded"
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("data", "fold"), "own.py:Mine"),
+        (("rollout", "physics"), "own.py:Mine"),
+        (("rollout", "scenarios"), ["door", "own.py:Mine:people=2"]),
+        (("model", "class_path"), "trap.Mine"),
+        (("model",), "trap.Mine"),
+        (("model", "init_args", "generator"), "trap.Mine"),
+        (("model", "init_args", "generator", "class_path"), "trap.Mine"),
+        (("model", "init_args", "generator", "init_args", "losses"), "trap.Mine"),
+        (("data", "loading"), "trap.yaml"),
+        (("data", "loading"), {"class_path": "trap.Mine"}),
+        (("data",), "trap.yaml"),
+    ],
+)
+def test_the_config_beside_a_checkpoint_makes_no_code_run(
+    place: tuple[str, ...], value: Any, elsewhere: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    best = make_run(elsewhere / "runs")
+    config = elsewhere / "runs" / "sgan_goal" / "zara1-seed0" / "config.yaml"
+    settings: Any = _whole_config()
+    inner = settings
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = value
+    config.write_text(yaml.safe_dump(settings))
+    for file in ("own.py", "trap.py"):
+        Path(file).write_text(TRAP)
+    Path("trap.yaml").write_text("class_path: trap.Mine")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(elsewhere)
+        error = refused(capsys, "--weights", str(best))
+        assert f"config '{config}': " in error and f"if it is yours, add --config {config}" in error
+        assert main(["validate", "--ckpt_path", str(best)]) == 2
+        assert f"config '{config}': " in capsys.readouterr().err
+
+
+def _whole_config() -> dict[str, Any]:
+    """Return a configuration as fit leaves it."""
+    return load_config("sgan_goal") | {"data": {"fold": "embedded", "goal": "window_end", "loading": {}}}
+
+
+def test_the_config_beside_a_checkpoint_gives_no_orders(
+    elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = fit("--config", "sgan", "--data.fold", "embedded")
+    config = yaml.safe_load((first / "config.yaml").read_text())
+    orders = {"callbacks": {"class_path": "trap.Mine"}, "logger": {"class_path": "trap.Mine"}}
+    orders |= {"default_root_dir": "theirs", "profiler": "advanced", "plugins": "trap.Mine"}
+    config |= {"wandb": "online", "runs": "theirs", "trainer": config["trainer"] | orders}
+    (first / "config.yaml").write_text(yaml.safe_dump(config))
+    Path("trap.py").write_text(TRAP)
+    monkeypatch.syspath_prepend(elsewhere)
+    second = fit("--weights", last(first), "--seed_everything", "3")
+    written = yaml.safe_load((second / "config.yaml").read_text())
+    assert second == Path("runs/sgan/embedded-seed3") and not Path("theirs").exists()
+    assert written["wandb"] == "off" and written["runs"] == "runs"
+    assert {key: written["trainer"][key] for key in orders} == dict.fromkeys(orders)
+    assert main(["validate", "--ckpt_path", last(first), "--rollout.scenarios", "null"]) == 0

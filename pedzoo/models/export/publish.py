@@ -9,6 +9,7 @@ import torch
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import WEIGHTS, weight_files
+from pedzoo.core.registry import names_code
 from pedzoo.core.types import PRED_LEN
 from pedzoo.data.provenance import provenance, together
 from pedzoo.data.recordings import find_fold
@@ -53,7 +54,7 @@ def publish(
     """
     checkpoint = Path(checkpoint)
     content = read_checkpoint(checkpoint)
-    if ".py:" in (architecture := content["pedzoo"]["architecture"]):
+    if names_code(architecture := content["pedzoo"]["architecture"]):
         raise UserError(
             f"{str(checkpoint)!r} is of {architecture!r}, and weights never make a file of code run where "
             "they are loaded: install the class as a plugin and train it by its name"

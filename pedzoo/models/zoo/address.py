@@ -9,8 +9,9 @@ from urllib.parse import quote, unquote, urlsplit
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
+from pedzoo.core.limits import load_yaml
 from pedzoo.core.paths import CARD, WEIGHTS, cache_home
-from pedzoo.models.zoo.card import ModelCard, check_name, is_name, load_yaml
+from pedzoo.models.zoo.card import ModelCard, check_name, is_name
 
 _WORD = "[A-Za-z0-9][A-Za-z0-9_.-]*"
 _HUB = re.compile(f"hf://({_WORD})/({_WORD})(?:@({_WORD}))?(?:/([^/]+))?")

@@ -10,19 +10,12 @@ from typing_extensions import TypedDict
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import LARGEST_CARD, load_yaml, read_text
 from pedzoo.core.paths import write_whole
 from pedzoo.models.zoo.header import Config
 from pedzoo.models.zoo.keys import check, check_keys, check_plain
 
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
-_LARGEST = 2_000_000
-"""Bytes of a card."""
-
-_DEEPEST = 20
-"""Levels of a card; libyaml does not survive a hundred thousand."""
-
-_NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
-"""What reading values ends in that are not what they say they are, such as the 99th of a month."""
 
 
 class Training(TypedDict, closed=True):
@@ -157,38 +150,12 @@ def read_card(path: str | Path) -> ModelCard:
     path = Path(path)
     if not path.is_file():
         raise UserError(f"no model card at {str(path)!r}")
-    if path.stat().st_size > _LARGEST:
-        raise UserError(f"{str(path)!r} is no model card: larger than {_LARGEST // 1_000_000} MB")
     try:
-        result = load_yaml(path.read_bytes())
+        result = load_yaml(read_text(path, LARGEST_CARD))
         check_keys(result, ModelCard)
         return ModelCard(**result | {"config": renamed.new_init(result["config"])})
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error
-
-
-def load_yaml(text: bytes | str) -> Any:
-    """Return the values of untrusted YAML; texts that would expand without end are refused.
-
-    Raises:
-        UserError: It is no YAML, has values that are not of the kind they say, references or many levels.
-    """
-    try:
-        return _loaded(text)
-    except UserError:
-        raise
-    except _NO_YAML as error:
-        raise UserError(f"cannot be read: {error}") from error
-
-
-def _loaded(text: bytes | str) -> Any:
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
-    depth = 0
-    for event in yaml.parse(text, loader):
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
-            raise UserError(f"expected no references (*) and at most {_DEEPEST} levels of values")
-    return yaml.load(text, loader)
 
 
 def write_card(card: ModelCard, path: str | Path) -> None:

@@ -40,7 +40,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
     """Return the config in the metadata of an open file.
 
     Raises:
-        UserError: There is none that pedzoo wrote, or it is of a class in a file of code.
+        UserError: There is none that pedzoo wrote.
     """
     metadata = file.metadata() or {}
     if "config" not in metadata:
@@ -53,11 +53,6 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
         check(config, Config, "config")
     except (ValueError, RecursionError) as error:
         raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
-    if ".py:" in config["architecture"]:
-        raise UserError(
-            f"weights {str(path)!r} are of {config['architecture']!r}, and a file of weights never makes "
-            "code run: publish the class as a plugin, or build it and use pedzoo.models.zoo.loading.fill"
-        )
     return renamed.new_init(config)
 
 

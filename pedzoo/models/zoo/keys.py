@@ -11,6 +11,7 @@ from typing import Annotated, Any, NotRequired, get_args, get_origin, get_type_h
 from typing_extensions import is_typeddict
 
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.registry import names_code
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -110,3 +111,29 @@ def check_plain(value: Any) -> None:
             isinstance(one, float) and math.isfinite(one)
         ):
             raise UserError(f"{one!r:.60}: expected plain values (text, finite numbers, lists, mappings)")
+
+
+def refuse_code(value: Any, what: str, remedy: str) -> None:
+    """Check that nothing in a value, key or value at any depth, names a file of code.
+
+    Only a person names code: in a command, or in a config of their own.
+
+    Args:
+        value: What was read from a file.
+        what: What it is, for the message.
+        remedy: What a person can do who wants that code to run.
+
+    Raises:
+        UserError: It names one.
+    """
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, str) and names_code(one):
+            raise UserError(
+                f"{what}: {one!r:.200} is in a file of code, and no other file ever makes code run: {remedy}"
+            )
+        if isinstance(one, Mapping):
+            waiting += [*one, *one.values()]
+        elif isinstance(one, list | tuple):
+            waiting += one

@@ -14,15 +14,15 @@ import torch
 from safetensors.torch import save
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import write_whole
-from pedzoo.core.registry import MODELS, ROBOT_POLICIES
-from pedzoo.core.spec import grouped, homes, setting_groups
+from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
+from pedzoo.core.spec import grouped, homes, parse, setting_groups, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.header import Config, config_in, opened
-from pedzoo.models.zoo.keys import check
+from pedzoo.models.zoo.keys import check, refuse_code
 from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, weights_of
 from pedzoo.models.zoo.store import obtain as obtain
 
@@ -39,34 +39,58 @@ def list_models(pattern: str = "*") -> list[str]:
     return [name for name in names() if fnmatch(name, pattern) and not name.startswith(ROBOTS)]
 
 
-def load(name: str | Path, goal: GoalProtocol | None = None) -> Forecaster:
+def load(
+    name: str | Path, goal: GoalProtocol | None = None, own: type[Forecaster] | None = None
+) -> Forecaster:
     """Return a model in eval mode.
 
     Args:
         name: A zoo name (``sgan_goal.zara1``), a folder with its card (``FOLDER/sgan_goal.mall``), an address
             (``hf://OWNER/REPO``, ``https://HOST/FOLDER/sgan_goal.mall``), a ``.safetensors`` or Lightning
-            ``.ckpt`` file, a baseline (``bent_line``), or an untrained class ``path/to/file.py:Class``.
+            ``.ckpt`` file, a baseline (``bent_line``), an untrained class ``path/to/file.py:Class``, or with
+            weights of it, ``path/to/file.py:Class:weights=best.ckpt``.
         goal: The goal protocol for untrained models that ask for it; trained ones keep their own.
+        own: The caller's class, for weights of a class in a file of code: these never make that file run.
 
     Raises:
         UserError: No such model, its files are damaged or cannot be had, or they are not what its card says.
     """
     name = str(name)
+    if names_code(name):
+        return _own(name, goal)
     if entry := find(name):
         return _from_safetensors(weights_of(entry), entry.card)
     if name.endswith(".safetensors"):
-        return _from_safetensors(Path(name))
+        return _from_safetensors(Path(name), own=own)
     if name.endswith(".ckpt"):
-        return _from_checkpoint(Path(name))
-    if name not in MODELS.names() and ".py:" not in name:
+        return _from_checkpoint(Path(name), own)
+    if name not in MODELS.names():
         raise no_model(name, baselines())
-    model = MODELS.get(name, Forecaster)
-    asks = "goal_protocol" in {*inspect.signature(model).parameters, *homes(model)}
-    built = _made(model, {"goal_protocol": goal} if goal and asks else {}, name)
-    if any(True for _ in built.parameters()) and ".py:" not in name:
+    model = _untrained(name, goal)
+    if any(True for _ in model.parameters()):
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
         raise UserError(f"{name!r} is an architecture; name its weights: {weights}")
-    return built.eval()
+    return model
+
+
+def _own(name: str, goal: GoalProtocol | None) -> Forecaster:
+    """Return a model of a class in a person's own file, with its weights where they are named."""
+    code, settings = parse(name)
+    if unknown_settings := sorted(settings.keys() - {"weights"}):
+        raise unknown(f"setting of {code}", unknown_settings[0], ["weights"])
+    if not settings:
+        return _untrained(code, goal)
+    weights, own = unquoted(settings["weights"]), MODELS.get(code, Forecaster)
+    model = load(weights, own=own)
+    if not isinstance(model, own):
+        raise UserError(f"{weights!r} holds weights of {architecture_of(model)!r}, not of {code!r}")
+    return model
+
+
+def _untrained(name: str, goal: GoalProtocol | None) -> Forecaster:
+    model = MODELS.get(name, Forecaster)
+    asks = "goal_protocol" in {*inspect.signature(model).parameters, *homes(model)}
+    return _made(model, {"goal_protocol": goal} if goal and asks else {}, name).eval()
 
 
 def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
@@ -79,13 +103,21 @@ def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
     return {"architecture": architecture_of(model), "init": model.config, "goal": model.goal_protocol, **more}
 
 
-def build(config: dict[str, Any]) -> Forecaster:
+def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: str = "weights") -> Forecaster:
     """Return an untrained model of a config from `config_of`.
 
+    Args:
+        config: It may come from a file, and never makes a file of code run.
+        own: The caller's class, for a config that names a class so called in a file of code.
+        source: Where the config is from, for the message.
+
     Raises:
-        UserError: There is no such architecture, or it takes other arguments.
+        UserError: There is no such architecture, it is in a file of code, or it takes other arguments.
     """
     name, init = config["architecture"], config["init"]
+    if names_code(name) and own is not None and name.rpartition(":")[2] == own.__name__:
+        return _made(own, init, name)
+    refuse_code(name, f"{source}: architecture", f"name it yourself, as in {name}:weights={source}")
     if name in ROBOT_POLICIES.names():
         raise UserError(
             f"{name!r} moves robots, and is no model of people: use pedzoo.policies.load.load_robot_policy"
@@ -133,7 +165,9 @@ def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -
     return hashlib.sha256(data).hexdigest()
 
 
-def _from_safetensors(path: Path, card: ModelCard | None = None) -> Forecaster:
+def _from_safetensors(
+    path: Path, card: ModelCard | None = None, own: type[Forecaster] | None = None
+) -> Forecaster:
     with opened(path, "pt") as file:
         config = config_in(file, path)
         state = {key: file.get_tensor(key) for key in file.keys()}
@@ -142,7 +176,7 @@ def _from_safetensors(path: Path, card: ModelCard | None = None) -> Forecaster:
         raise UserError(
             f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
         )
-    return fill(build(config), state, str(path))
+    return fill(build(config, own, str(path)), state, str(path))
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
@@ -166,11 +200,11 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     return checkpoint
 
 
-def _from_checkpoint(path: Path) -> Forecaster:
+def _from_checkpoint(path: Path, own: type[Forecaster] | None) -> Forecaster:
     checkpoint = read_checkpoint(path)
     prefix = "generator."
     state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
-    return fill(build(checkpoint["pedzoo"]), state, str(path))
+    return fill(build(checkpoint["pedzoo"], own, str(path)), state, str(path))
 
 
 def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Forecaster:

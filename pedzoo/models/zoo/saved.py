@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from pedzoo.core.registry import MODELS
+from pedzoo.core.registry import MODELS, names_code
+from pedzoo.core.spec import parse, unquoted
 from pedzoo.models.zoo.address import is_address
 from pedzoo.models.zoo.header import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
@@ -15,12 +16,15 @@ def saved_config(name: str) -> dict[str, Any]:
     Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
     `load`.
     """
+    if names_code(name):
+        name = unquoted(parse(name).settings.get("weights", ""))
+        return saved_config(name) if name else {}
     if name.endswith(".ckpt"):
         return read_checkpoint(name)["pedzoo"]
     if name.endswith(".safetensors") and not is_address(name):
         return read_config(name)
     if entry := find(name):
         return read_config(weights_of(entry))
-    if name in MODELS.names() or ".py:" in name:
+    if name in MODELS.names():
         return {}
     raise no_model(name)

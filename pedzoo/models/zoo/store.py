@@ -10,7 +10,7 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, shipped
-from pedzoo.core.registry import MODELS
+from pedzoo.core.registry import MODELS, names_code
 from pedzoo.models.zoo.address import Place, download, is_address, kept_models, place
 from pedzoo.models.zoo.card import ModelCard, is_name, read_card
 from pedzoo.models.zoo.layout import card_files, name_of_files, weights_beside
@@ -75,7 +75,7 @@ def _found(name: str) -> Entry | None:
 
 def is_file(name: str) -> bool:
     """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
-    return not is_address(name) and (".py:" in name or name.endswith((".ckpt", ".safetensors")))
+    return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
 
 
 def weights_of(entry: Entry) -> Path:

@@ -1,0 +1,93 @@
+"""Limits of what files and servers may ask for: beyond all real use, and checked before memory is taken.
+
+A small file can ask for much: references that multiply, pictures of one colour, frame numbers far apart. What
+exceeds a limit is refused with the limit and a way out.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pedzoo.core.errors import UserError
+
+LARGEST_CARD = 2_000_000
+"""Bytes of a model card, of the page of a model, and of the config in a file of weights."""
+
+LARGEST_YAML = 10_000_000
+"""Bytes of a config or of the yaml of a floor plan."""
+
+DEEPEST = 20
+"""Levels of values in YAML and JSON; libyaml does not survive a hundred thousand."""
+
+MOST_PIXELS = 64_000_000
+"""Pixels of a floor plan: 400 m x 400 m in cells of 5 cm."""
+
+FINEST, COARSEST = 1e-3, 100.0
+"""Metres of a floor plan's cell."""
+
+FARTHEST_ORIGIN = 1e8
+"""Metres from a floor plan's origin to that of the world: more than the circumference of the Earth."""
+
+LONGEST_GAP = 10.0
+"""Seconds between two rows of one agent, at the median: between them positions are interpolated."""
+
+LONGEST_RECORDING = 366 * 86400.0
+"""Seconds from a recording's first row to its last."""
+
+SHORTEST_DT = 1e-3
+"""Seconds between two decisions, or two calls of a controller: memory grows with their number in 0.4 s."""
+
+SHORT_DOWNLOAD = 60.0
+"""Seconds in which a card or a page must have come."""
+
+_NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
+"""What reading values ends in that are not what they say they are, such as the 99th of a month."""
+
+
+def check_limit(value: float, limit: float, what: str, unit: str, remedy: str) -> None:
+    """Check that a value does not exceed a limit.
+
+    Raises:
+        UserError: It does: the message says ``what`` has how many of a ``unit``, the limit, and the remedy.
+    """
+    if not value <= limit:
+        raise UserError(f"{what} has {value:,.15g} {unit}, at most {limit:,.15g} are read: {remedy}")
+
+
+def read_text(path: Path, limit: int = LARGEST_YAML) -> str:
+    """Return a text file of at most ``limit`` bytes.
+
+    Raises:
+        UserError: It is larger, or not in UTF-8.
+        OSError: It cannot be read.
+    """
+    check_limit(path.stat().st_size, limit, repr(str(path)), "bytes", "is it the right file?")
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{str(path)!r} is no text in UTF-8 ({error.reason}): save it as UTF-8") from error
+
+
+def load_yaml(text: bytes | str) -> Any:
+    """Return the values of untrusted YAML; texts that would expand without end are refused.
+
+    Raises:
+        UserError: It is no YAML, has values that are not of the kind they say, references or many levels.
+    """
+    try:
+        return _loaded(text)
+    except UserError:
+        raise
+    except _NO_YAML as error:
+        raise UserError(f"cannot be read: {' '.join(str(error).split())}") from error
+
+
+def _loaded(text: bytes | str) -> Any:
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
+    depth = 0
+    for event in yaml.parse(text, loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
+            raise UserError(f"expected no references (*) and at most {DEEPEST} levels of values")
+    return yaml.load(text, loader)

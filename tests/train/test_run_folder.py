@@ -1,0 +1,188 @@
+"""Run folders: whole files whatever happens, one process at a time, and what Slurm asks for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.train.modules.gan import GANModule
+from pedzoo.train.run import RunFolder, WholeCheckpoints
+
+FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
+FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
+FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
+RUN = Path("runs/sgan/embedded-seed0")
+LAST = RUN / "checkpoints" / "last.ckpt"
+
+pytestmark = [
+    pytest.mark.usefixtures("elsewhere"),
+    pytest.mark.filterwarnings("ignore:.*SLURM auto-requeueing"),
+]
+
+
+def resume(epochs: int) -> int:
+    return main(["fit", "--resume", str(RUN), "--trainer.max_epochs", str(epochs)])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_a_write_that_fails_leaves_the_old_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "checkpoints" / "last.ckpt"
+    saver = WholeCheckpoints()
+    saver.save_checkpoint({"epoch": 1}, path)
+    before = contents(tmp_path)
+
+    def full(self: Path, data: memoryview) -> int:
+        with self.open("wb") as file:
+            file.write(data[:10])
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", full)
+        with pytest.raises(OSError, match="No space"):
+            saver.save_checkpoint({"epoch": 2}, path)
+    assert contents(tmp_path) == before
+    saver.save_checkpoint({"epoch": 3}, path)
+    assert torch.load(path) == {"epoch": 3}
+
+
+@pytest.mark.parametrize("moment", ["fsync", "replace"])
+def test_a_process_killed_while_it_writes_leaves_the_old_file(moment: str, tmp_path: Path) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text("old")
+    code = f"""
+import os, signal
+from pathlib import Path
+from pedzoo.core.paths import write_whole
+os.{moment} = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+write_whole(Path({str(path)!r}), b"new")
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("file", ["last.ckpt", "config.yaml", "versions.json"])
+def test_a_run_goes_on_after_it_was_cut_off_in_a_write(file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert main(FIT) == 0
+    replace, before = os.replace, (RUN / "config.yaml").read_bytes()
+
+    class CutError(BaseException):
+        pass
+
+    def cut(source: Any, target: Any) -> None:
+        if Path(target).name == file:
+            raise CutError
+        replace(source, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", cut)
+        with pytest.raises(CutError):
+            resume(3)
+    assert torch.load(LAST)["epoch"] == 0
+    if file == "config.yaml":
+        assert (RUN / file).read_bytes() == before
+    (LAST.parent / ".last.99.part.ckpt").write_bytes(b"of a process that was killed")
+    assert resume(2) == 0 and torch.load(LAST)["epoch"] == 1
+    assert [path.name for path in LAST.parent.iterdir() if path.name.startswith(".")] == []
+
+
+def test_one_process_at_a_time_trains_in_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(FIT) == 0
+    before = contents(RUN)
+    other = RunFolder.resume(RUN)
+    other.begin()
+    during = contents(RUN)
+    capsys.readouterr()
+    assert resume(2) == 2
+    error = capsys.readouterr().err
+    assert f"run '{RUN}' is in use by process {os.getpid()} on " in error and error.count("\n") == 1
+    assert contents(RUN) == during
+    other.end()
+    shutil.rmtree(RUN / "before-resume-1")
+    assert contents(RUN) == before
+    assert resume(2) == 0 and torch.load(LAST)["epoch"] == 1
+
+
+def test_a_dead_process_holds_no_folder() -> None:
+    run = RunFolder.claim(RUN)
+    code = f"""
+import os, signal
+from pathlib import Path
+from pedzoo.train.run import RunFolder
+run = RunFolder(Path({str(RUN)!r}))  # as long as it is held
+run.begin()
+print("begun", flush=True)
+signal.pause()
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout and process.stdout.readline() == "begun\n"
+            with pytest.raises(UserError, match=f"in use by process {process.pid} on "):
+                run.begin()
+        finally:
+            process.kill()
+    run.begin()
+    run.end()
+    assert not RUN.exists()
+
+
+@pytest.fixture
+def slurm(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """A job of Slurm with one process."""
+    names = {"NTASKS": "1", "JOB_ID": "7", "PROCID": "0", "LOCALID": "0", "NODEID": "0", "JOB_NAME": "fit"}
+    for name, value in names.items():
+        monkeypatch.setenv(f"SLURM_{name}", value)
+    return monkeypatch
+
+
+def test_the_checkpoint_of_another_run_is_not_continued(slurm: pytest.MonkeyPatch) -> None:
+    assert main([*FIT, "--seed_everything", "5", "--runs", "other"]) == 0
+    shutil.copy(next(Path("other").glob("*/*/checkpoints/last.ckpt")), "hpc_ckpt_1.ckpt")
+    assert main([*FIT, "--trainer.max_epochs", "2"]) == 0
+    Path("hpc_ckpt_1.ckpt").unlink()
+    assert main([*FIT, "--trainer.max_epochs", "2"]) == 0
+    one, two = (torch.load(run / "checkpoints" / "last.ckpt") for run in (RUN, Path(f"{RUN}-2")))
+    assert one["epoch"] == two["epoch"] == 1
+    assert all(torch.equal(one["state_dict"][key], two["state_dict"][key]) for key in one["state_dict"])
+
+
+def test_a_requeued_job_goes_on_where_slurm_stopped_it(slurm: pytest.MonkeyPatch) -> None:
+    class StoppedError(BaseException):
+        pass
+
+    steps = GANModule.training_step
+
+    def stopped(self: GANModule, *batch: Any) -> Any:
+        if int(self.iteration) == 3:
+            os.kill(os.getpid(), signal.SIGUSR1)
+        if int(self.iteration) == 4:
+            raise StoppedError
+        return steps(self, *batch)
+
+    long = [*FIT, "--trainer.max_epochs", "4"]
+    with slurm.context() as patched:
+        patched.setattr(GANModule, "training_step", stopped)
+        with pytest.raises(StoppedError):
+            main(long)
+    assert [file.parent for file in Path().rglob("hpc_ckpt_*.ckpt")] == [RUN]
+    assert main(long) == 0
+    assert torch.load(LAST)["epoch"] == 3 and list(Path("runs/sgan").iterdir()) == [RUN]
+    assert yaml.safe_load((RUN / "before-resume-1" / "config.yaml").read_text())
+    slurm.setenv("SLURM_JOB_ID", "8")
+    assert main(FIT) == 0
+    assert torch.load(f"{RUN}-2/checkpoints/last.ckpt")["epoch"] == 0
