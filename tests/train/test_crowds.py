@@ -187,8 +187,9 @@ def test_summaries_by_hand() -> None:
     assert stands == pytest.approx(0.0, abs=1e-3)
 
 
-def test_the_loss_is_least_for_the_recorded_crowd(whole: Excerpts) -> None:
+def test_the_loss_is_least_for_the_recorded_crowd(crowd: RecordedCrowd) -> None:
     likeness, random = CrowdLikeness(judged=0.0), torch.Generator().manual_seed(0)
+    whole = excerpts(crowd, [4], 24)
     real = recorded(whole)
     same = likeness(real, whole, 1, 0, None, random)
     noise = 0.2 * torch.randn(real.xy.shape, generator=random)

@@ -1,4 +1,4 @@
-"""Whole recordings that the training does not see, walked from begin to end: what checkpoints are chosen by."""
+"""Whole recordings that the training does not see, walked from begin to end, to choose checkpoints by."""
 
 from collections.abc import Sequence
 
@@ -14,6 +14,9 @@ from pedzoo.train.crowds.comparison import Compared, coarse, compared
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
 from pedzoo.train.crowds.walking_on import Policy, recorded, walked_on
 from pedzoo.train.loop.likeness import wasserstein
+
+_LEAST_SPREAD = 1e-3
+"""Of recorded values, where all are equal."""
 
 
 @torch.no_grad()
@@ -33,7 +36,7 @@ def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], maps: MapBank
             into["auc_coarse"].append(compared(coarse(one), real))
     result = {name: _area(made[name], true[name]) for name in made}
     distances = [
-        wasserstein(one, other) / other.std()
+        wasserstein(one, other) / other.std().clamp_min(_LEAST_SPREAD)
         for name in FEATURES
         for one, other in [[_all(side["auc"], name) for side in (made, true)]]
     ]
