@@ -37,7 +37,9 @@ def lent(settings: Mapping[str, Any], file: Path) -> dict[str, Any]:
     Raises:
         UserError: What it lends names a file of code or a class of another package than pedzoo.
     """
-    result = {key: value for key in PLAIN if isinstance(value := settings.get(key), str | int | float)}
+    result: dict[str, Any] = {
+        key: value for key in PLAIN if isinstance(value := settings.get(key), str | int | float)
+    }
     trainer = settings.get("trainer")
     if isinstance(trainer, Mapping):
         result["trainer"] = {

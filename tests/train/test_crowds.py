@@ -30,7 +30,7 @@ MAPS = MapBank()
 
 
 def tracks(people: int = 6, frames: int = 44) -> Tracks:
-    """Return people who wind their ways across a square; number 1 comes 12 frames later, number 2 is brief."""
+    """Return people who wind their ways across a square: number 1 comes later, number 2 is brief."""
     random = np.random.default_rng(0)
     rows = []
     for agent in range(people):
@@ -38,7 +38,9 @@ def tracks(people: int = 6, frames: int = 44) -> Tracks:
         begin, heading, speed = 6 * random.random(2), 6 * random.random(), 0.3 + 0.3 * random.random()
         for frame in range(first, last):
             angle = heading + 0.3 * math.sin(frame / 5 + agent)
-            begin = begin + speed * np.array([math.cos(angle), math.sin(angle)]) + 0.01 * random.normal(size=2)
+            begin = (
+                begin + speed * np.array([math.cos(angle), math.sin(angle)]) + 0.01 * random.normal(size=2)
+            )
             rows.append((frame, agent, *begin))
     return Tracks.from_table("crowd", np.array(rows))
 
@@ -57,13 +59,14 @@ class AsRecorded:
     """Walks every person to where they really were."""
 
     def __init__(self, real: Excerpts) -> None:
-        self.real, self.calls = real, 0
+        """Take the recorded crowd."""
+        self.real = real
 
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:
+        """Write the velocities."""
         frame = OBS_LEN + round(float(batch["time"][0, 0]) / STEP_SECONDS)
         there = self.real.xy[:, :, frame] - agents_of(batch)["history"][:, :, -1]
         batch["agents", "action"] = there / STEP_SECONDS
-        self.calls += 1
         return batch
 
 
@@ -158,7 +161,9 @@ def test_features_and_clips_are_those_of_the_score(whole: Excerpts, positions: s
     for name, values in mine.features.items():
         expected = theirs[name].value.to(values)
         expected = expected.abs() if name == "heading_rate" else expected
-        torch.testing.assert_close(values.sort().values, expected.sort().values, atol=2e-3, rtol=1e-3, msg=name)
+        torch.testing.assert_close(
+            values.sort().values, expected.sort().values, atol=2e-3, rtol=1e-3, msg=name
+        )
     expected_clips = score_clips.clips(steps, whole.start[0], whole.exit[0])
     assert len(mine.clips) == len(expected_clips.value) > 10
     order = [clips.flatten(1).sum(1).argsort() for clips in (mine.clips, expected_clips.value)]

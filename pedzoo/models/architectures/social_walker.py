@@ -19,7 +19,7 @@ from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.geometry import rotate, unrotate
 from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
-from pedzoo.models.base import Forecaster, Walking
+from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, style_of
@@ -212,6 +212,18 @@ class SocialWalker(Forecaster):
             path.append(torch.where(now.mask.unsqueeze(-1), step, 0.0))
             now = self._after(now, path[-1])
         return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
+
+    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+        """Return the energy score of two forecasts at every step, metres, summed over people.
+
+        Its minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
+        """
+        true = true_displacements(batch).cumsum(2)
+        path = self.sample(batch, 2, true.shape[2], generator).cumsum(3)
+        apart = [path[:, 0] - true, path[:, 1] - true, path[:, 0] - path[:, 1]]
+        first, second, between = ((one.square().sum(-1) + 1e-10).sqrt() for one in apart)
+        known = known_displacements(batch).cummin(2).values
+        return ((first + second - between) / 2).where(known, 0.0).sum() / true.shape[2]
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) without noise."""
