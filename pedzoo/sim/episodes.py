@@ -152,6 +152,7 @@ class Episodes:
             acceleration=layout.acceleration,
             turn_acceleration=layout.turn_acceleration,
             track=layout.track,
+            group=opening.group,
             goal_id=layout.goal,
             later_goals=later_goals(self._prepared, key, layout.goal),
             goal_point=position,
@@ -207,3 +208,4 @@ def _all_present(layout: Layout) -> Opening:
         controlled=walks,
         observed_points=torch.full_like(layout.goal, PAST_LEN),
     )
+        group=layout.group,

@@ -40,6 +40,7 @@ class State(NamedTuple):
         radius: Of the body (B, A), metres.
         kind: Person or robot (B, A) long.
         drive: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` (B, A) long.
+        group: Number of the company that an agent walks in (B, A) long, -1 for alone.
         top_speed: No agent moves faster than this (B, A), m/s.
         acceleration: Greatest change of speed, of wheels or in any direction (B, A), m/s^2; ``inf`` for none.
         turn_acceleration: Greatest change of the turning rate (B, A), rad/s^2.
@@ -79,6 +80,7 @@ class State(NamedTuple):
     kind: Tensor
     drive: Tensor
     top_speed: Tensor
+    group: Tensor
     acceleration: Tensor
     turn_acceleration: Tensor
     track: Tensor
@@ -110,6 +112,7 @@ class State(NamedTuple):
         usual |= dict.fromkeys(("kind", "drive", "drawn", "reached"), none)
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
         usual |= {
+        usual |= {"group": none - 1}
             "overdue": never,
             "failed": never.new_zeros(len(mask)),
             "clock": nothing.new_zeros(len(mask)),

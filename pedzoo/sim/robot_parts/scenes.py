@@ -129,6 +129,7 @@ class RobotScenes(Scenario):
             return layout
         return layout._replace(
             drive=joined(filled(layout.drive, whole + HOLONOMIC), fleet.drive),
+            group=joined(filled(layout.group, whole - 1), torch.tensor(-1)),
             acceleration=joined(filled(layout.acceleration, endless), fleet.acceleration),
             turn_acceleration=joined(filled(layout.turn_acceleration, endless), fleet.turn_acceleration),
             track=joined(filled(layout.track, torch.ones_like(usual)), fleet.track),

@@ -51,6 +51,7 @@ class Layout(NamedTuple):
         drive: How bodies move (B, A) long: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` of `pedzoo.core.bodies`;
             None for holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
         acceleration: Greatest change of speed (B, A), m/s^2; None for any.
+        group: Number of the company that an agent walks in (B, A) long, -1 for alone; None: all are.
         turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
         track: Distance between the wheels (B, A), metres; None for 1.
         top_speed: Greatest speeds (B, A), m/s, at most `Scenario.fastest_agent`; None for 1.3 times the speed
@@ -73,6 +74,7 @@ class Layout(NamedTuple):
     acceleration: Tensor | None = None
     turn_acceleration: Tensor | None = None
     track: Tensor | None = None
+    group: Tensor | None = None
     top_speed: Tensor | None = None
     heading: Tensor | None = None
 
