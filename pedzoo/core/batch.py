@@ -19,6 +19,8 @@ agents/pref_speed      (B, A, 1)              the speed this agent likes, m/s
 agents/top_speed       (B, A, 1)              the speed to which its velocities are shortened, m/s
 agents/radius          (B, A, 1)              radius of the body, metres
 agents/kind            (B, A) long            `PERSON` or `ROBOT`
+agents/group           (B, A) long            number of the company that the agent walks in, -1 for alone;
+                                              only equality within a scene has a meaning
 agents/goal            (B, A, 2)              short-term goal; absent under the goal protocol ``none``
 agents/desired_velocity(B, A, 2)              pref_speed towards the goal; absent with it
 agents/remaining_path  (B, A, 1)              simulated scenes only: length of the path to the goal, metres
@@ -83,6 +85,7 @@ def scene_batch(
     heading: Tensor | None = None,
     radius: Tensor | None = None,
     kind: Tensor | None = None,
+    group: Tensor | None = None,
     goal: Tensor | None = None,
     desired_velocity: Tensor | None = None,
     remaining_path: Tensor | None = None,
@@ -108,6 +111,7 @@ def scene_batch(
         heading: Directions of the bodies; None for those of ``velocity``.
         radius: Radii of the bodies; None for `pedzoo.core.types.BODY_RADIUS`.
         kind: Kinds of agents; None for persons.
+        group: Numbers of their companies; None for agents that are all alone.
         goal: Short-term goals; None leaves the key out, as for all that follow but ``controlled`` and ``id``.
         desired_velocity: The planner's velocities.
         remaining_path: Length of the path to the goal.
@@ -133,6 +137,7 @@ def scene_batch(
         "top_speed": TOP_SPEED_RATIO * pref_speed if top_speed is None else top_speed,
         "radius": radius,
         "kind": torch.zeros_like(mask, dtype=torch.long) if kind is None else kind,
+        "group": torch.full_like(mask, -1, dtype=torch.long) if group is None else group,
         "goal": goal,
         "desired_velocity": desired_velocity,
         "remaining_path": remaining_path,
@@ -164,6 +169,15 @@ def agents_of(batch: TensorDictBase) -> TensorDict:
 def ids_of(batch: TensorDictBase) -> Tensor:
     """Return the number of every agent (B, A) long, for draws of its own."""
     return cast("Tensor", agents_of(batch)["id"])
+
+
+def companions_of(batch: TensorDictBase) -> Tensor:
+    """Return which agents that are here walk in company (B, A, A) bool, none with itself."""
+    agents = agents_of(batch)
+    group, here = cast("Tensor", agents["group"]), cast("Tensor", agents["mask"])
+    same = (group.unsqueeze(2) == group.unsqueeze(1)) & ((group >= 0) & here).unsqueeze(2)
+    alone = torch.eye(group.shape[1], dtype=torch.bool, device=group.device)
+    return same & here.unsqueeze(1) & ~alone
 
 
 def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:

@@ -16,7 +16,7 @@ class _Walks(NamedTuple):
     """Times and paths of people to all goals; (E, A) each, or (E, A, R) for the R runs of a replay's slots.
 
     Attributes:
-        there: Which people are counted.
+        there: Which people are counted: not those who stay where the episode begins.
         arrived: Which of them arrived in time.
         planned: Length of the planner's paths, metres.
         walked: Length of the path that they walked, metres.
@@ -40,7 +40,8 @@ def _walks(rollout: Rollout) -> _Walks:
         steps = rollout.path.diff(dim=2).norm(dim=-1).where(rollout.underway, 0.0)
         planned, walked, none = runs.last(rollout.planned), runs.sums(steps), torch.empty(0)
         return _Walks(runs.there, arrived & ~rollout.failed[:, None, None], planned, walked, none, none)
-    mask, reached, goals = rollout.mask, rollout.reached, rollout.goals
+    reached, goals = rollout.reached, rollout.goals
+    mask = rollout.mask & ((reached[..., 0] < goals) | (rollout.planned[..., -1] > 0))
     arrived = navigation.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
     planned = navigation.planned_metres(rollout.planned, reached, goals)
     walked = navigation.walked_metres(rollout.path, rollout.scored, reached, goals)
@@ -71,7 +72,7 @@ def clean(rollout: Rollout) -> Ratio:
 
 
 def _all_arrive(rollout: Rollout) -> Tensor:
-    return (_walks(rollout).arrived | ~rollout.mask).all(1) & ~rollout.failed
+    return (_walks(rollout).arrived | ~_walks(rollout).there).all(1) & ~rollout.failed
 
 
 @metric()
@@ -117,7 +118,7 @@ def goals_parity(rollout: Rollout) -> Ratio:
 
 def _episode_seconds(rollout: Rollout) -> Tensor:
     seconds = navigation.finish_seconds(rollout.reached, rollout.goals)
-    return navigation.episode_seconds(seconds, _walks(rollout).arrived, rollout.mask)
+    return navigation.episode_seconds(seconds, _walks(rollout).arrived, _walks(rollout).there)
 
 
 @metric("ordinary")

@@ -86,7 +86,7 @@ def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     """Return which people once stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A) bool.
 
     They are ``scored`` all of the 5 s, and do not come back to a place within them. Current goals: (E, A, T,
-    2), metres.
+    2), metres; people are away from theirs when the 5 s begin, too, so that waiting at a goal is no deadlock.
     """
     return stuck(trace, goal, scored).any(-1)
 
@@ -98,7 +98,8 @@ def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
         return result
     before, after = trace[:, :, :-STILL_POINTS], trace[:, :, STILL_POINTS:]
     still = (after - before).norm(dim=-1) < STILL_METRES
-    away = (after - goal[:, :, STILL_POINTS:]).norm(dim=-1) > AWAY
+    away = (trace - goal).norm(dim=-1) > AWAY
+    away = away[..., :-STILL_POINTS] & away[..., STILL_POINTS:]
     count = scored.cumsum(2)
     stayed = count[..., STILL_POINTS:] - count[..., :-STILL_POINTS] == STILL_POINTS
     result[:, :, STILL_POINTS:] = still & away & stayed

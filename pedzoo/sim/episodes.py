@@ -87,6 +87,8 @@ class Episodes:
         if layout.opening is not None:  # played-back people may stand where no path leads away
             remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
         clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
+        waits = state._replace(clock=clock).holds
+        stays = waits & state.stands.isinf() & (state.next_goal < 0)
         if until is None:
             patience = self._prepared.scenario.patience
             until = deadline(clock, remaining_path, state.pref_speed).clamp_min(patience)
@@ -102,8 +104,8 @@ class Episodes:
             velocity=velocity,
             heading=faces,
             goal_point=guidance.goal_point,
-            reached=torch.zeros_like(state.reached),
-            deadline=until,
+            reached=self._prepared.scenario.goals * stays.long(),
+            deadline=until.masked_fill(waits, torch.inf),
             overdue=torch.zeros_like(state.overdue),
             remaining_path=remaining_path,
             planned=torch.where(opening.controlled, planned(remaining_path), 0.0),
@@ -112,7 +114,7 @@ class Episodes:
     def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
         """Return the state and its guidance, with another goal where one is nearer than `LEAST_WAY`."""
         for _ in range(TRIES):
-            near = state.mask & (state.goal_id >= 0) & (guidance.distance < LEAST_WAY)
+            near = state.mask & (state.stands <= 0) & (state.goal_id >= 0) & (guidance.distance < LEAST_WAY)
             near = near & (state.next_goal >= 0)
             if not near.any():
                 break
@@ -129,6 +131,7 @@ class Episodes:
         position = past[:, :, -1]
         velocity = (position - past[:, :, -2]) / TRACE_SECONDS
         usual = torch.full_like(layout.pref_speed, self._physics.body_radius)
+        nothing = torch.zeros_like(usual)
         return State.of(
             past,
             layout.mask,
@@ -147,6 +150,7 @@ class Episodes:
             heading=filled(layout.heading, heading_of(velocity)),
             radius=filled(layout.radius, usual),
             kind=layout.kind,
+            group=opening.group,
             drive=layout.drive,
             top_speed=layout.top_speed,
             acceleration=layout.acceleration,
@@ -155,7 +159,7 @@ class Episodes:
             goal_id=layout.goal,
             later_goals=later_goals(self._prepared, key, layout.goal),
             goal_point=position,
-            stands=layout.stand,
+            stands=filled(layout.stand, nothing).maximum(filled(layout.hold, nothing)),
         )
 
     def _check(self, layout: Layout) -> None:
@@ -206,4 +210,5 @@ def _all_present(layout: Layout) -> Opening:
         person=torch.where(layout.mask, slot, -1),
         controlled=walks,
         observed_points=torch.full_like(layout.goal, PAST_LEN),
+        group=layout.group,
     )

@@ -24,8 +24,9 @@ from pedzoo.sim.dynamics import driven
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.compiled_step import step_compiled, step_compiles
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
+from pedzoo.sim.waiting import Waited, at_places, waited
 
 
 class Playback(Protocol):
@@ -58,6 +59,7 @@ class Rules:
             stands.
         wheels: Some bodies have wheels or a limited acceleration; without it `State.drive` and both
             accelerations are not looked at.
+        waits: The scenario whose people wait at places; None for none.
         script: Plays recorded people back; None for none.
     """
 
@@ -68,6 +70,7 @@ class Rules:
     leave: bool = True
     keep_goal: bool = False
     wheels: bool = False
+    waits: Scenario | None = None
     script: Playback | None = None
 
 
@@ -79,12 +82,13 @@ def rules_of(
     guidance, leave = partial(_guidance, prepared), scenario.finished == "leave"
     if script is not None:
         script = script.to(device)
-    return Rules(guidance, ticks, substeps, scenario.goals, leave, wheels=scenario.wheels, script=script)
+    waits = scenario if scenario.waits else None
+    return Rules(guidance, ticks, substeps, scenario.goals, leave, False, scenario.wheels, waits, script)
 
 
 def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
     """Return the planner's guidance of all agents."""
-    return prepared.planner.guidance(
+    guidance = prepared.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
         state.row,
@@ -93,6 +97,7 @@ def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
         AHEAD_SECONDS,
         prepared.fastest,
     )
+    return at_places(state, guidance) if prepared.scenario.waits else guidance
 
 
 def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
@@ -126,9 +131,12 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
     motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
-    hits = motion.reached
+    hits, waits = motion.reached, None
+    if rules.waits is not None:
+        waits = waited(rules.waits, state, hits, state.clock + rules.ticks * TRACE_SECONDS)
+        hits = waits.hits
     hit = hits[..., -1]
-    after, taken_over = _arrived(state, hits, motion.trace, failed, rules)
+    after, taken_over = _arrived(state, hits, motion.trace, failed, rules, waits)
     turned = heading_of(after.velocity, heading, TURNS_FROM)
     if rules.wheels:
         turned = torch.where(state.drive == HOLONOMIC, turned, heading)
@@ -141,7 +149,7 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     guidance = rules.guidance(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before
     remaining_path = torch.where(guidance.distance.isfinite(), guidance.distance, after.remaining_path)
-    progress = state.remaining_path - torch.where(hit, 0.0, remaining_path)
+    progress = state.remaining_path - torch.where(hit | taken_over, 0.0, remaining_path)
     reached = state.reached.unsqueeze(-1) + hits
     done = reached[..., -1] >= rules.goals
     if script is None:
@@ -149,7 +157,8 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
             hit | taken_over, deadline(after.clock, remaining_path.detach(), after.pref_speed), after.deadline
         )
         ended = (done | ~state.mask).all(1)
-        settled = (done | after.overdue | ~state.mask).all(1) | failed
+        over = done | after.overdue | ~state.mask
+        settled = (over if waits is None else over | after.stands.isinf()).all(1) | failed
     else:
         until, ended, settled = after.deadline, script.ended(after), failed
         # an agent that has taken the slot of another one has another way
@@ -176,7 +185,9 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     return after, guidance, events
 
 
-def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: Rules) -> tuple[State, Tensor]:
+def _arrived(
+    state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: Rules, waited: Waited | None
+) -> tuple[State, Tensor]:
     """Return the state at the end of a decision, and which agents set out or are taken over (B, A) bool.
 
     Args:
@@ -185,18 +196,20 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
         trace: Positions every 0.1 s (B, A, S, 2), metres.
         failed: Scenes whose policy returned NaN or infinity (B,) bool.
         rules: Of the scenes.
+        waited: Who stops to wait and who moves on; None where no people wait.
     """
     hit = hits[..., -1]
     clock = state.clock + rules.ticks * TRACE_SECONDS
     later = state.next_goal
-    renew = hit & (later >= 0) if rules.keep_goal else hit
+    takes = hit if waited is None else hit | waited.moves_on
+    renew = takes & (later >= 0) if rules.keep_goal else takes
     reached = state.reached + hit
     overdue = state.overdue | (_misses_deadline(state, clock, hits, rules.goals) & state.controlled)
     waits = state.mask & ~state.controlled & (state.stands > 0)
     sets_out = waits & (clock.unsqueeze(1) + CLOCK_ROUNDING >= state.stands)
     mask, controlled = state.mask, state.controlled | sets_out
     if rules.leave:
-        stays = reached < rules.goals
+        stays = (reached < rules.goals) | state.stands.isinf()
         mask, controlled = mask & stays, controlled & stays
     past = torch.cat((state.past[:, :, rules.ticks :], trace), dim=2)
     after = state._replace(
@@ -208,10 +221,14 @@ def _arrived(state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: R
         past=past,
         velocity=(past[:, :, -1] - past[:, :, -2]) / TRACE_SECONDS,
         goal_id=torch.where(renew, later, state.goal_id),
-        drawn=state.drawn + hit,
+        drawn=state.drawn + takes,
         reached=reached,
         overdue=overdue,
     )
+    if waited is not None:
+        after = after._replace(stands=waited.stands)
+        after = after._replace(deadline=after.deadline.masked_fill(after.holds, torch.inf))
+        sets_out = sets_out | waited.moves_on
     return (
         (after, sets_out) if rules.script is None else rules.script.update_presence(state, after, rules.ticks)
     )

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.sim.motion import CLOCK_ROUNDING
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in one step of the networks' clock."""
@@ -39,6 +40,7 @@ class State(NamedTuple):
         turn_rate: How fast wheels turn it (B, A), rad/s.
         radius: Of the body (B, A), metres.
         kind: Person or robot (B, A) long.
+        group: Number of the company that an agent walks in (B, A) long, -1 for alone.
         drive: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` (B, A) long.
         top_speed: No agent moves faster than this (B, A), m/s.
         acceleration: Greatest change of speed, of wheels or in any direction (B, A), m/s^2; ``inf`` for none.
@@ -55,7 +57,8 @@ class State(NamedTuple):
         remaining_path: Length of the path to the goal (B, A), metres.
         planned: Paths of all goals up to this one, each as of when the goal was set and less its radius (B,
             A), metres.
-        stands: Until when an agent stands where it began (B, A), seconds on the clock; 0 where it does not.
+        stands: Until when an agent stands where it began, or holds its place (B, A), seconds on the clock; 0
+            where it does neither, infinite where no time says when.
     """
 
     key: Tensor
@@ -77,6 +80,7 @@ class State(NamedTuple):
     turn_rate: Tensor
     radius: Tensor
     kind: Tensor
+    group: Tensor
     drive: Tensor
     top_speed: Tensor
     acceleration: Tensor
@@ -108,6 +112,7 @@ class State(NamedTuple):
         endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)
         usual = dict.fromkeys(("turn_rate", "remaining_path", "planned", "stands"), nothing)
         usual |= dict.fromkeys(("kind", "drive", "drawn", "reached"), none)
+        usual |= {"group": none - 1}
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
         usual |= {
             "overdue": never,
@@ -138,6 +143,11 @@ class State(NamedTuple):
     def decides(self) -> Tensor:
         """Which agents walk by a policy now (B, A) bool: those with a goal; others stand."""
         return self.controlled & (self.goal_id >= 0)
+
+    @property
+    def holds(self) -> Tensor:
+        """Which agents wait at their goal, where their policy has to hold them (B, A) bool."""
+        return self.controlled & (self.stands > self.clock.unsqueeze(1) + CLOCK_ROUNDING)
 
     @property
     def next_goal(self) -> Tensor:

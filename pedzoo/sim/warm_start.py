@@ -31,8 +31,8 @@ ORCA = OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8)
 def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegments) -> State:
     """Return the state after 7 steps with ORCA of people who begin to walk; reached goals are renewed.
 
-    Robots, agents with wheels and agents that stand where they start stay in place. The standing time starts
-    afterwards.
+    Robots, agents with wheels and agents that stand or wait where they start stay in place. The time
+    of standing starts afterwards.
 
     Args:
         state: All agents where they start.
@@ -40,15 +40,18 @@ def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegme
         rules: Of the scenes.
         walls: Walls for ORCA.
     """
-    rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None)
+    waits = rules.waits is not None
+    rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None, waits=None)
     agents = state.mask.shape[1]
     controlled, stands = state.controlled, state.stands
-    walks = controlled & (state.drive == HOLONOMIC) & (state.kind != ROBOT)
+    walks = controlled & (stands <= 0) & (state.drive == HOLONOMIC) & (state.kind != ROBOT)
     state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
     guidance = rules.guidance(state)
     # people are on their way already
     state = state._replace(velocity=torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0))
+    if waits:  # in other scenes people begin with their second goal: the first counts as reached at the start
+        state = state._replace(goal_point=guidance.goal_point)
     top_speed = state.top_speed
     radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
     for _ in range(OBS_LEN - 1):

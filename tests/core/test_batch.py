@@ -9,13 +9,13 @@ from typing import Any, cast
 
 import pytest
 import torch
-from helpers.batches import make_batch
+from helpers.batches import changed, make_batch
 from helpers.scenes import scene
 from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
-from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of, maps_of, scene_batch
+from pedzoo.core.batch import PERSON, ROBOT, agents_of, companions_of, ids_of, maps_of, scene_batch
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
@@ -48,6 +48,7 @@ def test_what_is_left_out_has_its_default() -> None:
     assert agents["heading"][0, :, 0].tolist() == pytest.approx([math.pi / 2, math.pi, 0.0])
     assert agents["radius"][..., 0].tolist() == [[pytest.approx(0.15)] * 3]
     assert agents["kind"].tolist() == [[PERSON] * 3]
+    assert agents["group"].tolist() == [[-1] * 3] and not companions_of(batch).any()
     assert ids_of(batch).tolist() == [[0, 1, 2]]
     assert torch.equal(agents["controlled"], mask)
     assert {"goal", "desired_velocity", "future", "future_valid"}.isdisjoint(agents.keys())
@@ -84,6 +85,18 @@ def test_recordings_the_environment_and_the_controller_have_the_same_keys() -> N
         assert kinds == {
             key: (value.dtype, value.dim()) for key, value in agents_of(seen[0]).items() if key in theirs
         }
+
+
+def test_companions_are_agents_of_one_company() -> None:
+    """Neither the numbers of companies, nor the order of agents, nor padding matter."""
+    batch = make_batch((5, 3))
+    group = torch.tensor([[4, -1, 4, 7, -1], [2, 2, 0, 2, 2]])  # two of the second scene are padding
+    pairs = companions_of(changed(batch, group=group))
+    assert pairs.nonzero().tolist() == [[0, 0, 2], [0, 2, 0], [1, 0, 1], [1, 1, 0]]
+    assert torch.equal(companions_of(changed(batch, group=torch.where(group < 0, -1, 100 - group))), pairs)
+    order = torch.tensor([3, 0, 4, 2, 1])
+    moved = changed(batch, group=group[:, order], mask=agents_of(batch)["mask"][:, order])
+    assert torch.equal(companions_of(moved), pairs[:, order][:, :, order])
 
 
 def test_augmented_recordings_face_where_they_go() -> None:

@@ -235,7 +235,7 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
         (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, loop_buildings, table2 would have"),
         (
             ["orca", "--suite", "replay", "--episodes", "9"],
-            "in replay; door, encounters, figure4, goals, loop_buildings, loop_doors, loop_noise, "
+            "in replay; door, encounters, figure4, goals, indoor, loop_buildings, loop_doors, loop_noise, "
             "queues, robots, table2",
         ),
         (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),

@@ -44,7 +44,10 @@ def two_episodes() -> Rollout:
 
 
 def busy() -> Rollout:
-    """Three people each meander through a door, touch things and arrive, in five episodes and in double."""
+    """Three people each meander through a door, touch things and arrive, in five episodes and in double.
+
+    In the first one a person begins where they have to wait.
+    """
     generator = torch.Generator().manual_seed(0)
     wander = torch.randn(5, 3, 30, 2, generator=generator, dtype=torch.float64).repeat_interleave(4, dim=2)
     side = torch.tensor([-1.0, 1.0, -1.0]).double().view(1, 3, 1, 1)
@@ -65,6 +68,7 @@ def busy() -> Rollout:
         wall_contact=present & (torch.rand(5, 3, 120, generator=generator) < 0.05),
         reached=(torch.arange(120) >= when).long() + (torch.arange(120) >= 2 * when).long(),
         pref_speed=speeds,
+        first_path_length=(torch.arange(15) > 0).double().view(5, 3),
         gate=torch.tensor([0.0, 0.0, 1.0, 0.0, 3.0], dtype=torch.float64).expand(5, 5),
         changed=0.1 * torch.rand(5, 3, 120, generator=generator, dtype=torch.float64),
     )

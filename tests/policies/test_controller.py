@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
-from pedzoo.core.batch import PERSON, ROBOT, agents_of
+from pedzoo.core.batch import PERSON, ROBOT, agents_of, companions_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
@@ -345,6 +345,22 @@ def test_ids_have_numbers_that_no_run_changes():
 def seen(policy: Straight, key: str) -> torch.Tensor:
     """Return what the policy was last told of all agents."""
     return cast("torch.Tensor", agents_of(policy.seen[-1])[key])
+
+
+def test_companies_are_seen_until_they_change() -> None:
+    policy = Straight()
+    controller = Controller(policy)
+    people = {name: (0.0, float(y)) for y, name in enumerate("abc")}
+    goals = {name: (9.0, float(y)) for y, name in enumerate("abc")}
+    seen: list[torch.Tensor] = []
+    for groups in (None, {"a": "family", "c": "family"}, {}, {"c": None}):
+        controller.step(people, goals, groups=groups, others={"robot": (5.0, 9.0)})
+        batch = policy.seen[-1]
+        seen.append(companions_of(batch)[0])
+        assert batch["agents", "group"].shape == (1, 4)
+    assert [int(pairs.sum()) for pairs in seen] == [0, 2, 2, 0]
+    a, c = (controller._agents.row[name] for name in "ac")
+    assert seen[1][a, c] and seen[2][a, c]
 
 
 def row_of(batch: Any, radius: float) -> int:

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from pedzoo.eval.scoring.sides import Side
-from pedzoo.metrics.realism.company import NEAR, TOGETHER
 from pedzoo.metrics.realism.crowdes import Walks
 from pedzoo.metrics.realism.paths import closed_loop_error, padded
+from pedzoo.sim.replay.companions import NEAR, TOGETHER
 
 
 def same_people(side: Side, real: Side, weights: Tensor) -> dict[str, Tensor]:

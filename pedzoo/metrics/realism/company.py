@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pedzoo.metrics.realism.features import Steps
 from pedzoo.metrics.smoothness import STANDS
+from pedzoo.sim.replay.companions import DRIFT, NEAR, TOGETHER
 
 
 class PersonSums(NamedTuple):
@@ -29,9 +30,6 @@ class PersonSums(NamedTuple):
         """Return the measure (R,) for weights of people (R, P), NaN where nothing is below."""
         return weights.double() @ self.above / (weights.double() @ self.below)
 
-
-NEAR, TOGETHER, DRIFT = 1.5, 8, 0.5
-"""Companions stay within so many metres for so many steps, in which their relative place changes by less."""
 
 STRIP = 0.6
 """Metres: width of the strips in which lanes are looked for."""

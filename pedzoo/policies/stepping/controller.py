@@ -121,6 +121,7 @@ class Controller:
         *,
         others: Mapping[Any, Any] | None = None,
         radius: Mapping[Any, float] | None = None,
+        groups: Mapping[Any, Hashable] | None = None,
         time: float | None = None,
     ) -> dict[Id, NDArray[np.float64]]:
         """Return the velocity (2,) of every person, m/s, at most 1.3 times their preferred speed.
@@ -138,6 +139,8 @@ class Controller:
                 discs. Each disc has its own history.
             radius: Radii of bodies by id, metres; once given they stay until they change. People have 0.15
                 else, others 0.3. All discs of an agent have the same.
+            groups: Which people walk in company, by id: any name, the same for all of a company, or None
+                for alone. Once given they stay until they change; people are alone else.
             time: Now, seconds by the caller's clock, at every call or at none. Calls may then come early or
                 late: positions are resampled in time, and the policy decides at the call that is nearest
                 to its interval. None: calls are ``dt`` apart.
@@ -153,6 +156,7 @@ class Controller:
         clock, dropped = self._clock.called(time)
         present = {**people, **discs}
         agents = self._agents.now(present, self.pref_speed).with_radius(radius or {})
+        agents = agents.with_groups(_of(people, groups))
         position = agents.past.new_empty(len(present), 2)
         position[agents.rows(present)] = as_points(present, "position").float()
         # on the way since the last call, or at once for a new goal
@@ -225,6 +229,7 @@ class Controller:
             pref_speed=agents.pref_speed.view(*size, 1),
             radius=agents.radius.view(*size, 1),
             kind=torch.where(agents.other, ROBOT, PERSON).unsqueeze(0),
+            group=agents.group.unsqueeze(0),
             goal=torch.where(other, ahead, guidance.goal).unsqueeze(0),
             desired_velocity=torch.where(other, velocity, guidance.desired_velocity).unsqueeze(0),
             remaining_path=guidance.distance.view(*size, 1),

@@ -24,6 +24,7 @@ class Roster(NamedTuple):
         past: Latest positions (N, L, 2), oldest first; NaN for agents that have just come.
         pref_speed: The speed that they like (N,), m/s.
         radius: Of their bodies (N,), metres.
+        group: Number of the company that they walk in (N,) long, -1 for alone.
         other: Which agents are others, moved by the caller (N,) bool.
         goal: Their goals as they were asked for (N, 2) float64; NaN where none was.
         goal_point: Where the planner has put these (N, 2), metres; NaN where none was.
@@ -38,6 +39,7 @@ class Roster(NamedTuple):
     past: Tensor
     pref_speed: Tensor
     radius: Tensor
+    group: Tensor
     other: Tensor
     goal: Tensor
     goal_point: Tensor
@@ -55,6 +57,7 @@ class Roster(NamedTuple):
             past=torch.zeros(0, length, 2),
             pref_speed=torch.zeros(0),
             radius=torch.zeros(0),
+            group=torch.zeros(0, dtype=torch.long),
             other=torch.zeros(0, dtype=torch.bool),
             goal=torch.zeros(0, 2, dtype=torch.float64),
             goal_point=torch.zeros(0, 2),
@@ -126,6 +129,7 @@ class Roster(NamedTuple):
             past=merged(self.past, nothing(self.past)),
             pref_speed=merged(self.pref_speed, speeds),
             radius=merged(self.radius, radius),
+            group=merged(self.group, torch.full((len(new),), -1)),
             other=merged(self.other, flags(others)),
             goal=merged(self.goal, nothing(self.goal)),
             goal_point=merged(self.goal_point, nothing(self.goal_point)),
@@ -150,6 +154,15 @@ class Roster(NamedTuple):
             if one in metres:
                 changed[row] = metres[one]
         return self._replace(radius=changed)
+
+    def with_groups(self, groups: Mapping[Any, Hashable]) -> Roster:
+        """Return the roster with people in companies, by their names; None for alone, others keep theirs."""
+        if not groups:
+            return self
+        group = self.group.clone()
+        numbers = [-1 if name is None else number_of(name) for name in groups.values()]
+        group[self.rows(groups)] = torch.tensor(numbers)
+        return self._replace(group=group)
 
     def begun(self, position: Tensor, velocity: Tensor, ago: Tensor, new: Tensor) -> Roster:
         """Return the roster in which ``new`` agents (N,) have come straight to ``position`` (N, 2), metres.

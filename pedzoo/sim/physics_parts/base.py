@@ -144,7 +144,7 @@ class Physics(ABC):
             played: Paths of agents that are played back (B, A, S, M, 2); None for none.
             command: What policies want (B, A, 2), for agents that the backend owns; None for nothing.
         """
-        wanted = moving & (state.goal_id >= 0)
+        wanted = moving & (state.goal_id >= 0) & ~state.holds
         own = self.owned(state)
         if own is None:
             return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted, command))

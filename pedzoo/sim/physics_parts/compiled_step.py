@@ -22,8 +22,12 @@ if TYPE_CHECKING:
 
 
 def step_compiles(state: State, commands: Tensor, rules: Rules) -> bool:
-    """Return whether `step_compiled` may take a decision: holonomic agents without a script or gradients."""
-    if rules.wheels or rules.script is not None or not compiles(state.past, commands):
+    """Return whether `step_compiled` may take a decision.
+
+    It takes those of holonomic agents that do not wait at places, without a script or gradients.
+    """
+    special = rules.wheels or rules.waits is not None or rules.script is not None
+    if special or not compiles(state.past, commands):
         return False
     if not torch.is_grad_enabled():
         return True

@@ -15,6 +15,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.sim.replay.companions import companies
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
 
 USUAL, STANDS = 1.3, 0.1
@@ -57,6 +58,8 @@ class RecordedPeople(NamedTuple):
         goal_id: The planner's number of it (P,) long, -1 for none.
         path_length: Length of the planner's way from start to goal (P,), metres; 0 without a goal.
         pref_speed: The speed that they like (P,), m/s.
+        group: Number of the company that they walk in (P,) long, -1 for alone; see `companies`.
+        grouped: Frame that shows it (P,) long: nothing later is needed to know it.
     """
 
     recording: Tensor
@@ -70,6 +73,8 @@ class RecordedPeople(NamedTuple):
     goal_id: Tensor
     path_length: Tensor
     pref_speed: Tensor
+    group: Tensor
+    grouped: Tensor
 
     @property
     def controlled(self) -> Tensor:
@@ -154,11 +159,13 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
     def places(rows: np.ndarray) -> Tensor:
         return torch.from_numpy(tracks.xy[rows])
 
+    xy, starts, entry, leaving = (torch.from_numpy(value) for value in (tracks.xy, begin, first, last))
+    group, grouped = companies(xy, starts, entry, leaving)
     return RecordedPeople(
         recording=torch.full((len(agent),), number),
         agent=torch.from_numpy(agent),
-        first=torch.from_numpy(first),
-        last=torch.from_numpy(last),
+        first=entry,
+        last=leaving,
         what=torch.from_numpy(what),
         start=places(taken),
         exit=places(end),
@@ -166,6 +173,8 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
         goal_id=torch.full((len(agent),), -1),
         path_length=torch.zeros(len(agent), dtype=torch.float64),
         pref_speed=torch.from_numpy(liked).clamp_min(SLOWEST).float(),
+        group=group,
+        grouped=grouped,
     )
 
 

@@ -43,6 +43,7 @@ class Opening(NamedTuple):
         person: Person in each slot (B, A) long, -1 for none.
         controlled: Which people the policy moves (B, A) bool.
         observed_points: Trace points for which they have been seen (B, A) long.
+        group: Numbers of their companies (B, A) long, -1 for alone; None: all are.
         velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
         deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
     """
@@ -51,6 +52,7 @@ class Opening(NamedTuple):
     person: Tensor
     controlled: Tensor
     observed_points: Tensor
+    group: Tensor | None = None
     velocity: Tensor | None = None
     deadline: Tensor | None = None
 
@@ -152,6 +154,7 @@ class Script:
             person=person,
             controlled=self._taken(scene, person, at, before=True),
             observed_points=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
+            group=self._group(person, at),
             velocity=(following - last) / STEP_SECONDS,
             deadline=self._deadline(scene, person),
         ), torch.where(there[..., None, None], history, 0.0)
@@ -165,6 +168,11 @@ class Script:
         """Return which people the policy takes over in this frame (B, A) bool, or took over ``before``."""
         taken = self.people.taken[person]
         return self.scored(scene, person) & (taken <= frame if before else taken == frame)
+
+    def _group(self, person: Tensor, frame: Tensor) -> Tensor:
+        """Return the companies of people (B, A) long as far as frames until this one show them."""
+        shown = (person >= 0) & (self.people.grouped[person] <= frame)
+        return torch.where(shown, self.people.group[person], -1)
 
     def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
         steps = self.people.until[person] - self.scenes.origin[scene].unsqueeze(1)
@@ -196,11 +204,12 @@ class Script:
         taken = stays & sharp & self._taken(after.scene, scheduled, now)
         here = self.places(scheduled, now)
         velocity = (self.places(scheduled, now + 1) - here) / STEP_SECONDS
-        come = comes.unsqueeze(2)
+        come, person = comes.unsqueeze(2), torch.where(mask, scheduled, -1)
         return after._replace(
             mask=torch.where(sharp, mask, after.mask),
             controlled=torch.where(sharp, (after.controlled & stays) | taken, after.controlled),
-            person=torch.where(sharp, torch.where(mask, scheduled, -1), after.person),
+            person=torch.where(sharp, person, after.person),
+            group=torch.where(sharp, self._group(person, now), after.group),
             observed_points=observed_points.masked_fill(comes, 1),
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),

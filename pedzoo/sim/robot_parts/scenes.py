@@ -60,6 +60,7 @@ class RobotScenes(Scenario):
         self.people, self.speed, self.speed_std = inner.people, inner.speed, inner.speed_std
         self.goals, self.later, self.finished = inner.goals, inner.later, inner.finished
         self.unknown = inner.unknown
+        self.waits = inner.waits
         self.wheels = inner.wheels or any(_needs_limits(body) for body in self.bodies)
         self.smallest_radius = min(
             inner.smallest_radius or body_radius, *(body.radius for body in self.bodies)
@@ -89,6 +90,10 @@ class RobotScenes(Scenario):
         """Return the scenes with the ways of people and robots, ``clearance`` metres from walls."""
         inner = self.inner.prepare(clearance)
         return replace(inner, scenario=self, tables=inner)
+
+    def pauses(self, draws: Draws, number: Tensor) -> Tensor:
+        """Return how long agents wait at their goals, robots like the people whose places they take."""
+        return self.inner.pauses(draws, number)
 
     def gate(self, draws: Draws) -> Tensor | None:
         """Return the door of the scenario."""
@@ -124,6 +129,7 @@ class RobotScenes(Scenario):
             top_speed=joined(top_speed, fleet.top_speed),
             radius=joined(filled(layout.radius, usual), fleet.radius),
             kind=joined(filled(layout.kind, whole), torch.tensor(ROBOT)),
+            group=joined(filled(layout.group, whole - 1), torch.tensor(-1)),
         )
         if not self.wheels:
             return layout

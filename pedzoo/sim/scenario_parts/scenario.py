@@ -45,9 +45,13 @@ class Layout(NamedTuple):
         opening: People in scenes with a script, which always begin as they were recorded.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
             seconds; 0 for agents that do not. No policy moves them so long. None: none stand.
+        hold: How long people wait at their first goal, where they start, after the warm start (B, A),
+            seconds; 0 for agents that do not, infinite until they are called or to the end. Their policy has
+            to hold them there. Heeded where `Scenario.waits` says so. None: none wait.
         radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
             `Scenario.smallest_radius`.
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
+        group: Number of the company that an agent walks in (B, A) long, -1 for alone; None: all are.
         drive: How bodies move (B, A) long: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` of `pedzoo.core.bodies`;
             None for holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
         acceleration: Greatest change of speed (B, A), m/s^2; None for any.
@@ -67,8 +71,10 @@ class Layout(NamedTuple):
     history: Tensor | None = None
     opening: Opening | None = None
     stand: Tensor | None = None
+    hold: Tensor | None = None
     radius: Tensor | None = None
     kind: Tensor | None = None
+    group: Tensor | None = None
     drive: Tensor | None = None
     acceleration: Tensor | None = None
     turn_acceleration: Tensor | None = None
@@ -103,6 +109,7 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
+        waits: Some people wait at places: see `Layout.hold` and `pauses`.
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
         unknown: Meaning of unknown cells of the floor plans.
@@ -114,6 +121,7 @@ class Scenario(ABC):
     unknown: Unknown = "wall"
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False
+    waits: bool = False
     smallest_radius: float | None = None
     meet: float | None = None
     later: int = 0
@@ -173,6 +181,18 @@ class Scenario(ABC):
             last: The goal just reached (P,) long.
         """
         return torch.full_like(last, -1)
+
+    def pauses(self, draws: Draws, number: Tensor) -> Tensor:
+        """Return how long people wait where their present goal is, once they reach it (B, A), seconds.
+
+        0: they do not, and the goal counts as reached. Infinite: until the person in the slot before theirs
+        has taken more goals than they have; then they take the next one, on the way, too.
+
+        Args:
+            draws: Of the scenes.
+            number: How many goals people took after the first (B, A) long.
+        """
+        return torch.zeros_like(number, dtype=torch.float32)
 
     def gate(self, draws: Draws) -> Tensor | None:
         """Return the door that the scenes of ``draws`` are about (B, 5); None where there is none.

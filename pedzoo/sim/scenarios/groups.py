@@ -1,0 +1,150 @@
+"""Groups of two to four walk together, meet others, and pass a door."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.randomness import Draws
+from pedzoo.maps.plain import Point, Rectangle, check_lengths, room, wall
+from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, whole_cells
+from pedzoo.sim.scenario_parts.hall import Hall
+from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, door_at_origin
+from pedzoo.sim.scenario_parts.variants import Numbers
+
+HALF_WIDTH = 3.0
+"""Metres from the middle of the hall to its walls."""
+
+ABREAST = 0.75
+"""Metres between people side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
+
+OUTMOST = 7
+"""Half places of `ABREAST` from the middle to the outmost person."""
+
+SPACING = 2.0
+"""Metres between groups one behind the other."""
+
+MEET = 1.5
+"""Seconds after the warm start at which the first groups would meet in the middle."""
+
+BEYOND = 5.0
+"""Metres of the goals behind the middle."""
+
+SIZES = (2, 4)
+
+
+class Seats(NamedTuple):
+    """Each person's group and place in it, (B, A) long each.
+
+    Attributes:
+        unit: Number of the group; people alone have numbers after these.
+        place: Place in the group.
+        size: How many the group is.
+    """
+
+    unit: Tensor
+    place: Tensor
+    size: Tensor
+
+
+class Groups(Hall):
+    """Groups come in turn from both ends of a hall of 6 m; some halls have a wall with a door at x = 0.
+
+    People of a group start side by side, like the same speed, and have goals side by side. ``agents/group``
+    says who they are. The last agents walk alone.
+    """
+
+    def __init__(
+        self,
+        people: int = 14,
+        alone: int = 2,
+        size: tuple[int, int] = SIZES,
+        door: Numbers = (0.0, 1.6),
+        speed: float = 1.2,
+        speed_std: float = 0.2,
+    ) -> None:
+        """Set the scene.
+
+        Args:
+            people: All together.
+            alone: How many of them walk alone.
+            size: The least and the largest group, 2 to 4; the last one may be smaller.
+            door: Width of the door, metres; 0 for no wall. A list: one per scene.
+            speed: Mean preferred speed of groups, m/s.
+            speed_std: Its standard deviation.
+
+        Raises:
+            UserError: A setting that gives no scene.
+        """
+        super().__init__(people, speed, speed_std)
+        self.doors = [float(one) for one in (door if isinstance(door, Sequence) else [door])]
+        for width in self.doors:
+            check_lengths(self.name, CELL, door=width or CELL)
+        self.check(0 <= alone < people, f"alone {alone} of {people} people", f"0 to {people - 1}")
+        fewest, most = size
+        self.check(SIZES[0] <= fewest <= most <= SIZES[1], f"size {size}", "[least,most], from 2 to 4")
+        self.alone, self.size = alone, (fewest, most)
+
+    def walls(self) -> list[list[Rectangle]]:
+        """Return the hall with every door."""
+        units = -(-(self.people - self.alone) // self.size[0]) + self.alone
+        x = whole_cells((WARM_SECONDS + MEET) * self.fastest + SPACING * -(-units // 2) + BEHIND)
+        outer, ends = room((-x, -HALF_WIDTH), (x, HALF_WIDTH), WALL), ((0.0, -HALF_WIDTH), (0.0, HALF_WIDTH))
+        inner = [wall(*ends, 2 * WALL, [(HALF_WIDTH, width)]) if width else [] for width in self.doors]
+        return [outer + one for one in inner]
+
+    def places(self) -> list[Point]:
+        """Return the goals on the right and on the left, from the lowest y on."""
+        across = [place * ABREAST / 2 for place in range(-OUTMOST, OUTMOST + 1)]
+        return [(x, y) for x in (BEYOND, -BEYOND) for y in across]
+
+    def gate(self, draws: Draws) -> Tensor | None:
+        """Return the door, where all halls have one."""
+        return door_at_origin(self._widths(draws)) if min(self.doors) > 0 else None
+
+    def _widths(self, draws: Draws) -> Tensor:
+        return torch.tensor(self.doors, device=draws.key.device)[draws.integers("door", len(self.doors))]
+
+    def seats(self, draws: Draws) -> Seats:
+        """Return people's groups, whose sizes are drawn, and their places in them."""
+        together, slot = self.people - self.alone, torch.arange(self.people, device=draws.key.device)
+        fewest, most = self.size
+        sizes = fewest + draws.integers("size", most - fewest + 1, -(-together // fewest) or 1)
+        ends = sizes.cumsum(1).clamp_max(together)
+        unit = torch.searchsorted(ends, slot.expand(len(ends), -1).contiguous(), right=True)
+        last = unit.clamp_max(ends.shape[1] - 1)
+        begin = torch.nn.functional.pad(ends, (1, 0)).gather(1, last)
+        alone = slot >= together
+        units = (ends < together).sum(1, keepdim=True) + 1
+        return Seats(
+            torch.where(alone, units + slot - together, unit),
+            torch.where(alone, 0, slot - begin),
+            torch.where(alone, 1, ends.gather(1, last) - begin),
+        )
+
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
+        """Return groups as far from the middle as they walk until they would meet."""
+        unit, place, size = self.seats(draws)
+        map_id, goals = (table.to(unit.device) for table in prepared.tables)
+        number = draws.integers("door", len(self.doors))
+        side, row = unit % 2, unit // 2
+        speeds = torch.nn.functional.pad(self.speeds(draws), (0, self.people % 2))
+        # groups behind faster ones start no nearer to them than `SPACING`
+        pace = speeds.unflatten(1, (-1, 2)).cummax(1).values.flatten(1).gather(1, unit)
+        away = (WARM_SECONDS + MEET) * pace + SPACING * row
+        free = 2 * OUTMOST + 2 - 2 * size  # half places that a group can be shifted by
+        shift = (draws.uniform("across", self.people).gather(1, unit) * (free + 1)).long()
+        across = shift + 2 * place
+        x = torch.where(side == 0, -away, away)
+        group = torch.where(size > 1, unit, -1)
+        return Layout(
+            map_id=map_id[number],
+            start=torch.stack((x, ABREAST / 2 * (across - OUTMOST)), -1),
+            mask=torch.ones_like(unit, dtype=torch.bool),
+            pref_speed=speeds.gather(1, unit),
+            goal=goals[number.unsqueeze(1), side * (2 * OUTMOST + 1) + across],
+            group=group,
+        )

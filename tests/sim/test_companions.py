@@ -1,0 +1,121 @@
+"""Who walks with whom: in recordings, as far as is seen of them, and in what policies see of a replay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+from pedzoo.core.batch import companions_of
+from pedzoo.sim.make import make_env
+from pedzoo.sim.replay.companions import companies
+from pedzoo.sim.scenarios.replay import Replay
+
+FRAMES = 20
+
+
+def tracks(*people: tuple[int, float, float, float]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return rows of people: first frame, y, x at frame 0, metres per frame along x; 20 frames each."""
+    rows = [[x + step * frame, y] for first, y, x, step in people for frame in range(first, first + FRAMES)]
+    first = torch.tensor([one[0] for one in people])
+    begin = FRAMES * torch.arange(len(people))
+    return torch.tensor(rows), begin, first, first + FRAMES - 1
+
+
+def test_companions_are_near_and_keep_their_places() -> None:
+    rows = tracks(
+        *((0, 0.0, 0.0, 0.5), (0, 0.8, 0.0, 0.5), (2, 1.6, 0.0, 0.5)),  # three abreast, one seen later
+        (0, 9.0, 0.0, 0.5),  # alone
+        (0, 10.6, 0.0, 0.5),  # 1.6 m beside
+        (0, 9.5, 0.0, 0.6),  # 0.5 m beside, and 0.7 m ahead after 7 steps
+    )
+    group, shown = companies(*rows)
+    assert len(group[:3].unique()) == 1 and (group[:3] >= 0).all()
+    assert group[3:].tolist() == [-1, -1, -1]
+    # when the first of two has been seen for 8 frames
+    assert shown[:3].tolist() == [7, 7, 7]
+
+
+@pytest.mark.parametrize(("later", "company"), [(4, True), (5, False)])
+def test_companions_are_seen_together_in_four_frames(later: int, company: bool) -> None:
+    group, _ = companies(*tracks((3, 0.0, 0.0, 0.5), (3 + later, 0.5, 0.0, 0.5)))
+    assert (group >= 0).tolist() == [company] * 2
+
+
+def test_less_time_together_allows_less_drift() -> None:
+    """Over 3 steps 3/7 of 0.5 m: 0.214 m."""
+    for drift, company in ((0.07, True), (0.073, False)):
+        group, _ = companies(*tracks((0, 0.0, 0.0, 0.5), (4, 0.5, 0.0, 0.5 + drift)))
+        assert bool((group >= 0).all()) == company
+
+
+def test_nothing_later_is_looked_at() -> None:
+    rows, begin, first, last = tracks((0, 0.0, 0.0, 0.5), (2, 0.8, 0.0, 0.5), (1, 3.0, 0.0, 0.5))
+    expected, shown = companies(rows, begin, first, last)
+    unseen = torch.cat(
+        [torch.arange(int(b) + 8 - int(f), int(b) + FRAMES) for b, f in zip(begin, first, strict=True)]
+    )
+    rows[unseen] += 50 * torch.rand(len(unseen), 2)
+    changed, again = companies(rows, begin, first, last)
+    assert torch.equal(expected, changed) and torch.equal(shown, again)
+
+
+def test_people_are_companions_in_any_order() -> None:
+    people = [
+        (0, 0.0, 0.0, 0.5),
+        (2, 0.8, 0.0, 0.5),
+        (1, 3.0, 0.0, 0.5),
+        (0, 3.5, 0.0, 0.5),
+        (9, 0.0, 0.0, 0.5),
+    ]
+    group, _ = companies(*tracks(*people))
+    order = [3, 1, 4, 0, 2]
+    other, _ = companies(*tracks(*(people[i] for i in order)))
+    same = group[order].unsqueeze(1) == group[order]
+    assert torch.equal(same, other.unsqueeze(1) == other)
+
+
+def test_a_policy_sees_companies_once_they_show(tmp_path: Path) -> None:
+    """Two enter in frames 0 and 3; they are companions from the first one's eighth frame on."""
+    rows = [(frame, 1, 0.4 * frame, 0.0) for frame in range(30)]
+    rows += [(frame, 2, 0.4 * frame, 0.7) for frame in range(3, 30)]
+    rows += [(frame, 3, 12 - 0.4 * frame, 5.0) for frame in range(30)]
+    file = tmp_path / "rows.txt"
+    file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
+    scenario = Replay(files=[str(file)], dt=0.4).prepare(0.25)
+    assert (scenario.persons.group >= 0).tolist() == [True, True, False]
+    env = make_env(scenario)
+    now: Any = env.reset()
+    person = now["agents", "id"][0].tolist()
+    pair = [person.index(0), person.index(1)]
+    seen = []
+    for _ in range(4):
+        both = companions_of(now)[0]
+        seen.append(bool(both[pair[0], pair[1]]))
+        assert int(both.sum()) == 2 * seen[-1]
+        now["agents", "action"] = now["agents", "desired_velocity"]
+        now = step_mdp(env.step(now))
+    # the clock begins in frame 7
+    assert seen == [True] * 4
+    assert torch.equal(env.state.group[0] >= 0, torch.isin(env.state.person[0], torch.tensor([0, 1])))
+
+
+def test_companies_are_not_shown_before(tmp_path: Path) -> None:
+    """The third person lets the scene begin in frame 7; two enter in frames 4 and 5, and show in 11."""
+    rows = [(frame, 3, 12 - 0.4 * frame, 5.0) for frame in range(30)]
+    rows += [(frame, 1, 0.4 * frame, 0.0) for frame in range(4, 30)]
+    rows += [(frame, 2, 0.4 * frame, 0.7) for frame in range(5, 30)]
+    file = tmp_path / "rows.txt"
+    file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
+    env = make_env(Replay(files=[str(file)], dt=0.4).prepare(0.25))
+    now: Any = env.reset()
+    seen = []
+    for _ in range(6):
+        seen.append(bool(companions_of(now).any()))
+        now["agents", "action"] = now["agents", "desired_velocity"]
+        now = step_mdp(env.step(now))
+    assert seen == [False] * 4 + [True] * 2

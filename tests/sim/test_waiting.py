@@ -1,0 +1,242 @@
+"""People who wait: policies hold them at their places, until their time is up or they are called."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from helpers.walks import made
+from torchrl.envs import step_mdp
+
+from pedzoo.core.batch import companions_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.randomness import Draws
+from pedzoo.eval.evaluate import evaluate
+from pedzoo.eval.rollout import rollout
+from pedzoo.metrics.closed_loop import measure
+from pedzoo.metrics.waiting import standing_drift_m
+from pedzoo.policies.rule_based.go_to_goal import GoToGoal
+from pedzoo.sim import kernel
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import make_env, make_scenario
+
+TWO = "waiting:people=3,waiting=2,stay=0,seconds=2.1,speed_std=0"
+
+
+def walked(env: PedestrianEnv, steps: int, drift: tuple[float, float] = (0.0, 0.0)) -> list[Any]:
+    """Return what is seen before each decision, of people who walk where they desire, plus a velocity."""
+    now: Any = env.reset()
+    seen = []
+    for _ in range(steps):
+        seen.append(now.clone())
+        now["agents", "action"] = now["agents", "desired_velocity"] + torch.tensor(drift)
+        now = step_mdp(env.step(now))
+    return [*seen, now]
+
+
+@pytest.mark.parametrize("physics", ["compiled", "torch", "bullet"])
+def test_people_wait_and_set_out(physics: str) -> None:
+    env = make_env(TWO, num_envs=2, physics=physics)
+    seen = walked(env, 8)
+    env.physics.close()
+    start = seen[0]["agents", "history"][:, :2, -1]
+    for step, now in enumerate(seen[:-1]):
+        agents = now["agents"]
+        assert agents["controlled"].all()
+        # 2.1 s: they take their next goal at the end of the decision at 2.4 s
+        if step <= 5:
+            assert torch.allclose(agents["goal"][:, :2], start, atol=1e-5)
+            assert torch.allclose(agents["history"][:, :2, -1], start, atol=1e-5)
+            assert agents["desired_velocity"][:, :2].abs().max() < 1e-4
+        else:
+            assert torch.allclose(
+                agents["desired_velocity"][:, :2].norm(dim=-1), torch.tensor(1.3), atol=0.01
+            )
+    moved = (seen[8]["agents", "history"][:, :2, -1] - start).norm(dim=-1)
+    assert torch.allclose(moved, torch.full_like(moved, 0.8 * 1.3), atol=0.05)
+
+
+def test_the_policy_has_to_hold_them_and_is_shown_the_way_back() -> None:
+    env = make_env(TWO, num_envs=2)
+    seen = walked(env, 4, drift=(0.0, 0.5))
+    place, last = seen[0]["agents", "history"][:, :2, -1], seen[4]["agents"]
+    off = last["history"][:, :2, -1] - place
+    # 0.2 m per decision, and as far back in the next one
+    assert torch.allclose(off[..., 1], torch.full((2, 2), 0.2), atol=0.01)
+    assert torch.allclose(last["desired_velocity"][:, :2], -off / 0.4, atol=1e-3)
+    assert torch.equal(last["info"]["reached"][:, :2, -1], torch.zeros(2, 2, dtype=torch.long))
+
+
+def test_waiting_takes_no_time_from_the_way() -> None:
+    env = make_env(TWO, num_envs=2)
+    walked(env, 5)
+    assert env.state.deadline[:, :2].isinf().all() and env.state.holds[:, :2].all()
+    assert env.state.planned[:, :2].eq(0).all()
+    walked(env, 6)
+    way = env.state.remaining_path[:, :2]
+    assert torch.allclose(env.state.deadline[:, :2], 2.4 + (4 * way / 1.3).clamp_min(20.0), atol=1e-3)
+    assert torch.allclose(env.state.planned[:, :2], way - 0.3)
+    assert not env.state.holds.any()
+
+
+def test_to_set_out_is_no_progress_and_no_loss() -> None:
+    env = make_env(TWO, num_envs=2)
+    now: Any = env.reset()
+    for _ in range(7):
+        now["agents", "action"] = torch.zeros_like(now["agents", "velocity"])
+        result = env.step(now)
+        assert result["next", "agents", "reward"][:, :2].abs().max() < 1e-4
+        now = step_mdp(result)
+
+
+def test_people_who_stay_are_not_waited_for_nor_scored() -> None:
+    result, _ = rollout("go_to_goal", "waiting:people=4,waiting=3,stay=1", "compiled", 6)
+    metrics, _ = measure(result)
+    assert metrics["success"] == metrics["episode_success"] == 1 and metrics["deadlock"] == 0
+    assert result.trace.shape[2] < 200 and result.present[:, :3, 0].all()
+    stays = (result.trace[:, :3] - result.trace[:, :3, :1]).norm(dim=-1)
+    assert float(stays.max()) < 1e-4
+    # the people who pass are those who arrive
+    assert torch.equal(result.reached[:, 3, -1], torch.ones(6, dtype=torch.long))
+    assert 0.9 < metrics["time_ratio"] < 1.1
+
+
+def test_people_are_served_one_after_the_other() -> None:
+    env = make_env("queue:people=5,coming=2,seconds=3,speed_std=0", num_envs=2)
+    seen = walked(env, 60)
+    drawn = []
+    now: Any = env.reset()
+    for _ in range(60):
+        drawn.append(env.state.drawn)
+        now["agents", "action"] = now["agents", "desired_velocity"]
+        now = step_mdp(env.step(now))
+    taken = torch.stack(drawn)
+    # no person takes a place before the one ahead has left it
+    assert (taken[..., :-1] >= taken[..., 1:] - 1).all()
+    left = (taken > torch.arange(5)).int().argmax(0) * 0.4  # when each set out for an exit
+    assert left[:, 0].tolist() == pytest.approx([3.2, 3.2])
+    apart = left.diff(dim=1)
+    # 0.8 m to the counter, as far as 0.3 m from it, and 3 s
+    assert float(apart.min()) >= 3.0 + 0.5 / 1.3 - 1e-3 and float(apart.max()) <= 3.0 + 1.6
+    goal = seen[1]["agents", "goal"]
+    assert goal[0, 1].tolist() == pytest.approx([-0.8, 0.0], abs=0.03)
+
+
+def test_people_who_come_go_to_the_end_of_the_line_of_that_moment() -> None:
+    env = make_env("queue:people=3,coming=1,seconds=1,speed_std=0", num_envs=1)
+    first = env.reset()["agents", "info", "remaining_path"][0, 2]
+    goals = {round(float(env.state.goal_point[0, 2, 0]), 1)}
+    now: Any = env.reset()
+    for _ in range(6):
+        now["agents", "action"] = now["agents", "desired_velocity"]
+        now = step_mdp(env.step(now))
+        goals.add(round(float(env.state.goal_point[0, 2, 0]), 1))
+    assert float(first) > 1.5
+    assert goals == {-1.6, -0.8}
+    assert float(env.state.position[0, 2, 0]) < -0.8
+
+
+def test_drift_is_the_greatest_distance_from_the_place_until_there_is_another_goal() -> None:
+    """Of two who wait one drifts 0.3 m and back, then sets out; a third one walks."""
+    path = torch.zeros(1, 3, 9, 2)
+    path[0, 0, :, 0] = torch.tensor([0.0, 0.1, 0.3, 0.2, 0.1, 0.1, 1.0, 2.0, 3.0])
+    path[0, 1, :, 1] = 5.0
+    path[0, 2, :, 0] = torch.arange(9.0)
+    goal = path[:, :, :1].expand(1, 3, 8, 2).clone()
+    goal[0, 0, 5:] = 9.0
+    goal[0, 2] = 8.0
+    result = made(path, goal=goal, first_path_length=torch.tensor([[0.0, 0.0, 8.0]]))
+    above, below, _ = standing_drift_m(result)
+    assert above.tolist() == pytest.approx([0.3]) and below.tolist() == [2]
+
+
+def test_the_suite_has_a_table_of_each_scenario() -> None:
+    report = evaluate(["go_to_goal"], ["indoor"], episodes=2)
+    rows = {row["case"]["scenario"]: row["metrics"] for row in report["rows"] if "scenario" in row["case"]}
+    assert set(rows) == {"waiting", "queue", "groups", "two_way"}
+    assert rows["queue"]["success"] == 1 and rows["queue"]["standing_drift_m"] < 0.01
+    assert -0.3 < rows["two_way"]["lane_order"] < 0.6
+    assert rows["groups"]["company_share"] > 0.3
+
+
+def test_groups_walk_side_by_side() -> None:
+    env = make_env("groups", num_envs=50)
+    now: Any = env.reset()
+    agents = now["agents"]
+    pairs, start = companions_of(now), env.prepared.layout(Draws.for_episodes(0, torch.arange(50))).start
+    apart = torch.cdist(start, start)
+    assert pairs[:, -2:].sum() == 0 and pairs.any(2).float().mean() > 0.8
+    sizes = pairs.sum(2)[:, :-2]
+    assert int(sizes.max()) == 3 and {1, 2, 3} <= set(sizes.unique().tolist())
+    assert float(apart[pairs].max()) == pytest.approx(3 * 0.75) and float(apart[pairs].min()) > 0.74
+    speed = agents["pref_speed"].expand(-1, -1, pairs.shape[1])
+    assert torch.equal(speed[pairs], speed.transpose(1, 2)[pairs])
+
+
+def test_two_streams_have_the_density_that_is_asked_for() -> None:
+    scenario = make_scenario("two_way:people=60,density=0.6,width=3")
+    layout = scenario.prepare(0.25).layout(Draws.for_episodes(0, torch.arange(20)))
+    left = layout.start[:, ::2]
+    length = left[..., 0].amax(1) - left[..., 0].amin(1)
+    # 30 people on 3 m x 33 m
+    assert torch.allclose(30 / (3 * length), torch.tensor(0.3), rtol=0.06)
+    assert float((torch.cdist(left, left) + 9 * torch.eye(30)).min()) >= 0.5 - 1e-4
+    assert float(left[..., 1].abs().max()) > 1.1 and float(left[..., 1].mean().abs()) < 0.1
+
+
+class Stands(GoToGoal):
+    """Moves no person."""
+
+    def forward(self, tensordict: Any) -> Any:
+        """Write no velocity."""
+        tensordict["agents", "action"] = torch.zeros_like(tensordict["agents", "velocity"])
+        return tensordict
+
+
+@pytest.mark.parametrize("scenario", ["queue", "waiting"])
+def test_scenes_end_even_if_no_person_moves(scenario: str) -> None:
+    env = make_env(scenario, num_envs=2)
+    now: Any = env.reset()
+    stands = Stands()
+    steps = 0
+    while not now["done"].all():
+        steps += 1
+        now = step_mdp(env.step(stands(now)))
+        assert steps < 260
+    assert now["truncated"].all() and steps > 40
+
+
+@pytest.mark.parametrize("scenario", ["queue", "waiting", "groups", "two_way:people=10"])
+def test_a_scene_is_the_same_alone_and_among_others(scenario: str) -> None:
+    both = [walked(make_env(scenario, num_envs=n, first_episode=f), 12)[-1] for n, f in ((4, 0), (1, 2))]
+    for key in ("history", "goal", "group", "controlled"):
+        torch.testing.assert_close(both[0]["agents", key][2], both[1]["agents", key][0], atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("scenario", ["queue", "waiting"])
+def test_a_step_reads_nothing_back_to_the_host(scenario: str) -> None:
+    env = make_env(scenario, num_envs=2)
+    action = env.reset()["agents", "desired_velocity"].to("meta")
+    after, _, _ = kernel.step(env.state.to("meta"), action, env.physics, env.rules)
+    assert after.stands.device.type == "meta"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        ("waiting:waiting=36,people=40", "waiting 36 of 40 people: expected 0 to 35 who wait"),
+        ("waiting:waiting=4,people=4", "waiting 4 of 4 people: .* and 1 to 18 others"),
+        ("waiting:stay=1.5", r"stay 1\.5: expected a share"),
+        ("queue:people=3,coming=3", "coming 3 of 3 people: expected 0 to 2"),
+        ("queue:seconds=0", r"queue: seconds 0"),
+        ("groups:size=[1,3]", r"size \(?\[?1, 3\)?\]?: expected \[least,most\], from 2 to 4"),
+        ("groups:door=1.02", r"door 1\.02 is no multiple"),
+        ("two_way:people=1", "people 1: expected at least 2"),
+        ("two_way:density=3", r"density 3\.0: expected people per square metre, up to 2"),
+        ("two_way:width=0.4", r"0\.40 m by .*: expected at least 0\.5 m"),
+    ],
+)
+def test_scenes_that_cannot_be(scenario: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make_scenario(scenario)
