@@ -1,0 +1,81 @@
+"""What a policy remembers of how people began."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.core.batch import agents_of
+from pedzoo.policies.learned.first_seen import FirstSeenMemory
+from tests.helpers.batches import make_batch
+
+FIRST = make_batch((2, 2), padding=0.0)
+
+
+def scenes(step: int, left: Tensor, key: int = 5, ids: tuple[int, int] = (0, 1)) -> TensorDict:
+    """Return two scenes of two people, who have walked one metre along x per step."""
+    batch = FIRST.clone()
+    agents = agents_of(batch)
+    order = torch.tensor(ids)
+    agents["id"] = order.expand(2, -1)
+    agents["history"] = agents["history"][:, order] + torch.tensor([float(step), 0.0])
+    agents["remaining_path"] = left[order].view(1, 2, 1).expand(2, -1, -1).clone()
+    batch["scene_key"] = torch.tensor([[key], [key + 1]])
+    batch["time"] = torch.full((2, 1), 0.4 * step)
+    return batch
+
+
+def test_the_first_history_stays_and_progress_adds_up() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    begun = agents_of(memory.added(scenes(0, left)))
+    assert torch.equal(begun["first_history"], agents_of(FIRST)["history"])
+    assert not begun["elapsed"].any() and not begun["progress"].any()
+    memory.added(scenes(1, left - 0.5))
+    later = agents_of(memory.added(scenes(2, left - 1.2)))
+    assert torch.equal(later["first_history"], begun["first_history"])
+    torch.testing.assert_close(later["elapsed"], torch.full((2, 2, 1), 0.8))
+    torch.testing.assert_close(later["progress"], torch.full((2, 2, 1), 1.2))
+
+
+def test_people_who_change_their_slots_keep_their_own() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    begun = agents_of(memory.added(scenes(0, left)))
+    later = agents_of(memory.added(scenes(1, left - 0.5, ids=(1, 0))))
+    assert torch.equal(later["first_history"], begun["first_history"][:, [1, 0]])
+
+
+def test_other_scenes_in_between_change_nothing() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    begun = agents_of(memory.added(scenes(0, left)))
+    memory.added(scenes(7, left, key=90))
+    later = agents_of(memory.added(scenes(1, left - 0.5)))
+    assert torch.equal(later["first_history"], begun["first_history"])
+
+
+def test_a_new_goal_begins_a_new_way_but_not_a_new_style() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([3.0, 6.0])
+    begun = agents_of(memory.added(scenes(0, left)))
+    later = agents_of(memory.added(scenes(1, torch.tensor([12.0, 5.0]))))
+    assert torch.equal(later["first_history"], begun["first_history"])
+    assert later["elapsed"][0, :, 0].tolist() == [0.0, torch.tensor(0.4).item()]
+    assert later["progress"][0, :, 0].tolist() == [0.0, 1.0]
+
+
+def test_a_scene_that_is_walked_again_begins_anew() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    memory.added(scenes(3, left))
+    again = agents_of(memory.added(scenes(0, left)))
+    assert torch.equal(again["first_history"], agents_of(FIRST)["history"])
+    assert not again["elapsed"].any()
+
+
+def test_people_who_are_not_known_for_eight_rows_wait_for_them() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    new = scenes(0, left)
+    agents_of(new)["valid"][:, 0, :3] = False
+    memory.added(new)
+    later = agents_of(memory.added(scenes(1, left)))
+    history = agents_of(scenes(1, left))["history"]
+    assert torch.equal(later["first_history"][:, 0], history[:, 0])
+    assert torch.equal(later["first_history"][:, 1], agents_of(FIRST)["history"][:, 1])
