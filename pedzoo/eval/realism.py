@@ -15,7 +15,6 @@ from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics.closed_loop import own_metrics
-from pedzoo.metrics.intervals import Interval, wilson
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     Crowd,
@@ -32,6 +31,7 @@ from pedzoo.metrics.realism.crowds import (
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.metrics.realism.walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
+from pedzoo.metrics.sums.intervals import Interval, wilson
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay

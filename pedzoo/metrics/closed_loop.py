@@ -10,9 +10,9 @@ from torchmetrics import Metric
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import METRICS
 from pedzoo.metrics.arrival import time_ratios
-from pedzoo.metrics.intervals import Interval, bootstrap_quantile
-from pedzoo.metrics.quantiles import quantiles
 from pedzoo.metrics.ratios import Ratio, summarised
+from pedzoo.metrics.sums.intervals import Interval, bootstrap_quantile
+from pedzoo.metrics.sums.quantiles import quantiles
 from pedzoo.sim.rollout import Rollout
 
 

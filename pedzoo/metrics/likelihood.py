@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from pedzoo.metrics.scene_mean import SceneMean
+from pedzoo.metrics.sums.scene_mean import SceneMean
 
 
 class NegativeLogLikelihood(SceneMean):

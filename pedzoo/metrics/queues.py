@@ -32,6 +32,8 @@ def headways(seconds: Tensor, at: float) -> Tensor:
     ``seconds`` (E, A) are those at which people passed it; NaN where fewer than two did.
     """
     gaps = seconds.sort(1).values.diff(dim=1)
+    if not gaps.shape[1]:  # one person alone
+        return seconds.new_full((len(seconds),), torch.nan)
     return gaps.where(gaps.isfinite(), torch.nan).nanquantile(at, dim=1)
 
 

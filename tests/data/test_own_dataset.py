@@ -114,12 +114,12 @@ def test_cards(malls: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     card = read_card(publish(checkpoint, "zoo", measured=measured))
     assert card.name == "sgan_goal.south" and card.data["recordings"] == ["car_park", "hall_north"]
     assert card.data["terms"] == "ask the mall" and card.training["fold"] == f"{malls}:south"
-    own, plaza = card.evaluations
-    assert own["protocol"]["split"] == "test" and plaza["protocol"]["fold"] == "embedded"
+    # only a person who names it makes a file of code run, and the checkpoint names this one
+    (plaza,) = card.evaluations
+    assert plaza["protocol"]["fold"] == "embedded"
     assert has_seen("zoo/sgan_goal.south/weights.safetensors", f"{malls}:north")
     assert not has_seen("zoo/sgan_goal.south/weights.safetensors", f"{malls}:south")
-    own, plaza = card_numbers.again(card, "zoo/sgan_goal.south/weights.safetensors")
-    assert own.now is None and "no card runs" in own.why
+    (plaza,) = card_numbers.again(card, "zoo/sgan_goal.south/weights.safetensors")
     assert plaza.now and plaza.now["rows"][0]["metrics"]["ade_m"] > 0
 
 

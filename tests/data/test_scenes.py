@@ -62,6 +62,8 @@ def test_keys_shapes_and_types() -> None:
         ("agents", "heading"): ((3, 2, 1), torch.float32),
         ("agents", "radius"): ((3, 2, 1), torch.float32),
         ("agents", "kind"): ((3, 2), torch.int64),
+        ("agents", "group"): ((3, 2), torch.int64),
+        ("agents", "top_speed"): ((3, 2, 1), torch.float32),
         ("agents", "id"): ((3, 2), torch.int64),
         ("agents", "pref_speed"): ((3, 2, 1), torch.float32),
         ("agents", "goal"): ((3, 2, 2), torch.float32),

@@ -174,5 +174,5 @@ def test_numbers_of_a_robots_card_are_done_again(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("asked", [{"people": ["x.py:Mine"]}, {"robot": "x.py:Mine"}])
 def test_a_robots_card_never_makes_code_run(asked: dict[str, Any]) -> None:
     job = Job("robot_ppo.circle", {"suites": ["robots"], "episodes": 1} | asked, [0])
-    with pytest.raises(UserError, match="a file of code, which no card runs"):
+    with pytest.raises(UserError, match="in a file of code, and no other file ever makes code run"):
         report_of("evaluate", job)

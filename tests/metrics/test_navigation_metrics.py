@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pedzoo.metrics.intervals import bootstrap, wilson
 from pedzoo.metrics.navigation import (
     arrived_in_time,
     deadlocked,
@@ -18,6 +17,7 @@ from pedzoo.metrics.navigation import (
     walked_metres,
     weighted,
 )
+from pedzoo.metrics.sums.intervals import bootstrap, wilson
 
 INF = float("inf")
 

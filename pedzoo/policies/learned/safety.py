@@ -131,7 +131,7 @@ def _kept_share(
         stops = (both & (alone | (~other & (pairs.mine >= 0.5))) & (pairs.mine > 0)).any(2)
         stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
         chosen = torch.where(stops, min(turn + 1, kinds - 1), chosen)
-    return torch.tensor(SHARES, dtype=step.dtype, device=step.device)[chosen]
+    return torch.stack([step.new_full((), share) for share in SHARES])[chosen]
 
 
 def _capped(steps: ProposedSteps, step: Tensor) -> Tensor:

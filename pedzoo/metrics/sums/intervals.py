@@ -6,7 +6,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.quantiles import quantiles
+from pedzoo.metrics.sums.quantiles import quantiles
 
 _NORMAL_95 = 1.959964
 

@@ -1,0 +1,1 @@
+"""Intervals, quantiles and means of numbers that were summed over episodes and processes."""
