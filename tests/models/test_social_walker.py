@@ -82,7 +82,7 @@ def test_turning_and_moving_a_scene_turns_its_steps() -> None:
 def test_the_order_of_people_does_not_matter() -> None:
     model, batch, order = drawn(), make_batch((5,)), torch.tensor([3, 0, 4, 1, 2])
     agents = agents_of(batch)
-    swapped = changed(batch, **{key: agents[key][:, order] for key in agents.keys()})
+    swapped = changed(batch, **{key: agents[key][:, order] for key in map(str, agents.keys())})
     steps = model.next_steps(swapped, NOISE[:, order], 2, 8)
     torch.testing.assert_close(steps, model.next_steps(batch, NOISE, 2, 8)[:, order], atol=1e-5, rtol=1e-4)
 
@@ -95,7 +95,7 @@ def test_padding_does_not_matter() -> None:
         padded,
         **{
             key: torch.cat((torch.cat((agents[key], wide[key][:1, 3:]), 1), wide[key][1:]))
-            for key in wide.keys()
+            for key in map(str, wide.keys())
         },
     )
     one = model.next_steps(alone, NOISE[:, :3], 2, 8)

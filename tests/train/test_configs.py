@@ -43,7 +43,8 @@ def test_config_trains(name: str, tmp_path: Path, request: pytest.FixtureRequest
         return
     assert "val/ade" in logged
     # who has a goal walks
-    assert ("rollout/success" in logged) == name.rpartition("/")[2].startswith("sgan_goal")
+    walks = name.rpartition("/")[2].startswith(("sgan_goal", "social_walker"))
+    assert ("rollout/success" in logged) == walks
 
 
 def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:

@@ -121,10 +121,9 @@ def _places(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> 
     """Return the energy score of places, in units of how far people usually get off; who arrived is there."""
     scenes = len(truth.xy)
     total = []
-    for step in PLACES:
+    steps = walk.xy.shape[2] - OBS_LEN
+    for step in [step for step in PLACES if step <= steps] or [steps]:
         frame = OBS_LEN - 1 + step
-        if frame >= walk.xy.shape[2]:
-            continue
         walks = (real.walks & (real.taken < OBS_LEN) & (real.last >= OBS_LEN))[:scenes]
         made = walk.xy[:, :, frame].unflatten(0, (samples, scenes))
         true = torch.where(truth.there[:, :, frame].unsqueeze(2), truth.xy[:, :, frame], real.exit[:scenes])

@@ -13,12 +13,13 @@ from torch import Tensor
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.geometry import passes
-from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.open_floor import OpenFloor
+from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
@@ -48,10 +49,10 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
     """Return the result of ``walk`` when all people of recorded windows walk together.
 
     In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from a person to
-    their destination, and beyond it. ``pref_speed`` is that observed, at least 0.3 m/s. The top speed is 1.3
-    times that. People leave within 0.3 m of their destination, at the latest when they really left. People
-    at their destination from the beginning are played back, not controlled. No person is set back to their
-    track. There are no walls.
+    their destination, and beyond it. ``pref_speed`` is that observed, at least 0.3 m/s. The top speed is that
+    of the scenario ``replay``. People leave within 0.3 m of their destination, at the latest when they
+    really left. People at their destination from the beginning are played back, not controlled. No person is
+    set back to their track. There are no walls.
 
     Gradients flow through all that people see, others included, but not through times of leaving.
 
@@ -75,7 +76,7 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
     here = state.mask & there[..., 0]
     state = state._replace(
         pref_speed=liked,
-        top_speed=TOP_SPEED_RATIO * liked,
+        top_speed=top_speed_of(liked),
         mask=here,
         controlled=walks & here,
         person=state.person.where(here, -1),
