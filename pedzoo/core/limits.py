@@ -20,27 +20,6 @@ LARGEST_YAML = 10_000_000
 DEEPEST = 20
 """Levels of values in YAML and JSON; libyaml does not survive a hundred thousand."""
 
-MOST_PIXELS = 64_000_000
-"""Pixels of a floor plan: 400 m x 400 m in cells of 5 cm."""
-
-FINEST, COARSEST = 1e-3, 100.0
-"""Metres of a floor plan's cell."""
-
-FARTHEST_ORIGIN = 1e8
-"""Metres from a floor plan's origin to that of the world: more than the circumference of the Earth."""
-
-LONGEST_GAP = 10.0
-"""Seconds between two rows of one agent, at the median: between them positions are interpolated."""
-
-LONGEST_RECORDING = 366 * 86400.0
-"""Seconds from a recording's first row to its last."""
-
-SHORTEST_DT = 1e-3
-"""Seconds between two decisions, or two calls of a controller: memory grows with their number in 0.4 s."""
-
-SHORT_DOWNLOAD = 60.0
-"""Seconds in which a card or a page must have come."""
-
 _NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
 """What reading values ends in that are not what they say they are, such as the 99th of a month."""
 

@@ -182,7 +182,9 @@ class TrajectoryDataModule(L.LightningDataModule):
 
     def crowds(self, split: Split) -> list[tuple[Tracks, int]]:
         """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan."""
-        recordings = (self._real or self.source).recordings(split)
+        true = self.hparams["files"] or self.hparams["clock"] == "true"
+        source = self.source if true else open_fold(self.fold, self.hparams["root"], "true")
+        recordings = source.recordings(split)
         return [(one.tracks, self._grids[one.plan].map_id if one.plan else -1) for one in recordings]
 
     def _scenes(

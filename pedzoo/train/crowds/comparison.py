@@ -18,6 +18,7 @@ from pedzoo.metrics.safety import HORIZON, collision_seconds
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.train.crowds.excerpts import Excerpts
 from pedzoo.train.crowds.walking_on import CrowdWalk
+from pedzoo.train.loop.likeness import turns
 
 _GRAZING = 1e-3
 """m^4/s^2: below, when two people touch changes too fast for a gradient."""
@@ -65,7 +66,7 @@ def compared(walk: CrowdWalk, real: Excerpts) -> Compared:
     features = {
         "speed": _length(now),
         "acceleration": _length(change),
-        "heading_rate": _turn(before, now) / STEP_SECONDS,
+        "heading_rate": turns(before, now) / STEP_SECONDS,
         "nearest_distance": _length(near.place[company, 0]),
         "time_to_collision": near.seconds[company],
         "lateral_deviation": across[has_line] / length[has_line],
@@ -152,14 +153,6 @@ def _touch(away: Tensor, velocity: Tensor) -> Tensor:
     gap = away.square().sum(1) - (2 * BODY_RADIUS) ** 2
     under = closing.square() - velocity.square().sum(1) * gap
     return gap / (under.clamp_min(_GRAZING).sqrt() + closing.clamp_min(1e-3))
-
-
-def _turn(before: Tensor, now: Tensor) -> Tensor:
-    """Return by how much headings turn, radians, of velocities (M, 2) that both have one."""
-    walks = (before.detach().norm(dim=1) > STANDS) & (now.detach().norm(dim=1) > STANDS)
-    before, now = before[walks], now[walks]
-    across = before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0]
-    return torch.atan2(across.abs(), (before * now).sum(1))
 
 
 def _length(vectors: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """The loss of a crowd that walks unlike the recorded one."""
 
 from collections.abc import Mapping
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -96,17 +97,16 @@ class CrowdLikeness(nn.Module):
                 for key, weight in weights.items()
             ]
             if self.judges and min(len(made.clips), len(true.clips)) >= _LEAST_CLIPS:
-                judge: Judge = self.judges[name]  # type: ignore[assignment]
-                for _ in range(self.judge_steps if optimizer is not None else 0):
-                    assert optimizer is not None
-                    optimizer.zero_grad()
-                    cost = judge.learning(made.clips, true.clips, random)
-                    cost.backward()
-                    optimizer.step()
+                judge = cast("Judge", self.judges[name])
+                if optimizer is not None:
+                    for _ in range(self.judge_steps):
+                        optimizer.zero_grad()
+                        judge.learning(made.clips, true.clips, random).backward()
+                        optimizer.step()
                 passing.append(judge.passing(made.clips))
         terms["distribution"] = torch.stack(apart).mean()
         terms["places"] = _places(walk, truth, many, samples)
-        terms["persons"] = _persons(walk, truth, real, samples)
+        terms["persons"] = _persons(walk, truth, many, samples)
         terms["near"] = _too_near(walk, self.nearest)
         if passing:
             terms["judged"] = torch.stack(passing).mean()
@@ -135,8 +135,8 @@ def _places(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> 
 
 def _persons(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> Tensor:
     """Return the energy score of the summaries of walks."""
-    made, has_made = summaries(walk, real.repeated(samples))
-    true, has_true = summaries(truth, real)
+    made, has_made = summaries(walk, real)
+    true, has_true = summaries(truth, Excerpts(*(value[: len(truth.xy)] for value in real)))
     both = has_made.unflatten(0, (samples, -1)).all(0) & has_true
     score = _energy(made.unflatten(0, (samples, -1)), true)
     return (score * both).sum() / both.sum().clamp_min(1)

@@ -88,6 +88,7 @@ class CrowdModule(ForecastModule):
         self.courses = CourseSampler(courses, self.seed) if courses else None
         self._crowds: list[RecordedCrowd] = []
         self._unseen: list[RecordedCrowd] = []
+        self._shares = torch.zeros(0)
 
     @property
     def walker(self) -> Walker:
@@ -106,6 +107,7 @@ class CrowdModule(ForecastModule):
             return
         crowds = [RecordedCrowd.of(tracks, map_id) for tracks, map_id in data.crowds("train")]
         self._crowds = [crowd for crowd in crowds if int(crowd.walks.sum()) >= _FEWEST]
+        self._shares = torch.tensor([float(crowd.walks.sum()) ** 0.5 for crowd in self._crowds])
         unseen = [RecordedCrowd.of(tracks, map_id) for tracks, map_id in data.crowds("val")]
         self._unseen = [crowd for crowd in unseen if int(crowd.walks.sum()) >= _FEWEST]
         if not self._crowds:
@@ -143,9 +145,8 @@ class CrowdModule(ForecastModule):
 
     def _among_recorded(self, judges: Any, random: torch.Generator) -> dict[str, Tensor]:
         """Return the terms of excerpts of one recording."""
-        shares = torch.tensor([float(crowd.walks.sum()) ** 0.5 for crowd in self._crowds])
         while True:
-            crowd = self._crowds[int(torch.multinomial(shares, 1, generator=random))]
+            crowd = self._crowds[int(torch.multinomial(self._shares, 1, generator=random))]
             before = self.before[int(torch.randint(len(self.before), (1,), generator=random))]
             steps = before + self.steps
             people = float(crowd.there.sum()) / crowd.frames

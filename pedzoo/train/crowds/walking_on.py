@@ -69,14 +69,15 @@ def walked_on(policy: Policy, real: Excerpts, maps: MapBank, key: Tensor, before
     asked, walked = [], []
     for number in range(steps):
         frame = OBS_LEN - 1 + number
-        mine = real.walks & (real.taken <= frame) & ~gone
-        others = real.there[:, :, frame] & ~(real.walks & (real.taken <= frame))
+        simulated = real.walks & (real.taken <= frame)
+        mine = simulated & ~gone
+        others = real.there[:, :, frame] & ~simulated
         with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
             batch = _observed(real, maps, path, there, mine, mine | others, key, number)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
             command = limit_speed(command, top_speed_of(real.pref_speed))
-            plays = real.there[:, :, frame + 1] & ~mine & ~(real.walks & (real.taken <= frame))
+            plays = real.there[:, :, frame + 1] & ~simulated
             place = torch.where(
                 mine.unsqueeze(2),
                 here + STEP_SECONDS * command,

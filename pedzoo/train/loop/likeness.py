@@ -77,7 +77,7 @@ def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
     return {
         "speed": _length(now),
         "acceleration": _length(now - before) / STEP_SECONDS,
-        "heading_rate": _turn(before, now) / STEP_SECONDS,
+        "heading_rate": turns(before, now) / STEP_SECONDS,
         "nearest_distance": _length(near),
         "time_to_collision": soon[some],
         "lateral_deviation": _aside(xy[own], *(of.reshape(-1, 2)[person] for of in (begin, end))),
@@ -150,7 +150,7 @@ def _touch(away: Tensor, velocity: Tensor, reach: Tensor) -> Tensor:
     return gap / (under.clamp_min(_GRAZING).sqrt() + closing)
 
 
-def _turn(before: Tensor, now: Tensor) -> Tensor:
+def turns(before: Tensor, now: Tensor) -> Tensor:
     """Return by how much headings turn, radians, of velocities (M, 2) that both have one."""
     walks = (before.detach().norm(dim=1) > STANDS) & (now.detach().norm(dim=1) > STANDS)
     before, now = before[walks], now[walks]
