@@ -22,7 +22,7 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
-from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, style_of
+from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP = 3, (24.0, 8.0, 4.0, 2.0), 5
@@ -68,8 +68,9 @@ class Situation(NamedTuple):
         pref_speed: The speeds that they like (B, A), m/s.
         remaining: What is left of the path (B, A), metres.
         late: By how much they are behind a walk at that speed (B, A), seconds.
-        style: Their styles (B, A, 5), and ...
-        crowd_style: ... the mean over the agents of the scene (B, 1, 5).
+        stood: In which share of the steps that are seen first they stood (B, A).
+        style: Their styles (B, A, 6), and ...
+        crowd_style: ... the mean over the agents of the scene (B, 1, 6).
         radius: Radii of their bodies (B, A), metres.
         walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
             the network sees none.
@@ -81,6 +82,7 @@ class Situation(NamedTuple):
     pref_speed: Tensor
     remaining: Tensor
     late: Tensor
+    stood: Tensor
     style: Tensor
     crowd_style: Tensor
     radius: Tensor
@@ -117,12 +119,15 @@ class SocialWalker(Forecaster):
         self.near = nn.Sequential(
             nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
         )
-        seen = 2 * (OBS_LEN - 1) + 5 + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
+        seen = 2 * (OBS_LEN - 1) + 6 + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
         seen += (1 + RAYS * len(WALLS)) * a.walls
         self.body = nn.Sequential(
             nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
         )
         self.head = nn.Linear(a.hidden_dim, 16)
+        self.patience = nn.Parameter(
+            torch.tensor([1.1, 1.5, 0.3])
+        )  # usual, of those who stood, and by chance
         with torch.no_grad():  # the untrained network walks to the waypoint
             self.head.weight.mul_(0.2)
             self.head.bias.zero_()
@@ -146,6 +151,7 @@ class SocialWalker(Forecaster):
                 (now.remaining / 10).clamp_max(1),
                 (now.late / 4).tanh(),
                 stands,
+                now.stood,
             ),
             -1,
         )
@@ -171,16 +177,19 @@ class SocialWalker(Forecaster):
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
 
         step = z[..., -EVERY_STEP:]
-        jitter = (jitter_of(style) / STEP_SECONDS).unsqueeze(-1)
+        kinks, jitter = ((of(style) / STEP_SECONDS).unsqueeze(-1) for of in (kinks_of, jitter_of))
         moves = change
         result = past[:, :, -1]
         if a.step_noise:
-            moves = change + (jitter + 0.025) * functional.softplus(out[..., 11:13]) * step[..., 1:3]
-            result = result + 0.5 * jitter * functional.softplus(out[..., 13:15] - 1) * step[..., 3:5]
+            moves = change + (kinks + 0.03) * functional.softplus(out[..., 11:13]) * step[..., 1:3]
+            result = result + jitter * functional.softplus(out[..., 13:15] - 0.5) * step[..., 3:5]
         if a.held:
-            patience = 3 * (0.3 * z[..., 0]).exp()
-            late = 2 * (2 * (now.late - patience)).sigmoid()
-            moves = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late) / 0.2).sigmoid().unsqueeze(-1) * moves
+            log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
+            late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
+            gate = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late) / 0.2).sigmoid()
+            # held velocities are exactly those of before; the gradient is that of the soft gate
+            gate = (gate > 0.5).to(gate.dtype) + gate - gate.detach()
+            moves = gate.unsqueeze(-1) * moves
         return rotate(result + moves, now.ahead)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
@@ -251,6 +260,7 @@ class SocialWalker(Forecaster):
         if "elapsed" in agents.keys():
             late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
         style = style_of(first)
+        stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
         known = (there & agents["valid"].all(-1)).unsqueeze(-1)
         crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
         walls = (
@@ -259,7 +269,9 @@ class SocialWalker(Forecaster):
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
         radius = agents["radius"][..., 0]
-        return Situation(history, there, ahead, pref_speed, remaining, late, style, crowd, radius, walls)
+        return Situation(
+            history, there, ahead, pref_speed, remaining, late, stood, style, crowd, radius, walls
+        )
 
     def _walls(self, batch: TensorDict, position: Tensor, ahead: Tensor) -> Tensor:
         scenes, people = position.shape[:2]

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.clips import Clips
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
@@ -20,17 +20,17 @@ _LEAST_SPREAD = 1e-3
 
 
 @torch.no_grad()
-def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], maps: MapBank) -> dict[str, float]:
+def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Planner) -> dict[str, float]:
     """Return how unlike the crowds are in which a policy walks in everybody's place, from begin to end.
 
     ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
-    ``unlike``, their sum. Paths are straight.
+    ``unlike``, their sum.
     """
     made: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
     true: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
     for number, crowd in enumerate(crowds):
         real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
-        walk = walked_on(policy, real, maps, torch.tensor([number]))
+        walk = walked_on(policy, real, planner, torch.tensor([number]))
         for into, one in ((made, walk), (true, recorded(real))):
             into["auc"].append(compared(one, real))
             into["auc_coarse"].append(compared(coarse(one), real))
