@@ -12,7 +12,7 @@ from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
 from pedzoo.train.crowds.comparison import Compared, coarse, compared
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
-from pedzoo.train.crowds.walking_on import Policy, recorded, walked_on
+from pedzoo.train.crowds.walking_on import CrowdWalk, Policy, recorded, walked_on
 from pedzoo.train.loop.likeness import wasserstein
 
 _LEAST_SPREAD = 1e-3
@@ -31,7 +31,7 @@ def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Plan
     for number, crowd in enumerate(crowds):
         real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
         walk = walked_on(policy, real, planner, torch.tensor([number]))
-        for into, one in ((made, walk), (true, recorded(real))):
+        for into, one in ((made, _rounded(walk)), (true, _rounded(recorded(real)))):
             into["auc"].append(compared(one, real))
             into["auc_coarse"].append(compared(coarse(one), real))
     result = {name: _area(made[name], true[name]) for name in made}
@@ -42,6 +42,11 @@ def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Plan
     ]
     result["realism"] = float(torch.stack(distances).mean())
     return result | {"unlike": result["realism"] + (result["auc"] + result["auc_coarse"]) / 2}
+
+
+def _rounded(walk: CrowdWalk) -> CrowdWalk:
+    """Return the crowd to the millimetre: the decimals of files would distinguish crowds."""
+    return walk._replace(xy=(walk.xy.double() * 1000).round().div(1000).float())
 
 
 def _area(made: list[Compared], true: list[Compared]) -> float:
