@@ -25,7 +25,7 @@ from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 
-LASTING, SMOOTH, EVERY_STEP = 3, (24.0, 8.0, 4.0, 2.0), 5
+LASTING, SMOOTH, EVERY_STEP = 3, (24.0, 8.0, 4.0, 2.0), 6
 """Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
 
 WALLS, RAYS = (0.4, 0.9), 8
@@ -45,6 +45,7 @@ class WalkerArchitecture:
         walls: Whether it sees the floor plan.
         style: Whether it sees how people walked in their first steps.
         held: Whether velocities can be held.
+        halts: Whether people halt now and then, beside what slows them down.
         step_noise: Whether changes of velocity are drawn at every step.
         companions: Whether it sees companions.
     """
@@ -54,8 +55,16 @@ class WalkerArchitecture:
     walls: bool = True
     style: bool = True
     held: bool = True
+    halts: bool = True
     step_noise: bool = True
     companions: bool = True
+
+
+HELD_STANDING = 4.5
+"""Of the gate, for people who stand: before training they set out in 7 % of steps."""
+
+RARE_HALT = 4.0
+"""Of another gate: before training 1 % of the steps of people who walk is a halt."""
 
 
 class Situation(NamedTuple):
@@ -124,7 +133,7 @@ class SocialWalker(Forecaster):
         self.body = nn.Sequential(
             nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
         )
-        self.head = nn.Linear(a.hidden_dim, 16)
+        self.head = nn.Linear(a.hidden_dim, 17)
         self.patience = nn.Parameter(
             torch.tensor([1.1, 1.5, 0.3])
         )  # usual, of those who stood, and by chance
@@ -186,11 +195,15 @@ class SocialWalker(Forecaster):
         if a.held:
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
             late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
-            gate = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late) / 0.2).sigmoid()
+            setting_out = -HELD_STANDING * stands
+            gate = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
-            gate = (gate > 0.5).to(gate.dtype) + gate - gate.detach()
-            moves = gate.unsqueeze(-1) * moves
-        return rotate(result + moves, now.ahead)
+            moves = _hard(gate).unsqueeze(-1) * moves
+        result = result + moves
+        if a.halts:
+            goes = ((RARE_HALT - out[..., 16] + 1.7 * step[..., 5]) / 0.4).sigmoid()
+            result = _hard(goes).unsqueeze(-1) * result
+        return rotate(result, now.ahead)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
@@ -292,3 +305,8 @@ class SocialWalker(Forecaster):
             remaining=(now.remaining - done).clamp_min(0),
             late=now.late + STEP_SECONDS - done / now.pref_speed,
         )
+
+
+def _hard(gate: Tensor) -> Tensor:
+    """Return 0 or 1 for a gate in between, with its gradient."""
+    return (gate > 0.5).to(gate.dtype) + gate - gate.detach()
