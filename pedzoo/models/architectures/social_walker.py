@@ -8,31 +8,24 @@ companions, the walls and on how late the person is. It is trained on whole walk
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, cast
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.geometry import rotate, unrotate
 from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
-from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
-from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, kinks_of, style_of
+from pedzoo.models.blocks.people.situation import RAYS, WALLS, Situation
+from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, kinks_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
 """Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
-
-WALLS, RAYS = (0.4, 0.9), 8
-"""Radii of the rings on which walls are asked for, metres, and points of each."""
-
-FAR_WALL = 1.5
-"""Metres: farther walls are all alike."""
 
 
 @dataclass(frozen=True)
@@ -67,37 +60,6 @@ RARE_HALT = 4.0
 """Of another gate: before training 1 % of the steps of people who walk is a halt."""
 
 
-class Situation(NamedTuple):
-    """What decides about the next step of B scenes of A agents.
-
-    Attributes:
-        history: Positions (B, A, 8, 2), metres.
-        mask: Which agents are there (B, A) bool.
-        ahead: Unit vectors towards the waypoint (B, A, 2).
-        pref_speed: The speeds that they like (B, A), m/s.
-        remaining: What is left of the path (B, A), metres.
-        late: By how much they are behind a walk at that speed (B, A), seconds.
-        stood: In which share of the steps that are seen first they stood (B, A).
-        style: Their styles (B, A, 6), and ...
-        crowd_style: ... the mean over the agents of the scene (B, 1, 6).
-        radius: Radii of their bodies (B, A), metres.
-        walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
-            the network sees none.
-    """
-
-    history: Tensor
-    mask: Tensor
-    ahead: Tensor
-    pref_speed: Tensor
-    remaining: Tensor
-    late: Tensor
-    stood: Tensor
-    style: Tensor
-    crowd_style: Tensor
-    radius: Tensor
-    walls: Tensor
-
-
 class SocialWalker(Forecaster):
     """One step at a time, in the frame of each person's way."""
 
@@ -129,7 +91,6 @@ class SocialWalker(Forecaster):
         self.architecture = a = architecture
         self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
         self.needs = frozenset({"goal", "map"} if a.walls else {"goal"})
-        self.register_buffer("offsets", rings(WALLS, RAYS), persistent=False)
         self.near = nn.Sequential(
             nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
         )
@@ -212,7 +173,7 @@ class SocialWalker(Forecaster):
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
-        now = self.situation(batch)
+        now = Situation.of(batch, self.architecture.walls)
         if noise is None:
             noise = now.history.new_zeros(*now.mask.shape, self.noise_dim)
         there = now.mask.unsqueeze(-1)
@@ -220,14 +181,14 @@ class SocialWalker(Forecaster):
         for _ in range(steps):
             step = torch.where(there, self.velocity(now, noise) * STEP_SECONDS, 0.0)
             path.append(step)
-            now = self._after(now, step) if len(path) < steps else now
+            now = now.after(step) if len(path) < steps else now
         return torch.stack(path, 2)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
-        now = self.situation(batch)
+        now = Situation.of(batch, self.architecture.walls)
         scenes = len(now.mask)
         now = Situation(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
         key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
@@ -237,7 +198,7 @@ class SocialWalker(Forecaster):
             time = now.history.new_full((len(key), 1), number * STEP_SECONDS)
             step = self.velocity(now, timed_noise(key, agent, time, self.noise_periods)) * STEP_SECONDS
             path.append(torch.where(now.mask.unsqueeze(-1), step, 0.0))
-            now = self._after(now, path[-1])
+            now = now.after(path[-1])
         return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
@@ -255,61 +216,6 @@ class SocialWalker(Forecaster):
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) without noise."""
         return self.next_steps(batch, None, steps, steps).unsqueeze(1)
-
-    def situation(self, batch: TensorDict) -> Situation:
-        """Return what the network sees of a scene batch.
-
-        ``first_history``, ``elapsed`` and ``progress`` are a policy's memory, see
-        `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
-        """
-        agents = agents_of(batch)
-        there = agents["mask"]
-        goal, wanted = goals_of(batch, "this model")
-        history = torch.where(there[..., None, None], cast("Tensor", agents["history"]), 0.0)
-        towards = torch.where(there.unsqueeze(-1), goal - history[:, :, -1], 0.0)
-        ahead = torch.where(there.unsqueeze(-1), wanted, 0.0)
-        ahead = functional.normalize(torch.where(ahead.any(-1, keepdim=True), ahead, towards), dim=-1)
-        pref_speed = torch.where(there, agents["pref_speed"][..., 0], 1.0).clamp_min(0.1)
-        remaining = agents.get("remaining_path", None)
-        remaining = towards.norm(dim=-1) if remaining is None else remaining[..., 0]
-        first = agents.get("first_history", None)
-        first = history if first is None else torch.where(there[..., None, None], first, 0.0)
-        late = torch.zeros_like(pref_speed)
-        if "elapsed" in agents.keys():
-            late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
-        style = style_of(first)
-        stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
-        known = (there & agents["valid"].all(-1)).unsqueeze(-1)
-        crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
-        walls = (
-            self._walls(batch, history[:, :, -1], ahead) if self.architecture.walls else late.unsqueeze(-1)
-        )
-        late = torch.where(there, late, 0.0)
-        remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        radius = agents["radius"][..., 0]
-        return Situation(
-            history, there, ahead, pref_speed, remaining, late, stood, style, crowd, radius, walls
-        )
-
-    def _walls(self, batch: TensorDict, position: Tensor, ahead: Tensor) -> Tensor:
-        scenes, people = position.shape[:2]
-        map_id, pose = (batch[key].repeat_interleave(people, 0) for key in ("map_id", "scene_pose"))
-        places = position.flatten(0, 1), ahead.flatten(0, 1)
-        offsets = self.get_buffer("offsets")
-        result = distances_at(maps_of(batch), offsets, *places, map_id[:, 0], pose)
-        return result.clamp(-FAR_WALL, FAR_WALL).view(scenes, people, -1)
-
-    def _after(self, now: Situation, step: Tensor) -> Situation:
-        """Return the situation after a step (B, A, 2), metres; walls stay as they were seen."""
-        position = now.history[:, :, -1] + step
-        done = (step * now.ahead).sum(-1)
-        target = now.history[:, :, -1] + now.remaining.clamp_min(0.3).unsqueeze(-1) * now.ahead
-        return now._replace(
-            history=torch.cat((now.history[:, :, 1:], position.unsqueeze(2)), 2),
-            ahead=functional.normalize(target - position, dim=-1),
-            remaining=(now.remaining - done).clamp_min(0),
-            late=now.late + STEP_SECONDS - done / now.pref_speed,
-        )
 
 
 def _hard(gate: Tensor) -> Tensor:

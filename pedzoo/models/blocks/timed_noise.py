@@ -1,8 +1,9 @@
 """Noise that changes smoothly with time, each number at a pace of its own, by counter.
 
-A number of period p is drawn anew every p seconds, and turns from one draw into the next in between, so that
-its variance stays 1. A number of a negative period is the second difference of numbers that are drawn at every
-step: white noise of places, as annotators make it, changes velocities so. All depends on the scene's key, the agent and the time alone: nothing has to be kept.
+A number of period p is drawn anew every p seconds, and turns from one draw into the next in between: its
+variance stays 1. A number of a negative period is the second difference of numbers that are drawn at every
+step, as white noise of places changes velocities. All depend on the scene's key, the agent and the time
+alone: nothing has to be kept.
 """
 
 import math

@@ -34,10 +34,6 @@ def legible(clips: Tensor, manner: Tensor) -> Tensor:
     return torch.cat([*(part.flatten(1) for part in parts), held.flatten(1), manner], 1)
 
 
-BLUR = 0.3
-"""Standard deviations of noise on what a judge sees."""
-
-
 class Judge(nn.Module):
     """A network, and the clips of the last updates."""
 
@@ -67,8 +63,6 @@ class Judge(nn.Module):
     def forward(self, rows: Tensor) -> Tensor:
         """Return how real clips look (W,), logits, from what is `legible` of them (W, N)."""
         rows = (rows - self.mean) / self.scale.clamp_min(0.02)
-        if self.training:  # a judge that sees less sharply learns crowds instead of persons
-            rows = rows + BLUR * torch.randn_like(rows)
         return self.net(rows.clamp(-_LARGEST, _LARGEST))[:, 0]
 
     def learning(self, made: Tensor, true: Tensor, random: torch.Generator, again: bool) -> Tensor:
