@@ -19,9 +19,9 @@ from pedzoo.metrics.realism import clips as score_clips
 from pedzoo.metrics.realism import features as score_features
 from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.train.crowds.comparison import coarse, compared, summaries
+from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, summaries
 from pedzoo.train.crowds.excerpts import Excerpts, RecordedCrowd, excerpts
-from pedzoo.train.crowds.judge import Judge
+from pedzoo.train.crowds.judge import Judge, legible
 from pedzoo.train.crowds.likeness import CrowdLikeness
 from pedzoo.train.crowds.validation import whole_replays
 from pedzoo.train.crowds.walking_on import CrowdWalk, recorded, walked_on
@@ -181,7 +181,8 @@ def test_summaries_by_hand() -> None:
     none = torch.zeros(1, 1)
     real = Excerpts(
         xy, there, none.long(), none.long() + 19, there[..., 0], torch.zeros(1, 1, 2),
-        torch.tensor([[[4.0, 0.0]]]), torch.tensor([[[4.0, 0.0]]]), none.long(), none + 4, xy[:, :, :8], none + 0.5, torch.tensor([-1]), torch.zeros(1, 4),
+        torch.tensor([[[4.0, 0.0]]]), torch.tensor([[[4.0, 0.0]]]), none.long(), none + 4,
+        xy[:, :, :8], none + 0.5, torch.tensor([-1]), torch.zeros(1, 4),
     )  # fmt: skip
     scored = there.clone()
     scored[..., :OBS_LEN] = False
@@ -209,12 +210,13 @@ def test_a_judge_learns_to_distinguish_and_is_not_trained_by_those_it_judges() -
     random = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
     judge = Judge(hidden_dim=16)
-    true, made = (torch.randn(200, 8, 14, generator=random) for _ in range(2))
-    made[..., :2] += 1.0
+    clips = [torch.randn(200, 8, 14, generator=random) for _ in range(2)]
+    clips[1][..., :2] += 1.0
+    true, made = (legible(some, torch.zeros(200, MANNER_DIM)) for some in clips)
     optimizer = torch.optim.Adam(judge.parameters(), 3e-3)
     for _ in range(60):
         optimizer.zero_grad()
-        judge.learning(made, true, random).backward()
+        judge.learning(made, true, random, False).backward()
         optimizer.step()
     assert float((judge(true) > 0).float().mean()) > 0.9 > 0.1 > float((judge(made) > 0).float().mean())
     optimizer.zero_grad()
