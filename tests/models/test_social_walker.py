@@ -116,7 +116,7 @@ def test_every_part_can_be_left_out(part: str) -> None:
     without = SocialWalker.of(walls=False, **{part: False})
     without.load_state_dict(whole.state_dict())
     noise = NOISE.clone()
-    noise[:, 0, HALT] = -20.0
+    noise[:, 0, HALT], noise[:, 1, GATE] = -20.0, -20.0
     assert not torch.equal(whole.next_steps(batch, noise, 1, 8), without.next_steps(batch, noise, 1, 8))
 
 
