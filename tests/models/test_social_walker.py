@@ -11,7 +11,7 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of
 from pedzoo.core.geometry import rotate
 from pedzoo.models.architectures.social_walker import SocialWalker
-from pedzoo.models.blocks.people.style import style_of
+from pedzoo.models.blocks.people.style import jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 from tests.helpers.batches import changed, make_batch
 
@@ -62,6 +62,9 @@ def drawn(seed: int = 0) -> SocialWalker:
     return model.eval()
 
 
+GATE, HALT = -6, -3
+"""Numbers of the noise."""
+
 NOISE = torch.randn(1, 5, SocialWalker.noise_dim, generator=torch.Generator().manual_seed(1))
 
 
@@ -104,7 +107,7 @@ def test_padding_does_not_matter() -> None:
     assert not both[0, 3:].any()
 
 
-@pytest.mark.parametrize("part", ["style", "held", "step_noise", "companions"])
+@pytest.mark.parametrize("part", ["style", "held", "halts", "step_noise", "companions"])
 @torch.no_grad()
 def test_every_part_can_be_left_out(part: str) -> None:
     batch = make_batch((5,))
@@ -112,15 +115,41 @@ def test_every_part_can_be_left_out(part: str) -> None:
     whole = SocialWalker.of(walls=False)
     without = SocialWalker.of(walls=False, **{part: False})
     without.load_state_dict(whole.state_dict())
-    assert not torch.equal(whole.next_steps(batch, NOISE, 1, 8), without.next_steps(batch, NOISE, 1, 8))
+    noise = NOISE.clone()
+    noise[:, 0, HALT], noise[:, 1, GATE] = -20.0, -20.0
+    assert not torch.equal(whole.next_steps(batch, noise, 1, 8), without.next_steps(batch, noise, 1, 8))
 
 
 @torch.no_grad()
 def test_a_held_velocity_goes_on() -> None:
     model, batch = drawn(), make_batch((5,))
     noise = NOISE.clone()
-    noise[..., -5] = -20.0  # the gate is shut
+    noise[..., GATE] = -20.0  # shut
+    noise[..., HALT] = 20.0
     noise[..., -2:] = 0.0
     history = agents_of(batch)["history"]
     step = model.next_steps(batch, noise, 1, 8)[:, :, 0]
     torch.testing.assert_close(step, history[:, :, -1] - history[:, :, -2], atol=1e-4, rtol=0)
+
+
+@torch.no_grad()
+def test_a_halt_is_one_at_once() -> None:
+    noise = NOISE.clone()
+    noise[..., HALT] = -20.0
+    assert not drawn().next_steps(make_batch((5,)), noise, 1, 8).any()
+
+
+def test_noise_of_places_changes_velocities() -> None:
+    values = torch.stack([noise_at(step, -0.4) for step in range(40)])
+    assert float(values.std()) == pytest.approx(1.0, abs=0.02)
+    # velocities are sums of such changes, and these do not drift: they are white noise of places
+    assert float(values.cumsum(0).cumsum(0).diff(dim=0).std()) < 1.5
+    assert float((values[1:] * values[:-1]).mean()) == pytest.approx(-4 / 6, abs=0.05)
+
+
+def test_jitter_is_that_of_the_smaller_changes() -> None:
+    """Tracks in straight pieces have kinks and no jitter."""
+    bent = torch.stack((0.5 * torch.arange(8.0), 0.5 * (torch.arange(8.0) - 4).clamp_min(0)), -1)
+    style = style_of(bent)
+    assert float(kinks_of(style)) == pytest.approx(0.5 / 6, abs=1e-5)
+    assert float(jitter_of(style)) == pytest.approx(0.0, abs=1e-6)

@@ -14,19 +14,20 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism import clips as score_clips
 from pedzoo.metrics.realism import features as score_features
 from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.train.crowds.comparison import coarse, compared, summaries
+from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, summaries
 from pedzoo.train.crowds.excerpts import Excerpts, RecordedCrowd, excerpts
-from pedzoo.train.crowds.judge import Judge
+from pedzoo.train.crowds.judge import Judge, legible
 from pedzoo.train.crowds.likeness import CrowdLikeness
 from pedzoo.train.crowds.validation import whole_replays
 from pedzoo.train.crowds.walking_on import CrowdWalk, recorded, walked_on
 
 EARLY, LATE, SHORT = 0, 1, 2
-MAPS = MapBank()
+PLANNER = Planner(MapBank())
 
 
 def tracks(people: int = 6, frames: int = 44) -> Tracks:
@@ -47,7 +48,7 @@ def tracks(people: int = 6, frames: int = 44) -> Tracks:
 
 @pytest.fixture(scope="module")
 def crowd() -> RecordedCrowd:
-    return RecordedCrowd.of(tracks(), -1)
+    return RecordedCrowd.of(tracks(), -1, PLANNER)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_mirrored_excerpts_have_the_other_sign_of_y(crowd: RecordedCrowd) -> Non
 
 
 def test_people_who_walk_as_they_did_are_the_recorded_crowd(whole: Excerpts) -> None:
-    walk, real = walked_on(AsRecorded(whole), whole, MAPS, torch.tensor([0])), recorded(whole)
+    walk, real = walked_on(AsRecorded(whole), whole, PLANNER, torch.tensor([0])), recorded(whole)
     assert torch.equal(walk.scored, real.scored) and real.scored.sum() > 50
     torch.testing.assert_close(walk.xy[real.scored], real.xy[real.scored], atol=1e-4, rtol=0)
     made, true = compared(walk, whole), compared(real, whole)
@@ -115,7 +116,7 @@ def test_people_who_walk_as_they_did_are_the_recorded_crowd(whole: Excerpts) -> 
 
 
 def test_people_are_taken_over_after_eight_rows_and_leave_at_their_exit(whole: Excerpts) -> None:
-    walk = walked_on(AsRecorded(whole), whole, MAPS, torch.tensor([0]))
+    walk = walked_on(AsRecorded(whole), whole, PLANNER, torch.tensor([0]))
     begin = OBS_LEN - 1 + 12  # of the excerpt's frames: it begins seven before the recording
     scored = walk.scored[0, LATE].nonzero()[:, 0]
     assert int(scored[0]) == begin + OBS_LEN
@@ -126,7 +127,7 @@ def test_people_are_taken_over_after_eight_rows_and_leave_at_their_exit(whole: E
 def test_steps_before_are_walked_but_not_scored_and_have_no_gradient(crowd: RecordedCrowd) -> None:
     policy = walker()
     real = excerpts(crowd, [0], 14)
-    walk = walked_on(policy, real, MAPS, torch.tensor([0]), before=10)
+    walk = walked_on(policy, real, PLANNER, torch.tensor([0]), before=10)
     assert not walk.scored[..., : OBS_LEN + 10].any() and walk.scored[..., OBS_LEN + 10 :].any()
     assert walk.asked is not None and walk.asked.shape[2] == 4
     weight = cast("SocialWalker", policy.model).head.weight
@@ -180,7 +181,8 @@ def test_summaries_by_hand() -> None:
     none = torch.zeros(1, 1)
     real = Excerpts(
         xy, there, none.long(), none.long() + 19, there[..., 0], torch.zeros(1, 1, 2),
-        torch.tensor([[[4.0, 0.0]]]), xy[:, :, :8], none + 0.5, torch.tensor([-1]), torch.zeros(1, 4),
+        torch.tensor([[[4.0, 0.0]]]), torch.tensor([[[4.0, 0.0]]]), none.long(), none + 4,
+        xy[:, :, :8], none + 0.5, torch.tensor([-1]), torch.zeros(1, 4),
     )  # fmt: skip
     scored = there.clone()
     scored[..., :OBS_LEN] = False
@@ -208,12 +210,13 @@ def test_a_judge_learns_to_distinguish_and_is_not_trained_by_those_it_judges() -
     random = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
     judge = Judge(hidden_dim=16)
-    true, made = (torch.randn(200, 8, 14, generator=random) for _ in range(2))
-    made[..., :2] += 1.0
+    clips = [torch.randn(200, 8, 14, generator=random) for _ in range(2)]
+    clips[1][..., :2] += 1.0
+    true, made = (legible(some, torch.zeros(200, MANNER_DIM)) for some in clips)
     optimizer = torch.optim.Adam(judge.parameters(), 3e-3)
     for _ in range(60):
         optimizer.zero_grad()
-        judge.learning(made, true, random).backward()
+        judge.learning(made, true, random, False).backward()
         optimizer.step()
     assert float((judge(true) > 0).float().mean()) > 0.9 > 0.1 > float((judge(made) > 0).float().mean())
     optimizer.zero_grad()
@@ -224,9 +227,9 @@ def test_a_judge_learns_to_distinguish_and_is_not_trained_by_those_it_judges() -
 
 
 def test_whole_replays_of_people_who_walk_as_they_did(crowd: RecordedCrowd, whole: Excerpts) -> None:
-    same = whole_replays(AsRecorded(whole), [crowd], MAPS)
+    same = whole_replays(AsRecorded(whole), [crowd], PLANNER)
     torch.manual_seed(0)
-    other = whole_replays(walker(), [crowd], MAPS)
+    other = whole_replays(walker(), [crowd], PLANNER)
     assert same["realism"] < 0.05 < other["realism"]
     assert other["unlike"] == pytest.approx(other["realism"] + (other["auc"] + other["auc_coarse"]) / 2)
 
@@ -235,11 +238,11 @@ def test_training_lowers_the_loss(tmp_path: Any) -> None:
     random = torch.Generator().manual_seed(1)
     policy, likeness = walker(), CrowdLikeness(judged=0.0)
     optimizer = torch.optim.Adam(policy.parameters(), 3e-3)
-    real = excerpts(RecordedCrowd.of(tracks(12), -1), [0], 20)
+    real = excerpts(RecordedCrowd.of(tracks(12), -1, PLANNER), [0], 20)
     losses = []
     for _ in range(12):
         key = torch.randint(2**62, (2,), generator=random)
-        walk = walked_on(policy, real.repeated(2), MAPS, key)
+        walk = walked_on(policy, real.repeated(2), PLANNER, key)
         loss = torch.stack(list(likeness(walk, real, 2, 0, None, random).values())).sum()
         optimizer.zero_grad()
         loss.backward()

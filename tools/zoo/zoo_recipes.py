@@ -10,7 +10,7 @@ from typing import Any
 
 from pedzoo.core.types import PRED_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datasets.eth_ucy import SCENES
-from pedzoo.models.export.publish import zoo_name
+from pedzoo.models.export.publish import WHOLE_WALKS, zoo_name
 from pedzoo.models.export.run_record import monitored
 from pedzoo.train.run import RunFolder
 
@@ -18,7 +18,8 @@ EVERYTHING = "eth_ucy"
 """The fold of ETH/UCY that leaves nothing out."""
 
 GOALS: dict[str, GoalProtocol] = {
-    "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination"
+    "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination",
+    "closed_loop/social_walker": "destination",
 }  # fmt: skip
 """Goal protocols of the configs that are not trained for ``window_end``."""
 
@@ -38,6 +39,11 @@ class Recipe:
         return self.config.rpartition("/")[0]
 
     @property
+    def on_crowds(self) -> bool:
+        """Whether it trains on whole recorded crowds from the start."""
+        return self.config.rpartition("/")[2] in WHOLE_WALKS
+
+    @property
     def goal(self) -> GoalProtocol:
         """Its goal protocol."""
         return GOALS.get(self.config, "window_end")
@@ -50,6 +56,8 @@ class Recipe:
     @property
     def monitor(self) -> str:
         """The validation metric that chooses checkpoint and seed: what the model is made for."""
+        if self.on_crowds:
+            return "val/unlike"
         if self.folder == "closed_loop":
             return "rollout/stl"
         return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_pool") else "val/ade"
@@ -62,7 +70,7 @@ class Recipe:
     @property
     def begins_with(self) -> str | None:
         """The zoo name of the weights that a closed-loop training goes on with."""
-        if self.folder != "closed_loop":
+        if self.folder != "closed_loop" or self.on_crowds:
             return None
         return dataclasses.replace(self, config=self.config.replace("closed", "open")).name
 
@@ -75,7 +83,7 @@ class Recipe:
     @property
     def all_seeds(self) -> bool:
         """Whether every seed is published: what controllers do in the loop is told of each."""
-        return self.folder == "closed_loop" and self.fold == EVERYTHING
+        return self.folder == "closed_loop" and self.fold == EVERYTHING and not self.on_crowds
 
     @property
     def names(self) -> list[str]:
@@ -128,4 +136,5 @@ RECIPES = [
     *(Recipe(f"{half}/sgan_goal_map", EVERYTHING) for half in CONTROLLER),
     *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/sgan_goal_map", fold, seeds=1) for fold in SCENES),
+    *(Recipe("closed_loop/social_walker", fold) for fold in (EVERYTHING, *SCENES)),
 ]

@@ -8,31 +8,24 @@ companions, the walls and on how late the person is. It is trained on whole walk
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, cast
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.geometry import rotate, unrotate
 from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
-from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
-from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, style_of
+from pedzoo.models.blocks.people.situation import RAYS, WALLS, Situation
+from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, kinks_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 
-LASTING, SMOOTH, EVERY_STEP = 3, (24.0, 8.0, 4.0, 2.0), 5
+LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
 """Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
-
-WALLS, RAYS = (0.4, 0.9), 8
-"""Radii of the rings on which walls are asked for, metres, and points of each."""
-
-FAR_WALL = 1.5
-"""Metres: farther walls are all alike."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +38,7 @@ class WalkerArchitecture:
         walls: Whether it sees the floor plan.
         style: Whether it sees how people walked in their first steps.
         held: Whether velocities can be held.
+        halts: Whether people halt now and then, beside what slows them down.
         step_noise: Whether changes of velocity are drawn at every step.
         companions: Whether it sees companions.
     """
@@ -54,37 +48,16 @@ class WalkerArchitecture:
     walls: bool = True
     style: bool = True
     held: bool = True
+    halts: bool = True
     step_noise: bool = True
     companions: bool = True
 
 
-class Situation(NamedTuple):
-    """What decides about the next step of B scenes of A agents.
+HELD_STANDING = 4.5
+"""Of the gate, for people who stand: before training they set out in 7 % of steps."""
 
-    Attributes:
-        history: Positions (B, A, 8, 2), metres.
-        mask: Which agents are there (B, A) bool.
-        ahead: Unit vectors towards the waypoint (B, A, 2).
-        pref_speed: The speeds that they like (B, A), m/s.
-        remaining: What is left of the path (B, A), metres.
-        late: By how much they are behind a walk at that speed (B, A), seconds.
-        style: Their styles (B, A, 5), and ...
-        crowd_style: ... the mean over the agents of the scene (B, 1, 5).
-        radius: Radii of their bodies (B, A), metres.
-        walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
-            the network sees none.
-    """
-
-    history: Tensor
-    mask: Tensor
-    ahead: Tensor
-    pref_speed: Tensor
-    remaining: Tensor
-    late: Tensor
-    style: Tensor
-    crowd_style: Tensor
-    radius: Tensor
-    walls: Tensor
+RARE_HALT = 4.0
+"""Of another gate: before training 1 % of the steps of people who walk is a halt."""
 
 
 class SocialWalker(Forecaster):
@@ -93,7 +66,12 @@ class SocialWalker(Forecaster):
     needs = frozenset({"goal"})
     remembers: ClassVar[bool] = True
     mode_at_zero: ClassVar[bool] = True
-    noise_periods = (*(math.inf,) * LASTING, *SMOOTH, *(STEP_SECONDS,) * EVERY_STEP)
+    noise_periods = (
+        *(math.inf,) * LASTING,
+        *SMOOTH,
+        *(STEP_SECONDS,) * EVERY_STEP,
+        *(-STEP_SECONDS,) * JITTER,
+    )
     noise_dim = len(noise_periods)
     goal_protocol: GoalProtocol = "destination"
 
@@ -113,16 +91,18 @@ class SocialWalker(Forecaster):
         self.architecture = a = architecture
         self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
         self.needs = frozenset({"goal", "map"} if a.walls else {"goal"})
-        self.register_buffer("offsets", rings(WALLS, RAYS), persistent=False)
         self.near = nn.Sequential(
             nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
         )
-        seen = 2 * (OBS_LEN - 1) + 5 + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
+        seen = 2 * (OBS_LEN - 1) + 6 + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
         seen += (1 + RAYS * len(WALLS)) * a.walls
         self.body = nn.Sequential(
             nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
         )
-        self.head = nn.Linear(a.hidden_dim, 16)
+        self.head = nn.Linear(a.hidden_dim, 17)
+        self.patience = nn.Parameter(
+            torch.tensor([1.1, 1.5, 0.3])
+        )  # usual, of those who stood, and by chance
         with torch.no_grad():  # the untrained network walks to the waypoint
             self.head.weight.mul_(0.2)
             self.head.bias.zero_()
@@ -146,6 +126,7 @@ class SocialWalker(Forecaster):
                 (now.remaining / 10).clamp_max(1),
                 (now.late / 4).tanh(),
                 stands,
+                now.stood,
             ),
             -1,
         )
@@ -170,22 +151,29 @@ class SocialWalker(Forecaster):
         closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
 
-        step = z[..., -EVERY_STEP:]
-        jitter = (jitter_of(style) / STEP_SECONDS).unsqueeze(-1)
+        step = z[..., -EVERY_STEP - JITTER : -JITTER]
+        kinks, jitter = ((of(style) / STEP_SECONDS).unsqueeze(-1) for of in (kinks_of, jitter_of))
         moves = change
         result = past[:, :, -1]
         if a.step_noise:
-            moves = change + (jitter + 0.025) * functional.softplus(out[..., 11:13]) * step[..., 1:3]
-            result = result + 0.5 * jitter * functional.softplus(out[..., 13:15] - 1) * step[..., 3:5]
+            moves = change + (kinks + 0.03) * functional.softplus(out[..., 11:13]) * step[..., 1:3]
+            result = result + jitter * functional.softplus(out[..., 13:15] - 0.5) * z[..., -JITTER:]
         if a.held:
-            patience = 3 * (0.3 * z[..., 0]).exp()
-            late = 2 * (2 * (now.late - patience)).sigmoid()
-            moves = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late) / 0.2).sigmoid().unsqueeze(-1) * moves
-        return rotate(result + moves, now.ahead)
+            log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
+            late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
+            setting_out = -HELD_STANDING * stands
+            gate = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late + setting_out) / 0.2).sigmoid()
+            # held velocities are exactly those of before; the gradient is that of the soft gate
+            moves = _hard(gate).unsqueeze(-1) * moves
+        result = result + moves
+        if a.halts:
+            goes = ((RARE_HALT - out[..., 16] + 1.7 * step[..., 3]) / 0.4).sigmoid()
+            result = _hard(goes).unsqueeze(-1) * result
+        return rotate(result, now.ahead)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
-        now = self.situation(batch)
+        now = Situation.of(batch, self.architecture.walls)
         if noise is None:
             noise = now.history.new_zeros(*now.mask.shape, self.noise_dim)
         there = now.mask.unsqueeze(-1)
@@ -193,14 +181,14 @@ class SocialWalker(Forecaster):
         for _ in range(steps):
             step = torch.where(there, self.velocity(now, noise) * STEP_SECONDS, 0.0)
             path.append(step)
-            now = self._after(now, step) if len(path) < steps else now
+            now = now.after(step) if len(path) < steps else now
         return torch.stack(path, 2)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
-        now = self.situation(batch)
+        now = Situation.of(batch, self.architecture.walls)
         scenes = len(now.mask)
         now = Situation(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
         key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
@@ -210,7 +198,7 @@ class SocialWalker(Forecaster):
             time = now.history.new_full((len(key), 1), number * STEP_SECONDS)
             step = self.velocity(now, timed_noise(key, agent, time, self.noise_periods)) * STEP_SECONDS
             path.append(torch.where(now.mask.unsqueeze(-1), step, 0.0))
-            now = self._after(now, path[-1])
+            now = now.after(path[-1])
         return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
@@ -229,54 +217,7 @@ class SocialWalker(Forecaster):
         """Return the future (B, 1, A, T, 2) without noise."""
         return self.next_steps(batch, None, steps, steps).unsqueeze(1)
 
-    def situation(self, batch: TensorDict) -> Situation:
-        """Return what the network sees of a scene batch.
 
-        ``first_history``, ``elapsed`` and ``progress`` are a policy's memory, see
-        `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
-        """
-        agents = agents_of(batch)
-        there = agents["mask"]
-        goal, wanted = goals_of(batch, "this model")
-        history = torch.where(there[..., None, None], cast("Tensor", agents["history"]), 0.0)
-        towards = torch.where(there.unsqueeze(-1), goal - history[:, :, -1], 0.0)
-        ahead = torch.where(there.unsqueeze(-1), wanted, 0.0)
-        ahead = functional.normalize(torch.where(ahead.any(-1, keepdim=True), ahead, towards), dim=-1)
-        pref_speed = torch.where(there, agents["pref_speed"][..., 0], 1.0).clamp_min(0.1)
-        remaining = agents.get("remaining_path", None)
-        remaining = towards.norm(dim=-1) if remaining is None else remaining[..., 0]
-        first = agents.get("first_history", None)
-        first = history if first is None else torch.where(there[..., None, None], first, 0.0)
-        late = torch.zeros_like(pref_speed)
-        if "elapsed" in agents.keys():
-            late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
-        style = style_of(first)
-        known = (there & agents["valid"].all(-1)).unsqueeze(-1)
-        crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
-        walls = (
-            self._walls(batch, history[:, :, -1], ahead) if self.architecture.walls else late.unsqueeze(-1)
-        )
-        late = torch.where(there, late, 0.0)
-        remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        radius = agents["radius"][..., 0]
-        return Situation(history, there, ahead, pref_speed, remaining, late, style, crowd, radius, walls)
-
-    def _walls(self, batch: TensorDict, position: Tensor, ahead: Tensor) -> Tensor:
-        scenes, people = position.shape[:2]
-        map_id, pose = (batch[key].repeat_interleave(people, 0) for key in ("map_id", "scene_pose"))
-        places = position.flatten(0, 1), ahead.flatten(0, 1)
-        offsets = self.get_buffer("offsets")
-        result = distances_at(maps_of(batch), offsets, *places, map_id[:, 0], pose)
-        return result.clamp(-FAR_WALL, FAR_WALL).view(scenes, people, -1)
-
-    def _after(self, now: Situation, step: Tensor) -> Situation:
-        """Return the situation after a step (B, A, 2), metres; walls stay as they were seen."""
-        position = now.history[:, :, -1] + step
-        done = (step * now.ahead).sum(-1)
-        target = now.history[:, :, -1] + now.remaining.clamp_min(0.3).unsqueeze(-1) * now.ahead
-        return now._replace(
-            history=torch.cat((now.history[:, :, 1:], position.unsqueeze(2)), 2),
-            ahead=functional.normalize(target - position, dim=-1),
-            remaining=(now.remaining - done).clamp_min(0),
-            late=now.late + STEP_SECONDS - done / now.pref_speed,
-        )
+def _hard(gate: Tensor) -> Tensor:
+    """Return 0 or 1 for a gate in between, with its gradient."""
+    return (gate > 0.5).to(gate.dtype) + gate - gate.detach()

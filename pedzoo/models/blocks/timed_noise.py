@@ -1,7 +1,9 @@
 """Noise that changes smoothly with time, each number at a pace of its own, by counter.
 
-A number of period p is drawn anew every p seconds, and turns from one draw into the next in between, so that
-its variance stays 1. It depends on the scene's key, the agent and the time alone: nothing has to be kept.
+A number of period p is drawn anew every p seconds, and turns from one draw into the next in between: its
+variance stays 1. A number of a negative period is the second difference of numbers that are drawn at every
+step, as white noise of places changes velocities. All depend on the scene's key, the agent and the time
+alone: nothing has to be kept.
 """
 
 import math
@@ -23,7 +25,8 @@ def timed_noise(key: Tensor, agent: Tensor, time: Tensor, periods: tuple[float, 
         key: Of the scenes (B, 1) long.
         agent: Numbers of the agents (B, A) long.
         time: Seconds since the scenes began (B, 1).
-        periods: Of each number (Z,), seconds; ``math.inf`` for one that lasts for the whole scene.
+        periods: Of each number (Z,), seconds; ``math.inf`` for one that lasts for the whole scene, and a
+            negative one for second differences, divided by their standard deviation.
     """
     period = torch.tensor(periods, device=agent.device)
     lasts, short = period.isinf(), period < _EVERY_STEP
@@ -38,4 +41,8 @@ def timed_noise(key: Tensor, agent: Tensor, time: Tensor, periods: tuple[float, 
     number = draw.long()
     turned = (place - draw) * (math.pi / 2)
     now, then = (randomness.normal(randomness.join(own, number + more)) for more in (0, 1))
-    return turned.cos() * now + turned.sin() * then
+    smooth = turned.cos() * now + turned.sin() * then
+    if min(periods) >= 0:
+        return smooth
+    earlier, before = (randomness.normal(randomness.join(own, number - less)) for less in (1, 2))
+    return torch.where(period < 0, (now - 2 * earlier + before) / math.sqrt(6), smooth)

@@ -27,6 +27,10 @@ IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
 """Metadata of weights about their training; the rest is in the card."""
 
 
+WHOLE_WALKS = ("social_walker",)
+"""Configs that train on whole crowds from the start."""
+
+
 def publish(
     checkpoint: str | Path,
     folder: str | Path,
@@ -93,17 +97,21 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Of
     ``open_loop/sgan_goal_map`` come ``.controller_open_zara1`` and, of all scenes, ``.controller_open``; of
     ``closed_loop/sgan_goal_map`` likewise ``.indoor_zara1`` and ``.indoor``; of ``ppo/sgan_goal``
-    ``sgan_goal.eth_ucy_ppo``.
+    ``sgan_goal.eth_ucy_ppo``. ``closed_loop/social_walker`` has no open-loop half, and always walks to
+    destinations: ``social_walker.zara1``.
     """
     folder, _, config = config.rpartition("/")
+    whole_walks = config in WHOLE_WALKS
     fold = find_fold(protocol["fold"])
     tag, whole = (fold.name, fold.whole) if fold else (protocol["fold"], False)
-    if folder == "closed_loop":
+    if whole_walks:
+        pass
+    elif folder == "closed_loop":
         tag = "indoor" if whole else f"indoor_{tag}"
     elif folder:
         open_loop = "controller_open" if whole else f"controller_open_{tag}"
         tag = open_loop if folder == "open_loop" else f"{tag}_{folder}"
-    if protocol["goal"] == "destination":
+    if protocol["goal"] == "destination" and not whole_walks:
         tag += "_destination"
     if protocol["pred_len"] != PRED_LEN:
         tag += f"_pred{protocol['pred_len']}"

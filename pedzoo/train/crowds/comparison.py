@@ -16,12 +16,17 @@ from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
 from pedzoo.metrics.realism.features import LINE
 from pedzoo.metrics.safety import HORIZON, collision_seconds
 from pedzoo.metrics.smoothness import STANDS
+from pedzoo.models.blocks.people.style import STYLE_DIM, style_of
 from pedzoo.train.crowds.excerpts import Excerpts
 from pedzoo.train.crowds.walking_on import CrowdWalk
 from pedzoo.train.loop.likeness import turns
 
 _GRAZING = 1e-3
 """m^4/s^2: below, when two people touch changes too fast for a gradient."""
+
+
+MANNER_DIM = 2 * STYLE_DIM + 1
+"""M: numbers of how a person and the others began to walk."""
 
 
 class Compared(NamedTuple):
@@ -32,12 +37,14 @@ class Compared(NamedTuple):
         clips: As of `pedzoo.metrics.realism.clips` (W, 8, 14).
         person: Slot of the person of each clip (W,) long.
         people: A.
+        manner: How these people, and all of their excerpt, began to walk (W, M): styles and preferred speed.
     """
 
     features: dict[str, Tensor]
     clips: Tensor
     person: Tensor
     people: int
+    manner: Tensor
 
 
 class _Near(NamedTuple):
@@ -82,8 +89,13 @@ def compared(walk: CrowdWalk, real: Excerpts) -> Compared:
     value = torch.cat((vectors.flatten(1), near.seconds.unsqueeze(1), _length(away).unsqueeze(1)), 1)
     steps = value.new_zeros(*walk.scored.shape, len(CHANNELS)).index_put(where, value)
     whole = walk.scored.unfold(2, LENGTH, 1).all(3)
-    person = whole.nonzero()[:, 1]
-    return Compared(features, steps.unfold(2, LENGTH, 1)[whole].transpose(1, 2), person, whole.shape[1])
+    excerpt, person, _ = whole.nonzero(as_tuple=True)
+    style = style_of(real.head)
+    walks = real.walks.unsqueeze(2).to(style.dtype)
+    crowd = ((style * walks).sum(1, keepdim=True) / walks.sum(1, keepdim=True).clamp_min(1)).expand_as(style)
+    manner = torch.cat((style, crowd, real.pref_speed.unsqueeze(2)), 2)[excerpt, person]
+    clips = steps.unfold(2, LENGTH, 1)[whole].transpose(1, 2)
+    return Compared(features, clips, person, whole.shape[1], manner)
 
 
 def coarse(walk: CrowdWalk) -> CrowdWalk:

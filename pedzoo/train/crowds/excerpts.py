@@ -10,7 +10,8 @@ from torch.nn import functional
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
 from pedzoo.data.tracks import Tracks
-from pedzoo.sim.replay.people import without_goals
+from pedzoo.maps.planning.planner import Planner
+from pedzoo.sim.replay.people import LONGEST, people_of
 
 
 class RecordedCrowd(NamedTuple):
@@ -24,6 +25,9 @@ class RecordedCrowd(NamedTuple):
         walks: Which people a policy can take over (P,) bool.
         start: Where they are then (P, 2), metres.
         exit: Where they are last seen (P, 2), metres.
+        goal: The exit, or the nearest place that one can walk to (P, 2), metres.
+        goal_id: The planner's number of it (P,) long.
+        path_length: Of the planner's way from start to goal (P,), metres.
         head: Their first 8 rows (P, 8, 2), metres.
         pref_speed: The speed that they like (P,), m/s.
         map_id: The floor plan, -1 for none.
@@ -36,14 +40,17 @@ class RecordedCrowd(NamedTuple):
     walks: Tensor
     start: Tensor
     exit: Tensor
+    goal: Tensor
+    goal_id: Tensor
+    path_length: Tensor
     head: Tensor
     pref_speed: Tensor
     map_id: int
 
     @classmethod
-    def of(cls, tracks: Tracks, map_id: int) -> "RecordedCrowd":
-        """Return the crowd of tracks that have a row in every frame."""
-        people, rows = without_goals([tracks])
+    def of(cls, tracks: Tracks, map_id: int, planner: Planner) -> "RecordedCrowd":
+        """Return the crowd of tracks that have a row in every frame, on a floor plan, -1 for none."""
+        people, rows = people_of([tracks], planner.map_rows(torch.tensor([map_id])).tolist(), planner)
         count = people.last - people.first + 1
         person = torch.arange(len(count)).repeat_interleave(count)
         begin = count.cumsum(0) - count
@@ -52,7 +59,7 @@ class RecordedCrowd(NamedTuple):
         there = torch.zeros(xy.shape[:2], dtype=torch.bool)
         xy[person, frame], there[person, frame] = rows, True
         head = (begin.unsqueeze(1) + torch.arange(OBS_LEN)).minimum((begin + count - 1).unsqueeze(1))
-        far = (people.exit - people.start).norm(dim=1) > GOAL_RADIUS
+        far = (people.goal - people.start).norm(dim=1) > GOAL_RADIUS
         return cls(
             xy,
             there,
@@ -61,6 +68,9 @@ class RecordedCrowd(NamedTuple):
             people.controlled & far,
             people.start.float(),
             people.exit.float(),
+            people.goal.float(),
+            people.goal_id,
+            people.path_length.float(),
             rows[head],
             people.pref_speed,
             map_id,
@@ -83,6 +93,9 @@ class Excerpts(NamedTuple):
         walks: Which people a policy moves at all (B, A) bool.
         start: As of `RecordedCrowd` (B, A, 2).
         exit: Likewise (B, A, 2).
+        goal: Likewise (B, A, 2).
+        goal_id: Likewise (B, A).
+        path_length: Likewise (B, A).
         head: Likewise (B, A, 8, 2).
         pref_speed: Likewise (B, A).
         map_id: Floor plans (B,) long.
@@ -96,10 +109,18 @@ class Excerpts(NamedTuple):
     walks: Tensor
     start: Tensor
     exit: Tensor
+    goal: Tensor
+    goal_id: Tensor
+    path_length: Tensor
     head: Tensor
     pref_speed: Tensor
     map_id: Tensor
     pose: Tensor
+
+    @property
+    def until(self) -> Tensor:
+        """Frame in which simulated people are taken out at the latest (B, A) long, as in a replay."""
+        return self.taken + LONGEST * (self.last - self.taken)
 
     def repeated(self, times: int) -> "Excerpts":
         """Return the excerpts so many times, one after the other."""
@@ -131,12 +152,13 @@ def excerpts(
             xy.flatten(1, 2),
             crowd.start[slot],
             crowd.exit[slot],
+            crowd.goal[slot],
             crowd.head[slot].flatten(1, 2),
         ),
         1,
     )
-    sizes = [most * length, most, most, most * OBS_LEN]
-    xy, start, exit, head = move_to_scene(places, pose).split(sizes, 1)
+    sizes = [most * length, most, most, most, most * OBS_LEN]
+    xy, start, exit, goal, head = move_to_scene(places, pose).split(sizes, 1)
     offset = frames[:, :1]
     return Excerpts(
         xy.unflatten(1, (most, length)) * there.unsqueeze(3),
@@ -146,6 +168,9 @@ def excerpts(
         crowd.walks[slot] & ~pad,
         start,
         exit,
+        goal,
+        crowd.goal_id[slot].masked_fill(pad, -1),
+        crowd.path_length[slot],
         head.unflatten(1, (most, OBS_LEN)),
         crowd.pref_speed[slot],
         torch.full((len(frames),), crowd.map_id),

@@ -7,13 +7,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pedzoo.metrics.realism.clips import CHANNELS, LENGTH
+from pedzoo.train.crowds.comparison import MANNER_DIM
 
 _LARGEST = 6.0
 """Standard deviations: rarer values are all alike."""
 
 
-def legible(clips: Tensor) -> Tensor:
-    """Return clips (W, 8, 14) as a network reads them (W, N): changes and distances, small and large."""
+def legible(clips: Tensor, manner: Tensor) -> Tensor:
+    """Return clips (W, 8, 14) as a network reads them (W, N): changes and distances, small and large.
+
+    ``manner`` (W, M) says how the people began to walk.
+    """
     velocity, change, near, relative, seconds, exit = clips.split((2, 2, 4, 4, 1, 1), 2)
     distance = (near.unflatten(2, (2, 2)).square().sum(3) + 1e-6).sqrt()
     parts = (
@@ -27,7 +31,7 @@ def legible(clips: Tensor) -> Tensor:
         exit.asinh(),
     )
     held = ((velocity[:, 1:] - velocity[:, :-1]) / 0.02).asinh()
-    return torch.cat([*(part.flatten(1) for part in parts), held.flatten(1)], 1)
+    return torch.cat([*(part.flatten(1) for part in parts), held.flatten(1), manner], 1)
 
 
 class Judge(nn.Module):
@@ -46,7 +50,7 @@ class Judge(nn.Module):
                 update are of one recording: recordings differ more than crowds.
         """
         super().__init__()
-        size = legible(torch.zeros(1, LENGTH, len(CHANNELS))).shape[1]
+        size = legible(torch.zeros(1, LENGTH, len(CHANNELS)), torch.zeros(1, MANNER_DIM)).shape[1]
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("scale", torch.zeros(size))
         self.net = nn.Sequential(
@@ -56,17 +60,24 @@ class Judge(nn.Module):
         self.drawn = drawn
         self._past: deque[tuple[Tensor, Tensor]] = deque(maxlen=kept)
 
-    def forward(self, clips: Tensor) -> Tensor:
-        """Return how real clips (W, 8, 14) look (W,): logits."""
-        rows = (legible(clips) - self.mean) / self.scale.clamp_min(0.02)
+    def forward(self, rows: Tensor) -> Tensor:
+        """Return how real clips look (W,), logits, from what is `legible` of them (W, N)."""
+        rows = (rows - self.mean) / self.scale.clamp_min(0.02)
         return self.net(rows.clamp(-_LARGEST, _LARGEST))[:, 0]
 
-    def learning(self, made: Tensor, true: Tensor, random: torch.Generator) -> Tensor:
-        """Return the cross entropy of the judge on clips of people who walk and of recorded ones."""
+    def learning(self, made: Tensor, true: Tensor, random: torch.Generator, again: bool) -> Tensor:
+        """Return the cross entropy of the judge on clips of people who walk and of recorded ones.
+
+        Args:
+            made: What is `legible` of the clips of those who walk (W, N).
+            true: Of the recorded ones.
+            random: Draws earlier updates.
+            again: Whether the judge has seen these already.
+        """
         if not self._past:
-            rows = legible(true)
-            self.mean, self.scale = rows.mean(0), rows.std(0)
-        self._past.append((made.detach(), true.detach()))
+            self.mean, self.scale = true.mean(0), true.std(0)
+        if not again:
+            self._past.append((made.detach(), true.detach()))
         picked = torch.randint(len(self._past), (self.drawn,), generator=random).tolist()
         pairs = [self._past[-1], *(self._past[number] for number in picked)]
         costs = [
@@ -76,7 +87,7 @@ class Judge(nn.Module):
         return torch.stack(costs).mean() / 2
 
     def passing(self, made: Tensor) -> Tensor:
-        """Return the cost of clips that do not pass as real; without gradients for the judge."""
+        """Return the cost of clips (W, N) that do not pass as real; without gradients for the judge."""
         self.requires_grad_(False)
         cost = functional.softplus(-self(made)).mean()
         self.requires_grad_(True)

@@ -9,12 +9,15 @@ from torch import Tensor, nn
 from pedzoo.core.types import OBS_LEN
 from pedzoo.train.crowds.comparison import coarse, compared, summaries
 from pedzoo.train.crowds.excerpts import Excerpts
-from pedzoo.train.crowds.judge import Judge
+from pedzoo.train.crowds.judge import Judge, legible
 from pedzoo.train.crowds.walking_on import CrowdWalk, recorded
 from pedzoo.train.loop.likeness import SPREADS, wasserstein
 
 COARSE = {"speed": 1.0, "acceleration": 2.0, "heading_rate": 1.5}
 """Weights of features of coarse positions: of changes less is left."""
+
+TAILS = 0.5
+"""Weight of distances of logarithms: what is held, what stands, and the few large values count there."""
 
 PLACES = (3, 8, 14, 22, 30)
 """Steps after which places are compared."""
@@ -93,17 +96,23 @@ class CrowdLikeness(nn.Module):
                 true = compared(true_walk, real)
             weights: Mapping[str, float] = dict.fromkeys(SPREADS, 1.0) if name == "fine" else COARSE
             apart += [
+                TAILS * wasserstein(*(_log(side.features[key]) for side in (made, true)))
+                for key in ("acceleration", "speed", "heading_rate")
+            ]
+            apart += [
                 weight * wasserstein(made.features[key], true.features[key]) / SPREADS[key]
                 for key, weight in weights.items()
             ]
             if self.judges and min(len(made.clips), len(true.clips)) >= _LEAST_CLIPS:
                 judge = cast("Judge", self.judges[name])
+                looks = legible(made.clips, made.manner)
                 if optimizer is not None:
-                    for _ in range(self.judge_steps):
+                    true_looks = legible(true.clips, true.manner)
+                    for turn in range(self.judge_steps):
                         optimizer.zero_grad()
-                        judge.learning(made.clips, true.clips, random).backward()
+                        judge.learning(looks.detach(), true_looks, random, turn > 0).backward()
                         optimizer.step()
-                passing.append(judge.passing(made.clips))
+                passing.append(judge.passing(looks))
         terms["distribution"] = torch.stack(apart).mean()
         terms["places"] = _places(walk, truth, many, samples)
         terms["persons"] = _persons(walk, truth, many, samples)
@@ -115,6 +124,10 @@ class CrowdLikeness(nn.Module):
             mine = walk.scored[:, :, -change.shape[2] :]
             terms["safety_correction"] = (change * mine).sum() / mine.sum().clamp_min(1)
         return {key: self.weights[key] * value for key, value in terms.items()}
+
+
+def _log(values: Tensor) -> Tensor:
+    return (values + 0.02).log()
 
 
 def _places(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> Tensor:

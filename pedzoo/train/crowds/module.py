@@ -10,8 +10,12 @@ from torch.optim import Optimizer
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.sim.make import CLEARANCE
+from pedzoo.sim.scenarios.replay import CELL, SHARE
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
 from pedzoo.train.crowds.likeness import CrowdLikeness
 from pedzoo.train.crowds.validation import whole_replays
@@ -89,6 +93,7 @@ class CrowdModule(ForecastModule):
         self._crowds: list[RecordedCrowd] = []
         self._unseen: list[RecordedCrowd] = []
         self._shares = torch.zeros(0)
+        self._planner = Planner(MapBank([]))
 
     @property
     def walker(self) -> Walker:
@@ -105,10 +110,11 @@ class CrowdModule(ForecastModule):
         data: Any = getattr(self.trainer, "datamodule", None)
         if stage != "fit" or data is None:
             return
-        crowds = [RecordedCrowd.of(tracks, map_id) for tracks, map_id in data.crowds("train")]
+        planner = self._planner = Planner(data.bank, CLEARANCE, cell=CELL, share=SHARE)
+        crowds = [RecordedCrowd.of(tracks, map_id, planner) for tracks, map_id in data.crowds("train")]
         self._crowds = [crowd for crowd in crowds if int(crowd.walks.sum()) >= _FEWEST]
         self._shares = torch.tensor([float(crowd.walks.sum()) ** 0.5 for crowd in self._crowds])
-        unseen = [RecordedCrowd.of(tracks, map_id) for tracks, map_id in data.crowds("val")]
+        unseen = [RecordedCrowd.of(tracks, map_id, planner) for tracks, map_id in data.crowds("val")]
         self._unseen = [crowd for crowd in unseen if int(crowd.walks.sum()) >= _FEWEST]
         if not self._crowds:
             raise UserError(
@@ -159,8 +165,7 @@ class CrowdModule(ForecastModule):
             if int(walking.sum()) >= _FEWEST:
                 break
         key = torch.randint(2**62, (self.walks * scenes,), generator=random)
-        data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
-        walk = walked_on(self.walker, real.repeated(self.walks), data.bank, key, before)
+        walk = walked_on(self.walker, real.repeated(self.walks), self._planner, key, before)
         return self.likeness(walk, real, self.walks, before, judges, random)
 
     def _in_scenario(self) -> dict[str, Tensor]:
@@ -177,8 +182,7 @@ class CrowdModule(ForecastModule):
         """Log the errors of forecasts, and how unlike whole replays are, as ``val/unlike`` and so on."""
         super().on_validation_epoch_end()
         if not self.trainer.sanity_checking and self._unseen:
-            data: Any = self.trainer.datamodule  # type: ignore[attr-defined]
-            for name, value in whole_replays(self.walker, self._unseen, data.bank).items():
+            for name, value in whole_replays(self.walker, self._unseen, self._planner).items():
                 self.log(f"val/{name}", value, prog_bar=name == "unlike")
 
     def teardown(self, stage: str) -> None:

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.clips import Clips
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
 from pedzoo.train.crowds.comparison import Compared, coarse, compared
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
-from pedzoo.train.crowds.walking_on import Policy, recorded, walked_on
+from pedzoo.train.crowds.walking_on import CrowdWalk, Policy, recorded, walked_on
 from pedzoo.train.loop.likeness import wasserstein
 
 _LEAST_SPREAD = 1e-3
@@ -20,18 +20,18 @@ _LEAST_SPREAD = 1e-3
 
 
 @torch.no_grad()
-def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], maps: MapBank) -> dict[str, float]:
+def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Planner) -> dict[str, float]:
     """Return how unlike the crowds are in which a policy walks in everybody's place, from begin to end.
 
     ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
-    ``unlike``, their sum. Paths are straight.
+    ``unlike``, their sum.
     """
     made: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
     true: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
     for number, crowd in enumerate(crowds):
         real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
-        walk = walked_on(policy, real, maps, torch.tensor([number]))
-        for into, one in ((made, walk), (true, recorded(real))):
+        walk = walked_on(policy, real, planner, torch.tensor([number]))
+        for into, one in ((made, _rounded(walk)), (true, _rounded(recorded(real)))):
             into["auc"].append(compared(one, real))
             into["auc_coarse"].append(compared(coarse(one), real))
     result = {name: _area(made[name], true[name]) for name in made}
@@ -42,6 +42,11 @@ def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], maps: MapBank
     ]
     result["realism"] = float(torch.stack(distances).mean())
     return result | {"unlike": result["realism"] + (result["auc"] + result["auc_coarse"]) / 2}
+
+
+def _rounded(walk: CrowdWalk) -> CrowdWalk:
+    """Return the crowd to the millimetre: the decimals of files would distinguish crowds."""
+    return walk._replace(xy=(walk.xy.double() * 1000).round().div(1000).float())
 
 
 def _area(made: list[Compared], true: list[Compared]) -> float:

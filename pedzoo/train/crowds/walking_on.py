@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.core.batch import scene_batch
 from pedzoo.core.geometry import limit_speed, passes
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.train.crowds.excerpts import Excerpts
 
@@ -47,17 +47,17 @@ def recorded(real: Excerpts, before: int = 0) -> CrowdWalk:
     return CrowdWalk(real.xy, real.there, moves & ~arrived & (frame >= OBS_LEN + before))
 
 
-def walked_on(policy: Policy, real: Excerpts, maps: MapBank, key: Tensor, before: int = 0) -> CrowdWalk:
+def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, before: int = 0) -> CrowdWalk:
     """Return how the crowd goes on if a policy moves all people that it can.
 
     People are played back until the policy takes them over, 8 rows after they came. They leave within 0.3 m
-    of their exit. Paths are straight. The first ``before`` steps have no gradients and are not scored: the
-    crowd is one that has walked on for a while.
+    of their goal, or after twice the time that they really took, as in the scenario `replay`. The first
+    ``before`` steps have no gradients and are not scored: the crowd is one that has walked on for a while.
 
     Args:
         policy: The policy, in most cases a `pedzoo.policies.learned.walker.Walker`.
         real: The recorded crowd.
-        maps: The floor plans.
+        planner: Of their ways to their goals.
         key: Keys of the scenes' draws (B,) long.
         before: Steps of 0.4 s.
     """
@@ -70,10 +70,11 @@ def walked_on(policy: Policy, real: Excerpts, maps: MapBank, key: Tensor, before
     for number in range(steps):
         frame = OBS_LEN - 1 + number
         simulated = real.walks & (real.taken <= frame)
+        gone = gone | (simulated & (frame >= real.until))
         mine = simulated & ~gone
         others = real.there[:, :, frame] & ~simulated
         with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
-            batch = _observed(real, maps, path, there, mine, mine | others, key, number)
+            batch = _observed(real, planner, path, there, mine, mine | others, key, number)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
             command = limit_speed(command, top_speed_of(real.pref_speed))
@@ -83,7 +84,7 @@ def walked_on(policy: Policy, real: Excerpts, maps: MapBank, key: Tensor, before
                 here + STEP_SECONDS * command,
                 torch.where(plays.unsqueeze(2), real.xy[:, :, frame + 1], here.detach()),
             )
-        arrives = mine & passes(here.detach(), place.detach(), real.exit)
+        arrives = mine & passes(here.detach(), place.detach(), real.goal)
         gone = gone | arrives
         path.append(place)
         there.append(mine | plays)
@@ -96,7 +97,7 @@ def walked_on(policy: Policy, real: Excerpts, maps: MapBank, key: Tensor, before
 
 def _observed(
     real: Excerpts,
-    maps: MapBank,
+    planner: Planner,
     path: list[Tensor],
     there: list[Tensor],
     mine: Tensor,
@@ -104,16 +105,19 @@ def _observed(
     key: Tensor,
     number: int,
 ) -> TensorDictBase:
-    """Return the scene batch that an environment with the scenario ``replay`` would give on open floor."""
+    """Return the scene batch that an environment with the scenario ``replay`` would give."""
     history, valid = torch.stack(path[-OBS_LEN:], 2), torch.stack(there[-OBS_LEN:], 2)
     here, frame = history[:, :, -1], OBS_LEN - 1 + number
     # as in the environment: before their first row people are where they come
     history = torch.where(valid.unsqueeze(3), history, real.head[:, :, :1])
-    towards = real.exit - here
-    left = (towards.square().sum(-1) + 1e-6).sqrt()
-    wanted = towards / left.unsqueeze(2) * real.pref_speed.unsqueeze(2)
+    row = planner.map_rows(real.map_id)
+    goal_id = torch.where(mine, real.goal_id, -1)
+    guidance = planner.guidance(
+        here, goal_id, row, real.pose, real.pref_speed, AHEAD_SECONDS, float(real.pref_speed.max())
+    )
+    left = torch.where(guidance.distance.isfinite(), guidance.distance, real.path_length)
     batch = scene_batch(
-        maps=maps,
+        maps=planner.bank,
         map_id=real.map_id.unsqueeze(1),
         pose=real.pose,
         history=history,
@@ -122,16 +126,15 @@ def _observed(
         pref_speed=real.pref_speed.unsqueeze(2),
         top_speed=top_speed_of(real.pref_speed).unsqueeze(2),
         velocity=(history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS,
-        goal=here + AHEAD_SECONDS * wanted,
-        desired_velocity=wanted,
+        goal=guidance.goal,
+        desired_velocity=guidance.desired_velocity,
         remaining_path=left.unsqueeze(2),
         controlled=mine,
         key=key.unsqueeze(1),
         time=history.new_full((len(key), 1), number * STEP_SECONDS),
     )
-    whole = (real.exit - real.start).norm(dim=-1)
     agents = cast("TensorDictBase", batch["agents"])
     agents["first_history"] = real.head
     agents["elapsed"] = ((frame - real.taken) * STEP_SECONDS).unsqueeze(2)
-    agents["progress"] = (whole - left).unsqueeze(2)
+    agents["progress"] = (real.path_length - left).unsqueeze(2)
     return batch

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-STYLE_DIM = 5
+STYLE_DIM = 6
 """Numbers of a style."""
 
 _FLOOR = 0.003
@@ -20,12 +20,16 @@ _HELD = 0.006
 _CENTRE = 3.5
 """Minus the logarithm of a usual change, metres."""
 
+_FINEST, _FINE_CENTRE = 2e-4, 5.0
+"""The same two of the smaller changes: tracks that were drawn in straight pieces have none."""
+
 
 def style_of(first: Tensor) -> Tensor:
-    """Return the styles (..., 5) of people by their first places (..., T, 2), metres, 0.4 s apart.
+    """Return the styles (..., 6) of people by their first places (..., T, 2), metres, 0.4 s apart.
 
     The logarithms of the mean second and third difference and of the mean step aside, the share of velocities
-    that are held, and how alike two successive second differences are. All are of the order of 1.
+    that are held, how alike two successive second differences are, and the logarithm of the smaller second
+    differences. All are of the order of 1.
     """
     step = first.diff(dim=-2)
     change = step.diff(dim=-2)
@@ -39,9 +43,15 @@ def style_of(first: Tensor) -> Tensor:
     held = (size < _HELD).to(size.dtype).mean(-1)
     alike = (change[..., 1:, :] * change[..., :-1, :]).sum((-1, -2))
     alike = alike / change.square().sum((-1, -2)).clamp_min(1e-5)
-    return torch.stack((*logs, 2 * held - 0.5, 2 * alike), -1)
+    fine = (size.sort(-1).values[..., : max(2, size.shape[-1] // 2)].mean(-1) + _FINEST).log() + _FINE_CENTRE
+    return torch.stack((*logs, 2 * held - 0.5, 2 * alike, fine / 1.5), -1)
+
+
+def kinks_of(style: Tensor) -> Tensor:
+    """Return the mean second difference (...,) of people with a style (..., 6), metres."""
+    return (style[..., 0] - _CENTRE).exp() - _FLOOR
 
 
 def jitter_of(style: Tensor) -> Tensor:
-    """Return the mean second difference (...,) of people with a style (..., 5), metres, and 3 mm."""
-    return (style[..., 0] - _CENTRE).exp()
+    """Return the mean of the smaller half of their second differences (...,), metres."""
+    return (1.5 * style[..., 5] - _FINE_CENTRE).exp() - _FINEST

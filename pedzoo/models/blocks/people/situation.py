@@ -1,0 +1,103 @@
+"""What decides about a person's next step: the way, the hurry, the style and the walls of a scene batch."""
+
+from typing import NamedTuple, Self, cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torch.nn import functional
+
+from pedzoo.core.batch import agents_of, goals_of, maps_of
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
+from pedzoo.models.blocks.people.style import style_of
+
+WALLS, RAYS = (0.4, 0.9), 8
+"""Radii of the rings on which walls are asked for, metres, and points of each."""
+
+FAR_WALL = 1.5
+"""Metres: farther walls are all alike."""
+
+
+class Situation(NamedTuple):
+    """What decides about the next step of B scenes of A agents.
+
+    Attributes:
+        history: Positions (B, A, 8, 2), metres.
+        mask: Which agents are there (B, A) bool.
+        ahead: Unit vectors towards the waypoint (B, A, 2).
+        pref_speed: The speeds that they like (B, A), m/s.
+        remaining: What is left of the path (B, A), metres.
+        late: By how much they are behind a walk at that speed (B, A), seconds.
+        stood: In which share of the steps that are seen first they stood (B, A).
+        style: Their styles (B, A, 6), and ...
+        crowd_style: ... the mean over the agents of the scene (B, 1, 6).
+        radius: Radii of their bodies (B, A), metres.
+        walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
+            the network sees none.
+    """
+
+    history: Tensor
+    mask: Tensor
+    ahead: Tensor
+    pref_speed: Tensor
+    remaining: Tensor
+    late: Tensor
+    stood: Tensor
+    style: Tensor
+    crowd_style: Tensor
+    radius: Tensor
+    walls: Tensor
+
+    @classmethod
+    def of(cls, batch: TensorDict, walls: bool = True) -> Self:
+        """Return the situation of a scene batch, with walls or without.
+
+        ``first_history``, ``elapsed`` and ``progress`` are a policy's memory, see
+        `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
+        """
+        agents = agents_of(batch)
+        there = agents["mask"]
+        goal, wanted = goals_of(batch, "this model")
+        history = torch.where(there[..., None, None], cast("Tensor", agents["history"]), 0.0)
+        towards = torch.where(there.unsqueeze(-1), goal - history[:, :, -1], 0.0)
+        ahead = torch.where(there.unsqueeze(-1), wanted, 0.0)
+        ahead = functional.normalize(torch.where(ahead.any(-1, keepdim=True), ahead, towards), dim=-1)
+        pref_speed = torch.where(there, agents["pref_speed"][..., 0], 1.0).clamp_min(0.1)
+        remaining = agents.get("remaining_path", None)
+        remaining = towards.norm(dim=-1) if remaining is None else remaining[..., 0]
+        first = agents.get("first_history", None)
+        first = history if first is None else torch.where(there[..., None, None], first, 0.0)
+        late = torch.zeros_like(pref_speed)
+        if "elapsed" in agents.keys():
+            late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
+        style = style_of(first)
+        stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
+        known = (there & agents["valid"].all(-1)).unsqueeze(-1)
+        crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
+        around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
+        late = torch.where(there, late, 0.0)
+        remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
+        radius = agents["radius"][..., 0]
+        return cls(history, there, ahead, pref_speed, remaining, late, stood, style, crowd, radius, around)
+
+    def after(self, step: Tensor) -> Self:
+        """Return the situation after a step (B, A, 2), metres; walls stay as they were seen."""
+        position = self.history[:, :, -1] + step
+        done = (step * self.ahead).sum(-1)
+        target = self.history[:, :, -1] + self.remaining.clamp_min(0.3).unsqueeze(-1) * self.ahead
+        return self._replace(
+            history=torch.cat((self.history[:, :, 1:], position.unsqueeze(2)), 2),
+            ahead=functional.normalize(target - position, dim=-1),
+            remaining=(self.remaining - done).clamp_min(0),
+            late=self.late + STEP_SECONDS - done / self.pref_speed,
+        )
+
+
+def _walls(batch: TensorDict, position: Tensor, ahead: Tensor) -> Tensor:
+    scenes, people = position.shape[:2]
+    map_id, pose = (batch[key].repeat_interleave(people, 0) for key in ("map_id", "scene_pose"))
+    places = position.flatten(0, 1), ahead.flatten(0, 1)
+    offsets = rings(WALLS, RAYS).to(position)
+    result = distances_at(maps_of(batch), offsets, *places, map_id[:, 0], pose)
+    return result.clamp(-FAR_WALL, FAR_WALL).view(scenes, people, -1)
