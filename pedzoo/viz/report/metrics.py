@@ -3,7 +3,7 @@
 import re
 
 HIGHER = re.compile(
-    r"success|clean|contact_free|s[pt]l|goals_p.*|personal_space.*|(all_)?through|specific_flow.*|.*_per_s"
+    r"success|clean|contact_free|s[pt]l|goals_p.*|personal_space.*|(all_)?through|specific_flow.*|.*steps_per_s"
     r"|episode_success|person_yields"
 )
 LOWER = re.compile(

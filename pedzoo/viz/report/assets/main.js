@@ -62,14 +62,15 @@ async function watch(player, address) {
 }
 
 function start() {
-  const data = JSON.parse(byId("data").textContent), player = new Player(data);
+  const data = JSON.parse(byId("data").textContent), hash = location.hash; // the player writes its own
+  const player = new Player(data);
   byId("about").textContent = data.about;
   drawTables(data.tables, byId("tables"), player);
   drawCharts(data.charts, byId("charts"));
   byId("notes").append(...data.notes.map((text) => make("p", {}, text)));
   keyboard(player);
   if (player.cases.length) {
-    player.follow(location.hash);
+    player.follow(hash);
     addEventListener("hashchange", () => player.follow(location.hash));
     const redraw = () => {
       player.sides.forEach((one) => one.scene.restyle());

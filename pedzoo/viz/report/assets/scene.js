@@ -6,6 +6,7 @@ const PALETTE = [
 const PERSONAL = 0.5; // metres between centres, as the metric personal_space has it
 const GOAL = 0.3; // metres
 const TRAIL = 40; // points
+const BANDS = 5;
 
 const colorOf = (person) => PALETTE[((person.person % PALETTE.length) + PALETTE.length) % PALETTE.length];
 const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
@@ -13,7 +14,7 @@ const theme = (name) => getComputedStyle(document.documentElement).getPropertyVa
 class Scene {
   constructor(canvas) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d");
+    this.context = canvas.getContext("2d", { alpha: false });
     this.floors = new Map();
     this.restyle();
   }
@@ -23,6 +24,7 @@ class Scene {
     for (const name of ["paper", "ink", "soft", "floor", "wall", "outside", "touch", "accent"])
       this.colors[name] = theme(name);
     this.floors.clear();
+    this.still = null;
   }
 
   // What is seen: low and high corner, metres. The canvas gets the height that shows it at full width.
@@ -36,6 +38,7 @@ class Scene {
     this.canvas.height = Math.round(height * ratio);
     this.scale = Math.min(width / wide, height / high) * ratio;
     this.middle = [(x0 + x1) / 2, (y0 + y1) / 2];
+    this.still = null;
   }
 
   toPixel(place) {
@@ -76,19 +79,29 @@ class Scene {
     return image;
   }
 
-  draw(episode, plan, point, layers, chosen) {
-    const context = this.context;
-    context.setTransform(1, 0, 0, 1, 0, 0);
+  // The floor as it lies in this view; it is drawn once.
+  ground(plan) {
+    if (this.still && this.stillOf === plan) return this.still;
+    const image = document.createElement("canvas"), context = image.getContext("2d", { alpha: false });
+    image.width = this.canvas.width;
+    image.height = this.canvas.height;
     context.fillStyle = plan ? this.colors.outside : this.colors.floor;
-    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    context.fillRect(0, 0, image.width, image.height);
     if (plan) {
       const [x, y, yaw] = plan.origin, [left, top] = this.toPixel([x, y]), side = plan.cell * this.scale;
       const c = Math.cos(yaw) * side, s = Math.sin(yaw) * side;
       context.setTransform(c, -s, -s, -c, left, top);
       context.imageSmoothingEnabled = side < 1;
       context.drawImage(this.floorOf(plan), 0, 0);
-      context.setTransform(1, 0, 0, 1, 0, 0);
     }
+    [this.still, this.stillOf] = [image, plan];
+    return image;
+  }
+
+  draw(episode, plan, point, layers, chosen) {
+    const context = this.context;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.drawImage(this.ground(plan), 0, 0);
     const here = [];
     episode.people.forEach((person, who) => {
       const place = placeOf(episode, who, point);
@@ -110,12 +123,8 @@ class Scene {
     const context = this.context, [x, y] = this.toPixel(goal), arm = Math.max(3, 0.09 * this.scale);
     context.strokeStyle = one.color;
     context.lineWidth = Math.max(1, this.scale * 0.025);
-    context.setLineDash([4, 4]);
     context.beginPath();
     context.arc(x, y, GOAL * this.scale, 0, 7);
-    context.stroke();
-    context.setLineDash([]);
-    context.beginPath();
     for (const side of [-1, 1]) {
       context.moveTo(x - arm, y - side * arm);
       context.lineTo(x + arm, y + side * arm);
@@ -123,26 +132,27 @@ class Scene {
     context.stroke();
   }
 
+  // In a few bands: each piece on its own would cost a stroke.
   trail(episode, one, point) {
-    const context = this.context, first = Math.max(one.person.first, Math.floor(point) - TRAIL);
+    const context = this.context, xy = tracksOf(episode)[one.who], first = one.person.first;
+    const last = Math.min(Math.floor(point) - first, xy.length / 2 - 1), band = TRAIL / BANDS;
     context.strokeStyle = one.color;
-    context.lineCap = "round";
     context.lineWidth = Math.max(1.5, this.scale * 0.05);
-    let before = null;
-    for (let i = first; i <= point + 1; i++) {
-      const place = placeOf(episode, one.who, Math.min(i, point));
-      if (!place) continue;
-      const pixel = this.toPixel(place);
-      if (before) {
-        context.globalAlpha = Math.max(0.06, 0.75 * (1 - (point - i) / TRAIL));
-        context.beginPath();
-        context.moveTo(...before);
-        context.lineTo(...pixel);
-        context.stroke();
-      }
-      before = pixel;
+    for (let part = 0; part < BANDS; part++) {
+      const to = last - part * band, from = Math.max(0, to - band);
+      if (to <= 0) break;
+      context.globalAlpha = 0.75 * (1 - part / BANDS);
+      context.beginPath();
+      for (let i = from; i <= to; i++) this.line(xy[2 * i], xy[2 * i + 1]);
+      if (part === 0) context.lineTo(...one.pixel);
+      context.stroke();
     }
     context.globalAlpha = 1;
+  }
+
+  line(x, y) {
+    const column = this.canvas.width / 2 + (x - this.middle[0]) * this.scale;
+    this.context.lineTo(column, this.canvas.height / 2 - (y - this.middle[1]) * this.scale);
   }
 
   space(one) {

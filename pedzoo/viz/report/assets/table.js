@@ -58,7 +58,7 @@ class Table {
     const body = make("tbody");
     const bests = columns.map((column) => bestOf(rows, column));
     for (const row of rows) {
-      const line = make("tr", {}, make("th", { scope: "row" }, row.name), make("td", {}, String(row.n)));
+      const line = make("tr", {}, make("th", { scope: "row" }, row.name.replace(/[.:,+]/g, "$&\u200b")), make("td", {}, String(row.n)));
       const open = this.target(table, row) ? (one, column) => this.open(table, one, column) : null;
       columns.forEach((column, i) => line.append(cellOf(row, column, bests[i], open)));
       body.append(line);
