@@ -109,7 +109,9 @@ def test_all_policies_are_shown_at_the_same_moments() -> None:
 def test_touches_are_marked_where_they_begin(walked: PolicyRollout) -> None:
     contact = torch.zeros_like(walked.rollout.wall_contact)
     contact[0, 1, 7:10] = True
-    axes = drawn(walked._replace(rollout=replace(walked.rollout, wall_contact=contact)), 20)
+    none = torch.zeros_like(contact)
+    touched = replace(walked.rollout, wall_contact=contact, agent_contact=none)
+    axes = drawn(walked._replace(rollout=touched), 20)
     rings = [line for line in axes.lines if line.get_fillstyle() == "none"]
     points = np.concatenate([np.asarray(line.get_xydata()) for line in rings])
     np.testing.assert_allclose(points, walked.rollout.trace[0, 1, 7:8])
