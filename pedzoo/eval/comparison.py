@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pedzoo.core import renamed
+from pedzoo.core.errors import UserError
+from pedzoo.eval.episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.closed_loop import closed_loop, named, time_ratio_median
 from pedzoo.metrics.navigation import arrived_in_time, finish_seconds
@@ -54,6 +56,7 @@ class Comparison:
         decision_dt: float | None = None,
         device: str = "cpu",
         metrics: Sequence[str] = (),
+        keep_episodes: int = 0,
     ) -> None:
         """Build all policies and their environments, so that a misspelt one is found before any has walked.
 
@@ -69,13 +72,16 @@ class Comparison:
             decision_dt: Seconds; refused unless it is the policies' own.
             device: Where scenes and models are, such as ``cuda``.
             metrics: Metrics of your own, as ``path/to/file.py:f``, beside the shipped ones.
+            keep_episodes: So many episodes keep their positions in the report, for ``pedzoo report``.
 
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
         """
         physics = renamed.backend(physics)
         named(metrics)
-        self._metrics = metrics
+        if keep_episodes < 0:
+            raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")
+        self._metrics, self._kept = metrics, keep_episodes
         settings = {"warm_start": warm_start, "clearance": clearance}
         settings |= {"decision_dt": decision_dt, "device": device}
         self._prepared = {}
@@ -116,8 +122,22 @@ class Comparison:
 
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds and rows of all that has walked."""
-        rows = [row(name, rollout, metrics=self._metrics) for name, rollout, _ in self.walked]
-        return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
+        rows = [row(one.name, one.rollout, metrics=self._metrics) for one in self.walked]
+        if not self._kept:
+            return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
+        rows, plans = self.with_episodes(rows, self._kept)
+        return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows, "plans": plans}
+
+    def with_episodes(
+        self, rows: Sequence[Mapping[str, Any]], number: int
+    ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+        """Return the rows of `report` with the positions of their first episodes, and the floor plans."""
+        result, plans = [], {}
+        for one, walked in zip(rows, self.walked, strict=True):
+            episodes, its = packed_episodes(walked.rollout, walked.env.bank, number, self._seed)
+            result.append({**one, "episodes": episodes})
+            plans |= its
+        return result, plans
 
 
 def row(

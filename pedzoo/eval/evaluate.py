@@ -11,6 +11,7 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
+from pedzoo.eval.episodes import without_plans
 from pedzoo.eval.results import Shown
 from pedzoo.eval.suite import EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
@@ -24,8 +25,8 @@ from pedzoo.sim.make import physics_class
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
 
-_IF_GIVEN = ("people", "robot", "own")
-"""Options that a protocol names only where they are given: of robots, and recordings of one's own."""
+_IF_GIVEN = ("people", "robot", "own", "keep_episodes")
+"""Options that a protocol names only where they are given."""
 
 
 @renamed.takes_world
@@ -46,6 +47,7 @@ def evaluate(
     people: Sequence[str] = (),
     robot: str | None = None,
     own: OwnRecordings | None = None,
+    keep_episodes: int = 0,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -73,6 +75,7 @@ def evaluate(
             scenario, for recorded people who do not react.
         robot: The body of robots, ``diff_drive:radius=0.35``.
         own: Recordings of one's own, which ``replay`` walks instead of folds.
+        keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -81,7 +84,7 @@ def evaluate(
     Returns:
         ``protocol``; ``seeds``; ``notes``; ``rows``, one per policy and case; and ``summary``, one row per
         policy and table. A row has ``name``, ``table``, ``case``, ``n``, ``metrics``, ``ci95`` and
-        ``per_agent``.
+        ``per_agent``; with ``keep_episodes`` also ``episodes``, of which the report has the ``plans``.
 
     Raises:
         UserError: An unknown name, or a setting that cannot be, before anything has walked.
@@ -92,7 +95,7 @@ def evaluate(
         (one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds, people)
     )
     given = episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device
-    options = EvaluationOptions(*given, columns, recorded, walkers, robot, own)
+    options = EvaluationOptions(*given, columns, recorded, walkers, robot, own, keep_episodes)
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -125,6 +128,8 @@ class Evaluation:
             raise UserError("--data.files are instead of --data.fold: leave one of them out")
         if self.options.physics is not None:
             self.options = self.options._replace(physics=renamed.backend(self.options.physics))
+        if self.options.keep_episodes < 0:
+            raise UserError(f"keep_episodes {self.options.keep_episodes}: expected 0 or more")
         for key in ("episodes", "rollouts"):
             number = getattr(self.options, key)
             if number is not None and number < 1:
@@ -140,6 +145,7 @@ class Evaluation:
         ]
         _check_use(self.options, self._suites)
         asked = self.options.metrics
+        given = {"device": self.options.device, "metrics": asked, "keep_episodes": self.options.keep_episodes}
         self._columns = (*(name for name in asked if name in NAMES), *named(asked))
         for suite, policy in product(self._suites, self._policies):
             suite.check(policy)
@@ -148,7 +154,7 @@ class Evaluation:
             for case in suite.cases(self.options):
                 physics_class(case.physics).check()
                 units = suite.units(case, self._policies, self._seeds, deterministic)
-                self.units += [unit._replace(device=self.options.device, metrics=asked) for unit in units]
+                self.units += [unit._replace(**given) for unit in units]
         self._digests = [digest(unit) for unit in self.units]
         self.journal = Path(resume) if resume else None
         self._journal = Journal(self.journal)
@@ -183,7 +189,7 @@ class Evaluation:
 
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds, notes, summary and rows of all that is done."""
-        rows = [row for number in sorted(self._rows) for row in self._rows[number]]
+        rows, plans = without_plans([row for number in sorted(self._rows) for row in self._rows[number]])
         asked = self.options
         protocol = {
             "suites": [suite.name for suite in self._suites],
@@ -198,6 +204,7 @@ class Evaluation:
             "notes": [note for suite in self._suites for note in suite.notes(asked, self._policies)],
             "summary": summary(rows),
             "rows": rows,
+            **({"plans": plans} if plans else {}),
         }
 
     @property
@@ -220,7 +227,7 @@ def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
-    for key in ("episodes", "maps", "rollouts", "folds", *_IF_GIVEN):
+    for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [
                 name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.eval.distributions import distributions
 from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
@@ -69,7 +70,7 @@ def replay_row(
       never set back to them. ``closed_loop_min_ade_K_m``: of each person's best round. ``dtw_m``: distance to
       the recorded walk whatever the pace. A person who arrives in the first step of 0.4 s has neither.
 
-    ``density_speed`` is the curve of both crowds.
+    ``density_speed`` is the curve of both crowds, ``distributions`` the histograms of every feature.
 
     Args:
         name: The policy as it was given.
@@ -113,6 +114,7 @@ def replay_row(
         "ci95": intervals | theirs,
         "per_agent": _listed(tables, people, seen),
         "density_speed": _curve(mine, real, once),
+        "distributions": distributions(mine, real),
     }
 
 

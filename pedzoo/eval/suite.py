@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
+from pedzoo.eval.episodes import packed_episodes
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
@@ -57,6 +58,7 @@ class EvaluationOptions(NamedTuple):
         people: Who walks beside robots: policies with settings, and ``replay``; empty for the suite's own.
         robot: The body of robots, with settings; None for the suite's own.
         own: Recordings of one's own instead of folds.
+        keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
     """
 
     episodes: int | None = None
@@ -71,6 +73,7 @@ class EvaluationOptions(NamedTuple):
     people: tuple[str, ...] = ()
     robot: str | None = None
     own: OwnRecordings | None = None
+    keep_episodes: int = 0
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -122,6 +125,7 @@ class WorkUnit(NamedTuple):
         deterministic: Without noise.
         device: Where scenes and policy are.
         metrics: Names of metrics, or ``path/to/file.py:f``.
+        keep_episodes: Of how many episodes the row keeps positions.
     """
 
     policy: str
@@ -131,6 +135,7 @@ class WorkUnit(NamedTuple):
     deterministic: bool
     device: str = "cpu"
     metrics: tuple[str, ...] = ()
+    keep_episodes: int = 0
 
     @property
     def group(self) -> tuple[str, str]:
@@ -219,7 +224,7 @@ class Suite(ABC):
         for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
-        return [result]
+        return [result | kept(unit, *parts[0])]
 
 
 def walked(
@@ -242,6 +247,20 @@ def walked(
                 yield part, env
         finally:
             env.physics.close()
+
+
+def kept(unit: WorkUnit, rollout: Rollout, env: PedestrianEnv) -> dict[str, Any]:
+    """Return what a row keeps of the first episodes, nothing where none were asked for.
+
+    Args:
+        unit: Says how many.
+        rollout: Of its first seed.
+        env: Where they were; its bank has the floor plans.
+    """
+    if not unit.keep_episodes:
+        return {}
+    episodes, plans = packed_episodes(rollout, env.bank, unit.keep_episodes, unit.seeds[0])
+    return {"episodes": episodes, "plans": plans}
 
 
 def check_names(what: str, given: Sequence[str]) -> list[str]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import warnings
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
@@ -24,6 +26,7 @@ from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics_parts.state_picture import picture_of
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.warm_start import WarmStart
@@ -210,6 +213,20 @@ class PedestrianEnv(EnvBase):
         if tensordict is None or "_reset" not in tensordict.keys():
             return super().reset(tensordict, **settings)
         return tensordict.update(self._reset(tensordict)).exclude("_reset", inplace=True)
+
+    def render(self, scene: int = 0, size: tuple[int, int] = (640, 480)) -> NDArray[np.uint8]:
+        """Return a picture (H, W, 3) uint8 RGB of a scene from above: floor plan, people and their goals.
+
+        Args:
+            scene: Its row.
+            size: Width and height in pixels.
+
+        Raises:
+            UserError: No such row, or `reset` was never called.
+        """
+        if not 0 <= scene < self.batch_size[0]:
+            raise UserError(f"scene {scene}: expected 0 to {self.batch_size[0] - 1}")
+        return picture_of(self.state, self.physics, scene, size)
 
     def _set_seed(self, seed: int | None) -> None:
         self._seed = seed or 0

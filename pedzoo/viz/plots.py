@@ -44,12 +44,9 @@ def plot_forecasts(
     mode = positions(model.mode(batch, data.pred_len), agents["history"])
 
     columns = min(3, len(chosen))
-    rows = -(-len(chosen) // columns)
+    rows = len(chosen) // columns  # no empty panels
     figure = Figure(figsize=(4.2 * columns, 4.2 * rows + 0.5), layout="constrained")
     for i, axes in enumerate(figure.subplots(rows, columns, squeeze=False).flat):
-        if i >= len(chosen):
-            axes.set_axis_off()
-            continue
         here = agents["mask"][i]
         grid = next((grid for grid in data.bank.grids if grid.map_id == int(batch["map_id"][i])), None)
         if grid is not None:

@@ -1,7 +1,7 @@
 """Pictures of how people walked: the way so far at some moments around the one at which they meet.
 
 In the manner of Fig. 4 of the paper on iGibson: a star where an agent is, dots where they were at the three
-steps of 0.4 s before, time as colour, and the walls.
+steps of 0.4 s before, and the walls. Colours are people; all policies are shown at the same times.
 """
 
 from collections.abc import Sequence
@@ -11,11 +11,8 @@ from typing import Literal
 
 import numpy as np
 import torch
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from torch import Tensor
@@ -26,6 +23,7 @@ from pedzoo.core.paths import write_whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.metrics.safety import begins
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
@@ -37,8 +35,11 @@ SUFFIXES = (".png", ".pdf", ".svg")
 STEPS_BEFORE = 3
 """Dots behind each star."""
 
-AROUND = (-0.8, 0.0, 0.8)
-"""Seconds about the moment of meeting that have a panel each; the end has another one."""
+MOMENTS = 3
+"""Panels from the first meeting to the last one of all policies; the end has another one."""
+
+AROUND = 0.8
+"""Seconds before the first and after the last meeting where these begin and end."""
 
 RECENT = 60
 """Trace points before a star that are drawn broad, 6 s; what is older is thin."""
@@ -46,8 +47,8 @@ RECENT = 60
 MARGIN = 0.5
 """Metres around people's paths that panels show."""
 
-SHADE = ListedColormap(colormaps["viridis"](np.linspace(0.12, 0.95, 200)), "time")
-"""Time along the way; without the darkest end, on which no agent's colour is seen."""
+TOUCH = "black"
+"""Colour of the rings where bodies or walls were touched."""
 
 _CLOSE = 0.1
 """Metres: people who stand before each other have met when they first come so close to the least distance."""
@@ -70,26 +71,25 @@ def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: in
     shown = [_Episode(one, episode) for one in walked]
     low = torch.stack([one.low for one in shown]).amin(0) - MARGIN
     high = torch.stack([one.high for one in shown]).amax(0) + MARGIN
-    columns = len(AROUND) + 2
+    low, high = _cropped(low, high, shown[0].plan)
+    moments = common_moments([one.met for one in shown], [one.length for one in shown])
+    columns = len(moments) + 1
     width, height = _panel_size(high - low)
-    figure = Figure(figsize=(columns * width + 1.1, len(shown) * (height + 0.9) + 0.4), layout="constrained")
+    figure = Figure(figsize=(columns * width + 0.4, len(shown) * (height + 0.75) + 0.4), layout="constrained")
     for part, one in zip(figure.subfigures(len(shown), 1, squeeze=False)[:, 0], shown, strict=True):
         part.suptitle(one.name, x=0.01, ha="left", fontsize=9, fontweight="bold")
         row = part.subplots(1, columns, sharex=True, sharey=True)
-        clock = Normalize(0.0, one.length * TRACE_SECONDS)
-        for axes, point in zip(row, one.moments, strict=False):
-            one.draw(axes, point, clock)
+        for axes, point in zip(row, moments, strict=False):
+            one.draw(axes, point)
         one.draw_all(row[-1])
-        bar = part.colorbar(ScalarMappable(clock, SHADE), ax=list(row), pad=0.01, aspect=12)
-        bar.set_label("time, s", fontsize=8)
-        bar.ax.tick_params(labelsize=7)
         row[0].set(xlim=(float(low[0]), float(high[0])), ylim=(float(low[1]), float(high[1])))
         row[0].set_ylabel("y, m", fontsize=8)
         for axes in row:
             axes.set_aspect("equal")
             axes.tick_params(labelsize=7)
-            axes.set_xlabel("x, m", fontsize=8)
-    figure.legend(handles=legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
+            if one is shown[-1]:
+                axes.set_xlabel("x, m", fontsize=8)
+    figure.legend(handles=legend(), loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     data = BytesIO()
     figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=130)
     try:
@@ -109,7 +109,7 @@ def draw_episode(
     check_episode(walked, episode)
     one = _Episode(walked, episode)
     point = one.length if until == "end" else one.met
-    one.draw(axes, point, Normalize(0.0, one.length * TRACE_SECONDS))
+    one.draw(axes, point)
     low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
@@ -136,6 +136,29 @@ def meeting(rollout: Rollout, episode: int) -> int:
     return int((nearest <= nearest.min() + _CLOSE).nonzero()[0])
 
 
+def common_moments(met: Sequence[int], lengths: Sequence[int]) -> list[int]:
+    """Return the trace points that have a panel, the same for all policies; the last is the longest end.
+
+    Args:
+        met: At which point the people of each policy meet.
+        lengths: When each policy's episode ends.
+    """
+    around, end = round(AROUND / TRACE_SECONDS), max(lengths)
+    first, last = max(min(met) - around, 0), min(max(met) + around, end)
+    between = [round(first + (last - first) * i / (MOMENTS - 1)) for i in range(MOMENTS)]
+    return sorted({*between, end})
+
+
+def _cropped(low: Tensor, high: Tensor, plan: OccupancyGrid | None) -> tuple[Tensor, Tensor]:
+    """Return the corners of what is seen, without what lies beyond the floor plan."""
+    if plan is None or plan.origin[2]:
+        return low, high
+    rows, columns = plan.cells.shape
+    corner = low.new_tensor(plan.origin[:2])
+    other = corner + plan.resolution * low.new_tensor([columns, rows])
+    return torch.maximum(low, corner), torch.minimum(high, other)
+
+
 class _Episode:
     """One episode in its map's frame, ready to be drawn; point 0 is where it begins."""
 
@@ -155,12 +178,15 @@ class _Episode:
         self.low, self.high = seen.amin(0), seen.amax(0)
         self.stays = self.rollout.stays(episode)
         self.met = min(1 + meeting(self.rollout, episode), self.length)
-        around = [self.met + round(seconds / TRACE_SECONDS) for seconds in AROUND]
-        self.moments = [min(max(point, 0), self.length) for point in around] + [self.length]
+        contact = (one.agent_contact | one.wall_contact)[0, :, : self.length] & one.present[
+            0, :, : self.length
+        ]
+        self.touches = torch.nn.functional.pad(begins(contact.unsqueeze(0))[0], (1, 0))
 
-    def draw(self, axes: Axes, point: int, clock: Normalize) -> None:
-        """Draw the ways until a trace point."""
+    def draw(self, axes: Axes, point: int) -> None:
+        """Draw the ways until a trace point, or until the end where that is earlier."""
         self._ground(axes)
+        asked, point = point, min(point, self.length)
         for person, first, stays_until in self.stays:
             if first > point or (first > 0 and stays_until < point):
                 continue  # not there yet, or gone again
@@ -169,21 +195,21 @@ class _Episode:
             if first == 0:
                 axes.plot(*self.before[person].T.numpy(), color="0.6", linewidth=0.8, zorder=2)
             way = self.path[person, first : last + 1].numpy()
-            lines = LineCollection(
-                list(np.stack((way[:-1], way[1:]), axis=1)), cmap=SHADE, norm=clock, zorder=4
-            )
+            lines = LineCollection(list(np.stack((way[:-1], way[1:]), axis=1)), colors=[color], zorder=4)
             lines.set_linewidth([2.4 if last - i <= RECENT else 0.8 for i in range(first, last)])
-            lines.set_array(np.arange(first, last) * TRACE_SECONDS)
             axes.add_collection(lines)
+            touched = self.path[person, first : last + 1][self.touches[person, first : last + 1]]
+            axes.plot(*touched.T.numpy(), "o", markersize=9, fillstyle="none", color=TOUCH, zorder=7)
             steps = [last - i * TRACE_PER_STEP for i in range(STEPS_BEFORE, 0, -1)]
             dots = self.path[person, [step for step in steps if step >= first]]
             axes.plot(*dots.T.numpy(), "o", color=color, markersize=4.5, zorder=5, **_EDGE)
             axes.plot(*self.path[person, last].numpy(), "*", color=color, markersize=12, zorder=6, **_EDGE)
             if last == point:
                 self._mark_goal(axes, self.goal[person, point], color)
-        title = f"{point * TRACE_SECONDS:.1f} s"
+        title = f"{asked * TRACE_SECONDS:.1f} s"
         if point == self.length:
-            title += ", failed" if bool(self.rollout.failed[self.number]) else ", end"
+            ended = "failed" if bool(self.rollout.failed[self.number]) else "ended"
+            title += f" ({ended} at {self.length * TRACE_SECONDS:.1f} s)"
         axes.set_title(title, fontsize=8)
 
     def draw_all(self, axes: Axes) -> None:
@@ -233,6 +259,7 @@ def legend() -> list[Line2D]:
         entry("latest step", marker="*", markersize=10),
         entry(f"{STEPS_BEFORE} steps before (0.4 s)", marker="o", markersize=4),
         entry("goal", marker="x", markersize=5),
-        entry("way, coloured by time", linestyle="-", linewidth=2.4, color=SHADE(0.5)),
+        entry("way of the last 6 s", linestyle="-", linewidth=2.4),
+        entry("touch", marker="o", markersize=8, fillstyle="none", color=TOUCH),
         entry("warm start", linestyle="-", linewidth=0.8, color="0.6"),
     ]

@@ -207,12 +207,12 @@ def labelled(image: Image, name: str, seconds: float) -> Image:
 
 
 def _side_by_side(panels: list[Image]) -> Image:
-    """Return one picture, in rows of at most `COLUMNS` panels."""
-    columns = min(COLUMNS, len(panels))
+    """Return one picture, in rows of at most `COLUMNS` panels; a shorter last row stands in the middle."""
+    columns = 2 if len(panels) == 4 else min(COLUMNS, len(panels))
     panels = [np.pad(panel, ((0, 0), (0, GAP), (0, 0)), constant_values=255) for panel in panels]
-    empty = np.full_like(panels[0], 255)
-    panels = panels + [empty] * (-len(panels) % columns)
     rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
+    room = rows[0].shape[1] - rows[-1].shape[1]
+    rows[-1] = np.pad(rows[-1], ((0, 0), (room // 2, room - room // 2), (0, 0)), constant_values=255)
     return np.vstack(rows)
 
 

@@ -41,8 +41,10 @@ def test_the_demo_walks_tunes_and_compares(
     report = json.loads((out / "door.json").read_text())
     assert [row["name"] for row in report["rows"]] == demo.POLICIES.split()
     assert report["protocol"]["physics"] == physics
-    for number in range(1, 7):
-        assert f"\n{number}/6 " in printed
+    for number in range(1, 8):
+        assert f"\n{number}/7 " in printed
+    page = (out / "report.html").read_text()
+    assert all(text in page for text in ("apartment.7", demo.CONTROLLER, "val/ade", '"episodes":[{'))
     # all rows of the table of forecasts, and what is shown in Python
     assert all(name in printed for name in ("constant_velocity", "straight_line", "bent_line"))
     velocity = next(line for line in printed.splitlines() if line.startswith("{'anna'"))
@@ -55,7 +57,7 @@ def test_a_step_that_fails_ends_the_demo(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["demo", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
     assert "door.png: is a folder, expected a file" in said.err
-    assert "\n2/6" in said.out and "\n3/6" not in said.out
+    assert "\n2/7" in said.out and "\n3/7" not in said.out
 
 
 def test_what_cannot_work_is_refused_before_the_first_step(

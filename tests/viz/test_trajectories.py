@@ -11,7 +11,6 @@ import pytest
 import torch
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from pedzoo.core.errors import UserError
@@ -19,7 +18,7 @@ from pedzoo.core.geometry import move_to_scene
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.rollout import Rollout
-from pedzoo.viz.trajectories import _Episode, draw_episode, meeting, plot_rollouts
+from pedzoo.viz.trajectories import _Episode, common_moments, draw_episode, meeting, plot_rollouts
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def passing(walked: Rollout, at: int) -> Rollout:
 
 def drawn(walked: PolicyRollout, point: int) -> Axes:
     axes = Figure().subplots()
-    _Episode(walked, 0).draw(axes, point, Normalize(0, 5))
+    _Episode(walked, 0).draw(axes, point)
     return axes
 
 
@@ -64,7 +63,11 @@ def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
     path = torch.cat((walked.rollout.past[:, :, -1:], walked.rollout.trace), dim=2)[0].numpy()
     axes = drawn(walked, 20)
     stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
-    dots = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "o"]
+    dots = [
+        np.asarray(line.get_xydata())
+        for line in axes.lines
+        if line.get_marker() == "o" and line.get_fillstyle() == "full"
+    ]
     paths = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
     assert len(stars) == len(dots) == len(paths) == 2
     for person in (0, 1):
@@ -73,7 +76,6 @@ def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
         segments = np.array(paths[person].get_segments())
         np.testing.assert_allclose(segments[:, 0], path[person, :20])
         np.testing.assert_allclose(segments[:, 1], path[person, 1:21])
-        np.testing.assert_allclose(np.asarray(paths[person].get_array()), np.arange(20) * 0.1)
     grey = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_color() == "0.6"]
     np.testing.assert_allclose(grey[0], walked.rollout.past[0, 0])
     goals = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "x"]
@@ -98,12 +100,21 @@ def test_scenes_are_drawn_as_their_map_lies(walked: PolicyRollout) -> None:
         np.testing.assert_allclose(np.asarray(mine.get_xydata()), np.asarray(other.get_xydata()), atol=1e-5)
 
 
-def test_moments_are_around_the_meeting_and_at_the_end(walked: PolicyRollout) -> None:
-    both = walked._replace(rollout=passing(walked.rollout, 20))
-    end = both.rollout.trace.shape[2]
-    assert _Episode(both, 0).moments == [13, 21, 29, end]
-    early = walked._replace(rollout=passing(walked.rollout, 2))
-    assert _Episode(early, 0).moments == [0, 3, 11, end]
+def test_all_policies_are_shown_at_the_same_moments() -> None:
+    assert common_moments([20, 30], [50, 60]) == [12, 25, 38, 60]
+    assert common_moments([2], [20]) == [0, 5, 10, 20]
+    assert common_moments([19, 19], [20, 18]) == [11, 16, 20]  # no moment twice
+
+
+def test_touches_are_marked_where_they_begin(walked: PolicyRollout) -> None:
+    contact = torch.zeros_like(walked.rollout.wall_contact)
+    contact[0, 1, 7:10] = True
+    none = torch.zeros_like(contact)
+    touched = replace(walked.rollout, wall_contact=contact, agent_contact=none)
+    axes = drawn(walked._replace(rollout=touched), 20)
+    rings = [line for line in axes.lines if line.get_fillstyle() == "none"]
+    points = np.concatenate([np.asarray(line.get_xydata()) for line in rings])
+    np.testing.assert_allclose(points, walked.rollout.trace[0, 1, 7:8])
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
@@ -133,6 +144,6 @@ def test_an_episode_on_axes_of_ones_own(walked: PolicyRollout) -> None:
     seen = walked.rollout.trace[1][walked.rollout.present[1]]
     assert left < float(seen[:, 0].min()) and float(seen[:, 0].max()) < right
     assert bottom < float(seen[:, 1].min()) and float(seen[:, 1].max()) < top
-    assert axes.get_title().endswith("end")
+    assert "ended at" in axes.get_title()
     with pytest.raises(UserError, match="episode 2"):
         draw_episode(axes, walked, 2)

@@ -21,7 +21,7 @@ FILM_SECONDS = 8
 
 def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[tuple[str, str]]:
     """Return the commands of the demo: what each shows, and what to type behind ``pedzoo``."""
-    common = f"--physics {physics} --episodes {EPISODES} --metrics {METRICS}"
+    common = f"--physics {physics} --episodes {EPISODES} --metrics {METRICS} --keep_episodes {EPISODES}"
     files = f"--plot {out}/door.png --json {out}/door.json"
     film = f"--video {out}/door.webm --video_seconds {FILM_SECONDS}"
     home = "--scenario goals:map=apartment.7,people=4,goals=1,pool=8"
@@ -33,7 +33,7 @@ def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[
         ),
         (
             "four people walk through an apartment that is drawn from a seed",
-            f"rollout {POLICIES} {home} {common} --plot {out}/apartment.png",
+            f"rollout {POLICIES} {home} {common} --plot {out}/apartment.png --json {out}/apartment.json",
         ),
         (
             "fine-tuning on other recordings (synthetic people on a plaza, no results to quote)",
@@ -48,6 +48,12 @@ def compared(tuned: str) -> tuple[str, str]:
     models = f"{NAME} {tuned}"
     title = "before and after fine-tuning, between the trivial baselines"
     return title, f"forecast {models} --data.fold embedded --samples 5"
+
+
+def reported(out: str) -> tuple[str, str]:
+    """Return the command that makes a page of all: what it shows, and what to type."""
+    title = "everything on one page: open it in a browser, click a number, a person, play"
+    return title, f"report {out}/door.json {out}/apartment.json {out}/runs -o {out}/report.html"
 
 
 def run(argv: list[str]) -> int:
@@ -73,19 +79,23 @@ def run(argv: list[str]) -> int:
     check_outputs(out=str(out / "door.json"))
     physics = "bullet" if find_spec("pybullet") else "compiled"
     commands = steps(shlex.quote(options.out), options.epochs, physics)
-    total = len(commands) + 2
+    total = len(commands) + 3
     for number, (title, command) in enumerate(commands, start=1):
         _announce(number, total, title, command)
         if code := main(shlex.split(command)):
             return code
     tuned = _newest(out / "runs")
     title, command = compared(shlex.quote(str(tuned)))
-    _announce(total - 1, total, title, command)
+    _announce(total - 2, total, title, command)
     if code := main(shlex.split(command)):
         return code
-    print(f"\n{total}/{total} from Python: a controller for any simulator, and a picture of forecasts")
+    print(f"\n{total - 1}/{total} from Python: a controller for any simulator, and a picture of forecasts")
     _in_python(tuned, out / "forecasts.png")
-    print(f"\neverything is in {out}: door.png door.webm door.json apartment.png forecasts.png runs")
+    title, command = reported(shlex.quote(options.out))
+    _announce(total, total, title, command)
+    if code := main(shlex.split(command)):
+        return code
+    print(f"\neverything is in {out}: report.html door.png door.webm apartment.png forecasts.png runs")
     return 0
 
 

@@ -1,7 +1,7 @@
 """``pedzoo rollout``: policies walk through the same scenes, and one can look at it."""
 
 HELP = "policies walk through the same scenes: table, trajectories, video"
-EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --video door.webm"
+EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --html door.html"
 
 
 def run(argv: list[str]) -> int:
@@ -19,6 +19,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.core.registry import METRICS, SCENARIOS
     from pedzoo.eval.comparison import Comparison
     from pedzoo.metrics.closed_loop import NAMES
+    from pedzoo.viz.report.episode import Replay
     from pedzoo.viz.trajectories import check_plot_path, plot_rollouts
     from pedzoo.viz.video import check_video_path, film
 
@@ -50,6 +51,7 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
     parser.add_argument("--plot", type=str | None, help="Draw trajectories into this .png, .pdf or .svg.")
     parser.add_argument("--video", type=str | None, help="Film an episode into this .webm or .mp4.")
+    parser.add_argument("--html", type=str | None, help="Replays of all episodes as a page: .html.")
     parser.add_argument(
         "--video_view",
         type=Literal["perspective", "top"],
@@ -63,7 +65,7 @@ def run(argv: list[str]) -> int:
         check_plot_path(options.plot)
     if options.video:
         check_video_path(options.video)
-    check_outputs(json=options.json, plot=options.plot, video=options.video)
+    check_outputs(json=options.json, plot=options.plot, video=options.video, html=options.html)
     # without a shipped one, functions in files are shown beside all others
     only = [METRICS.get(name).__name__ for name in options.metrics]
     only = only if set(only) & set(NAMES) else None
@@ -95,4 +97,7 @@ def run(argv: list[str]) -> int:
                 shot = options.show, options.video_view, size, options.video_seconds
                 film(comparison.walked, options.video, *shot, progress)
             print(f"video: {options.video}")
+        if options.html:
+            Replay(comparison.walked, options.scenario, options.seed).save(options.html)
+            print(f"page:  {options.html}")
     return 0

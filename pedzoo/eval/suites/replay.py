@@ -1,7 +1,7 @@
 """Recorded crowds: people walk from their real entry to their real exit, beside the real ones."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -9,16 +9,27 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
 from pedzoo.data.recordings import Fold, find_fold, open_fold
+from pedzoo.eval.episodes import packed_episodes
 from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, OwnRecordings, Suite, Tell, WorkUnit, walked
+from pedzoo.eval.suite import (
+    EvaluationCase,
+    EvaluationOptions,
+    OwnRecordings,
+    Suite,
+    Tell,
+    WorkUnit,
+    kept,
+    walked,
+)
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import has_noise
+from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
 
 EMBEDDED = "embedded"
@@ -164,14 +175,25 @@ class Replay(Suite):
         """Walk one unit; policies without noise walk once."""
         case, scenario = unit.case, cast(PreparedReplay, prepared(unit.case.scenario, unit.case.inputs))
         if unit.walks == REAL:
-            return [
-                row | {"people": scenario.persons.counts} for row in reference_rows(scenario, unit.metrics)
-            ]
+            real, halves = reference_rows(scenario, unit.metrics)
+            if unit.keep_episodes:
+                recorded = next(iter(scenario.real_parts()))
+                episodes, plans = packed_episodes(recorded, scenario.bank, unit.keep_episodes)
+                real |= {"episodes": episodes, "plans": plans}
+            return [row | {"people": scenario.persons.counts} for row in (real, halves)]
         model = load_policy(unit.walks)
         noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
         parts = walked(unit, scenario, seeds, rounds * scenario.scenes, tell)
-        row = replay_row(unit.policy, (part for part, _ in parts), scenario, model.decision_dt, unit.metrics)
+        first: dict[str, Any] = {}
+
+        def each() -> Iterator[Rollout]:
+            for part, env in parts:
+                if not first:
+                    first.update({"kept": kept(unit, part, env)})
+                yield part
+
+        row = replay_row(unit.policy, each(), scenario, model.decision_dt, unit.metrics) | first["kept"]
         if has_seen(unit.walks, _walked_fold(case)):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]

@@ -8,7 +8,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, kept
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.metrics.robots.legend import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
@@ -111,6 +111,7 @@ class Robots(Suite):
     def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
         """Drive one unit and return its row."""
         case, parts, decision_dt = unit.case, [], 0.0
+        first: dict[str, Any] = {}
         episodes = case.episodes or _recorded(case)
         for number, seed in enumerate(unit.seeds):
 
@@ -135,8 +136,10 @@ class Robots(Suite):
                 raise UserError(f"{case.name}: robot {case.robot}: {error}") from error
             env.physics.close()
             decision_dt = env.decision_dt
+            if not parts and unit.keep_episodes:
+                first = kept(unit, part.walked, env)
             parts.append(part)
-        row = robot_row(unit.policy, joined_robots(parts), decision_dt)
+        row = robot_row(unit.policy, joined_robots(parts), decision_dt) | first
         for robot in row["per_agent"]:
             seed, robot["episode"] = divmod(robot["episode"], episodes)
             robot["seed"] = unit.seeds[seed]

@@ -35,13 +35,14 @@ def load_pybullet() -> Any:
     return pybullet
 
 
-def connect(owner: object) -> tuple[Any, int, Callable[[], object]]:
+def connect(owner: object, window: bool = False) -> tuple[Any, int, Callable[[], object]]:
     """Return the module, a new client that computes in this process, and the function that disconnects it.
 
+    With a ``window`` it shows what it holds on the display.
     It is disconnected when ``owner`` is gone at the latest; doing it again does nothing.
     """
     pybullet = load_pybullet()
-    client: int = pybullet.connect(pybullet.DIRECT)
+    client: int = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
     return pybullet, client, weakref.finalize(owner, _disconnect, pybullet, client)
 
 

@@ -37,11 +37,16 @@ class BulletLooks:
     only what is made after it is loaded, which takes long: programs without pictures should not wait for it.
     """
 
-    def __init__(self, boxes: NDArray[np.float64], wall_height: float = CUT_HEIGHT) -> None:
-        """Connect, and build walls of ``wall_height`` metres over the rectangles ``boxes`` (M, 4)."""
-        pybullet, client, self._finalizer = connect(self)
+    def __init__(
+        self, boxes: NDArray[np.float64], wall_height: float = CUT_HEIGHT, window: bool = False
+    ) -> None:
+        """Connect, and build walls of ``wall_height`` metres over the rectangles ``boxes`` (M, 4).
+
+        With a ``window`` all is seen on the display.
+        """
+        pybullet, client, self._finalizer = connect(self, window)
         self._p, self.client = pybullet, client
-        plugin = egl_plugin()
+        plugin = None if window else egl_plugin()
         self._egl = plugin is not None and load_egl(client, plugin)
         for i in range(0, len(boxes), SHAPES):
             part = boxes[i : i + SHAPES]
@@ -123,10 +128,7 @@ class BulletLooks:
         The vertical opening angle ``upright`` is in radians, and ``limits``, the planes between which bodies
         are drawn, in metres.
         """
-        shown = {self._figure(person, radius): (x, y) for person, (x, y, radius) in positions.items()}
-        for body in self._figures.values():
-            place = (*shown[body], BODY_HEIGHT / 2) if body in shown else AWAY
-            self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self.client)
+        self.place(positions)
         width, height = size
         image = self._p.getCameraImage(
             width,
@@ -147,6 +149,13 @@ class BulletLooks:
         picture = np.asarray(image[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         buffer = np.asarray(image[3], dtype=np.float64).reshape(height, width)
         return picture, buffer, np.asarray(image[4]).reshape(height, width) < 0
+
+    def place(self, positions: dict[int, tuple[float, float, float]]) -> None:
+        """Put the agents at ``positions``, see `render`, and take all others away."""
+        shown = {self._figure(person, radius): (x, y) for person, (x, y, radius) in positions.items()}
+        for body in self._figures.values():
+            place = (*shown[body], BODY_HEIGHT / 2) if body in shown else AWAY
+            self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self.client)
 
     def _figure(self, person: int, radius: float) -> int:
         """Return the body that is drawn for an agent; the first time, it is made."""

@@ -1,0 +1,180 @@
+"""People who walk now: in pybullet's window, or on a page that this machine serves to itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import count, islice
+from typing import Any
+
+import numpy as np
+import torch
+from torchrl.envs.utils import step_mdp
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import move_to_map
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.eval.episodes import packed_episode, packed_plan
+from pedzoo.eval.rollout import Recorder, prepare
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.walls.boxes import boxes
+from pedzoo.policies.policy import Policy
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.physics_parts.bullet.looks import BulletLooks
+from pedzoo.viz.report.page import page
+
+HOST = "127.0.0.1"
+"""Only this machine can ask."""
+
+FINEST = 50
+"""Pictures per second of the window, at most."""
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened here."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY"))
+
+
+def decisions(policy: Policy | Any, env: PedestrianEnv, speed: float = 1.0) -> Iterator[Recorder]:
+    """Yield what is recorded of an episode after each decision, in its own time divided by ``speed``."""
+    with torch.no_grad():
+        now = env.reset()
+        recorder = Recorder(env)
+        due = time.monotonic()
+        while recorder.alive.any():
+            result = env.step(policy(now))
+            recorder.add(result["next"])
+            due = max(due + env.decision_dt / speed, time.monotonic())
+            yield recorder
+            time.sleep(max(0.0, due - time.monotonic()))
+            now = step_mdp(result)
+
+
+class Live:
+    """One scene after the other, in real time.
+
+    Attributes:
+        over: Whether no episode follows.
+    """
+
+    def __init__(
+        self, policy: str, scenario: str, physics: str = "compiled", seed: int = 0, speed: float = 1.0
+    ) -> None:
+        """Build policy and environment; errors as of `pedzoo.rollout`."""
+        if not speed > 0:
+            raise UserError(f"speed {speed}: expected more than 0, such as 1 for real time")
+        self._policy, self.env = prepare(policy, scenario, physics, 1, seed)
+        self.name, self.scenario, self._seed, self._speed = policy, scenario, seed, speed
+        self._lock, self._answer = threading.Lock(), b""
+        self.over = False
+
+    def walk(self, episodes: int | None = None, shown: Callable[[Recorder], None] | None = None) -> None:
+        """Walk so many episodes, None for without end; ``shown`` is called after each decision."""
+        for number in islice(count(), episodes):
+            for recorder in decisions(self._policy, self.env, self._speed):
+                if shown:
+                    shown(recorder)
+                else:
+                    self._keep(recorder, number, over=False)
+        self.over = True
+        if not shown:
+            with self._lock:
+                self._answer = json.dumps(json.loads(self._answer) | {"over": True}).encode()
+
+    def latest(self) -> bytes:
+        """Return the present episode as JSON: ``episode``, ``plans`` and whether it is all ``over``."""
+        with self._lock:
+            return self._answer
+
+    def _keep(self, recorder: Recorder, number: int, over: bool) -> None:
+        rollout = recorder.rollout()
+        episode = packed_episode(rollout, 0, self._seed) | {"episode": number}
+        identity = int(rollout.map_id[0])
+        plans = {str(one.map_id): packed_plan(one) for one in self.env.bank.grids if one.map_id == identity}
+        answer = json.dumps({"episode": episode, "plans": plans, "over": over}).encode()
+        with self._lock:
+            self._answer = answer
+
+    def page(self) -> str:
+        """Return the page that follows what happens."""
+        first = json.loads(self.latest())
+        case = {"name": self.scenario, "policies": [{"name": self.name, "episodes": [first["episode"]]}]}
+        content = {"cases": [case], "plans": first["plans"], "tables": [], "charts": [], "notes": []}
+        return page(
+            {**content, "about": f"live, seed {self._seed}"}, f"{self.name} in {self.scenario}", "/live"
+        )
+
+    def server(self, port: int) -> ThreadingHTTPServer:
+        """Return a server of the page and of what happens, on this machine alone; 0 is any free port.
+
+        Raises:
+            UserError: The port is taken.
+        """
+        live = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                kind, body, status = "text/plain", b"not here", 404
+                if not live.latest():
+                    body, status = b"the first people are about to start: load this again", 503
+                elif self.path == "/":
+                    kind, body, status = "text/html", live.page().encode(), 200
+                elif self.path == "/live":
+                    kind, body, status = "application/json", live.latest(), 200
+                self.send_response(status)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
+                self.send_header("Content-Length", str(len(body)))
+                self.send_header("Cache-Control", "no-store")
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, format: str, *args: Any) -> None:
+                return
+
+        try:
+            return ThreadingHTTPServer((HOST, port), Handler)
+        except (OSError, OverflowError) as error:
+            raise UserError(
+                f"cannot serve on port {port}: {error}; take another one, --port 0 for any"
+            ) from error
+
+
+class Window:
+    """pybullet's window of one floor plan; call it after every decision."""
+
+    def __init__(self, env: PedestrianEnv, speed: float) -> None:
+        """Open it when the first scene is there; errors as of `pedzoo.sim.physics.bullet`."""
+        self._env, self._speed, self._plan = env, speed, -2
+        self._looks: BulletLooks | None = None
+
+    def __call__(self, recorder: Recorder) -> None:
+        """Show the last decision in its own time."""
+        state = self._env.state
+        plan = int(state.map_id[0])
+        if plan != self._plan:
+            if self._looks is not None:
+                self._looks.close()
+            self._plan, self._grid = plan, next((g for g in self._env.bank.grids if g.map_id == plan), None)
+            walls = boxes(self._grid, self._env.scenario.unknown) if self._grid else np.zeros((0, 4))
+            self._looks = BulletLooks(walls, window=True)
+        assert self._looks is not None
+        points = round(self._env.decision_dt / TRACE_SECONDS)
+        path = move_to_map(state.past[:, :, -points:], state.pose)[0].double().cpu().numpy()
+        for point in range(points):
+            places = _local(self._grid, path[:, point])
+            here = state.mask[0].nonzero()[:, 0].tolist()
+            self._looks.place({a: (*places[a].tolist(), float(state.radius[0, a])) for a in here})
+            time.sleep(max(TRACE_SECONDS / self._speed, 1 / FINEST) if point < points - 1 else 0)
+
+
+def _local(grid: OccupancyGrid | None, places: np.ndarray) -> np.ndarray:
+    """Return map positions (A, 2) in the frame of the grid's walls: cell (0, 0) at the origin."""
+    if grid is None:
+        return places
+    affine = grid.map_to_cell()
+    return (places @ affine[:, :2].T + affine[:, 2] + 0.5) * grid.resolution

@@ -1,0 +1,183 @@
+"""What a page of results shows, from the files that commands write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from pedzoo.core.errors import UserError
+from pedzoo.eval.results import INTERVALS, SEEN, case_label, legend
+from pedzoo.viz.report.curves import curves_of, training_curves
+from pedzoo.viz.report.metrics import better, ordered
+from pedzoo.viz.report.page import LARGEST
+
+REFERENCES = ("real", "real halves")
+"""Rows that no policy is better than."""
+
+_NOTE = INTERVALS.replace("In brackets", "Below numbers") + " A number that is a link leads to an episode."
+
+_ROOM = 400_000  # bytes of a page beside its episodes and floor plans
+
+
+def content_of(files: Sequence[str | Path]) -> dict[str, Any]:
+    """Return the content of the page of some results.
+
+    Args:
+        files: JSON of ``pedzoo evaluate``, ``rollout``, ``forecast``, ``score``, ``reproduce`` or ``bench``,
+            and folders of trainings.
+
+    Raises:
+        UserError: A file is not there, or is something else.
+    """
+    reports, runs = {}, []
+    for path in map(Path, files):
+        if path.is_dir():
+            runs += _trainings(path)
+        else:
+            reports[str(path)] = _read(path)
+    content: dict[str, Any] = {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
+    for path, report in reports.items():
+        add_report(content, report, Path(path).stem if len(reports) > 1 else "")
+    content["charts"] += training_curves(runs)
+    content["about"] = _about(list(reports.values()), runs)
+    shorten(content)
+    return content
+
+
+def shorten(content: dict[str, Any], largest: int = LARGEST - _ROOM) -> None:
+    """Leave out the last episodes of all policies until a page is small enough, and plans without use."""
+    policies = [policy for case in content["cases"] for policy in case["policies"]]
+    sizes = [[len(json.dumps(one)) for one in policy["episodes"]] for policy in policies]
+    taken = sum(len(json.dumps(plan)) for plan in content["plans"].values())
+    longest = most = max(map(len, sizes), default=0)
+    while most and taken + sum(sum(size[:most]) for size in sizes) > largest:
+        most -= 1
+    if most < longest:
+        content["notes"].append(
+            f"Only the first {most} of {longest} episodes are here: the page would be too large with more."
+        )
+    used = set()
+    for policy in policies:
+        policy["episodes"] = policy["episodes"][:most]
+        used |= {one["plan"] for one in policy["episodes"]}
+    content["cases"] = content["cases"] if most else []
+    content["plans"] = {name: plan for name, plan in content["plans"].items() if name in used}
+
+
+def _read(path: Path) -> dict[str, Any]:
+    wanted = (
+        "expected JSON that pedzoo evaluate, rollout, forecast or bench wrote, or the folder of a training"
+    )
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"cannot read {str(path)!r}: {error.strerror}; {wanted}") from error
+    except ValueError as error:
+        raise UserError(f"{str(path)!r} is no JSON: {wanted}") from error
+    rows = report.get("rows") if isinstance(report, dict) else None
+    if not isinstance(rows, list) or not all(
+        isinstance(row, dict) and {"name", "metrics"} <= row.keys() for row in rows
+    ):
+        raise UserError(f"{str(path)!r} has no rows with name and metrics: {wanted}")
+    return report
+
+
+def _trainings(folder: Path) -> list[Path]:
+    runs = [folder] if (folder / "metrics.csv").is_file() else []
+    runs = runs or sorted(file.parent for file in folder.glob("*/*/metrics.csv"))
+    if not runs:
+        raise UserError(
+            f"no training in {str(folder)!r}: expected a folder that pedzoo fit wrote, with metrics.csv"
+        )
+    return runs
+
+
+def add_report(content: dict[str, Any], report: Mapping[str, Any], stem: str = "") -> None:
+    """Add the tables, episodes and curves of one file, with its ``stem`` in their titles."""
+    said, rows = f" ({stem})" if stem else "", report["rows"]
+    content["plans"] |= report.get("plans", {})
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(_table(row, report), []).append(row)
+    for name, its in groups.items():
+        cases: dict[str, list[Mapping[str, Any]]] = {}
+        for row in its:
+            cases.setdefault(_label(row), []).append(row)
+        means = [row for row in report.get("summary", []) if row.get("table") == name]
+        tables = []
+        if len(cases) > 1 and means:
+            tables.append(_table_of(f"mean of {len(cases)} cases", means, None))
+        for label, those in cases.items():
+            number = _add_case(content, f"{name} {label}".strip() + said, those)
+            tables.append(_table_of(label or name, those, number))
+        note = "" if content["tables"] else _NOTE
+        content["tables"].append({"name": name + said, "note": note, "tables": tables})
+    content["notes"] += [str(note) for note in report.get("notes", [])]
+    content["charts"] += curves_of(report, said)
+
+
+def _add_case(content: dict[str, Any], name: str, rows: Sequence[Mapping[str, Any]]) -> int | None:
+    """Add the episodes of a case; returns its number, None where no row keeps any."""
+    policies = [
+        {"name": str(row["name"]), "episodes": row["episodes"]} for row in rows if row.get("episodes")
+    ]
+    if not policies:
+        return None
+    name = " ".join(dict.fromkeys(name.split()))  # a table's name is often part of its cases
+    known = {case["name"] for case in content["cases"]}
+    if name in known:
+        name = next(other for i in count(2) if (other := f"{name} {i}") not in known)
+    content["cases"].append({"name": name, "policies": policies})
+    return len(content["cases"]) - 1
+
+
+def _table(row: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+    protocol = report.get("protocol", {})
+    usual = protocol.get("scenario") if isinstance(protocol, dict) else None
+    return str(row.get("table") or row.get("section") or usual or report.get("command", "results"))
+
+
+def _label(row: Mapping[str, Any]) -> str:
+    case = {key: str(value) for key, value in row.get("case", {}).items()}
+    return case_label({"case": case}) if case else ""
+
+
+def _table_of(title: str, rows: Sequence[Mapping[str, Any]], case: int | None) -> dict[str, Any]:
+    texts = legend()
+    metrics = list(dict.fromkeys(key for row in rows for key in row["metrics"]))
+    columns = [
+        {"key": key, "help": texts.get(key, ""), "better": better(key), "first": first}
+        for key, first in ordered(metrics)
+    ]
+    return {"title": title, "case": case, "columns": columns, "rows": [_row(row) for row in rows]}
+
+
+def _row(row: Mapping[str, Any]) -> dict[str, Any]:
+    intervals, number = row.get("ci95", {}), row.get("n", "")
+    cells = {
+        key: [value, *intervals.get(key, (None, None))]
+        for key, value in row["metrics"].items()
+        if isinstance(value, int | float)
+    }
+    return {
+        "name": str(row["name"]),
+        "n": number if isinstance(number, int | str) else "",
+        "cells": cells,
+        "seen": SEEN in row.get("case", {}),
+        "reference": row["name"] in REFERENCES,
+    }
+
+
+def _about(reports: Sequence[Mapping[str, Any]], runs: Sequence[Path]) -> str:
+    lines = []
+    for report in reports:
+        versions, seeds = report.get("versions", {}), report.get("seeds", [])
+        made = [f"pedzoo {report.get('command', '')}".strip(), f"version {versions.get('pedzoo', 'unknown')}"]
+        made += [f"commit {versions['commit']}"] if "commit" in versions else []
+        made += [f"seeds {' '.join(map(str, seeds))}"] if isinstance(seeds, list) and seeds else []
+        lines.append(", ".join(made))
+    lines += [f"{len(runs)} trainings"] if runs else []
+    return "; ".join(dict.fromkeys(lines))

@@ -1,0 +1,72 @@
+"""One HTML file: its own style, script and data, and no address of anything else."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Mapping
+from importlib import resources
+from string import Template
+from typing import Any
+
+SCRIPTS = ("dom", "decode", "scene", "charts", "inspect", "table", "player", "main")
+"""Files of the script, in this order."""
+
+LARGEST = 3_000_000
+"""Bytes of a page: it opens at once, and fits an e-mail."""
+
+
+def page(content: Mapping[str, Any], title: str = "pedzoo report", live: str | None = None) -> str:
+    """Return the page.
+
+    Names in ``content`` may come from any file. They stand in JSON without ``<``, the script writes them as
+    text, and the page's policy runs no script but its own.
+
+    Args:
+        content: ``about``, ``cases``, ``plans``, ``tables``, ``charts`` and ``notes``, as of
+            `pedzoo.viz.report.content.content_of`.
+        title: In the head of the page.
+        live: Where people who walk now are asked for, on the server that the page is from.
+    """
+    style, script = (
+        _asset("page.css"),
+        "".join(["'use strict';\n(() => {\n", *(_asset(f"{name}.js") for name in SCRIPTS), "})();\n"]),
+    )
+    sources = {"style-src": _hash(style), "script-src": _hash(script), "img-src": "data:"}
+    if live:
+        sources["connect-src"] = "'self'"
+    rules = ["default-src 'none'", *(f"{key} {value}" for key, value in sources.items())]
+    return Template(_asset("page.html")).substitute(
+        title=html.escape(title),
+        policy=html.escape("; ".join([*rules, "base-uri 'none'", "form-action 'none'"]), quote=True),
+        style=style,
+        script=script,
+        data=_embedded({**content, "live": live}),
+    )
+
+
+def framed(content: Mapping[str, Any], title: str, height: int = 640) -> str:
+    """Return the page as a frame for notebooks, ``height`` pixels high; its script sees nothing outside."""
+    inside = html.escape(page(content, title), quote=True)
+    return (
+        f'<iframe srcdoc="{inside}" sandbox="allow-scripts" title="{html.escape(title, quote=True)}" '
+        f'style="width:100%;height:{int(height)}px;border:0"></iframe>'
+    )
+
+
+def _embedded(content: Mapping[str, Any]) -> str:
+    """Return JSON that no HTML parser takes for anything else."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return text
+
+
+def _asset(name: str) -> str:
+    return (resources.files("pedzoo.viz.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

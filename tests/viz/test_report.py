@@ -1,0 +1,161 @@
+"""The page of results: it needs nothing else, and runs nothing that came with the results."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.eval.rollout import rollout
+from pedzoo.viz.report.content import content_of, shorten
+from pedzoo.viz.report.episode import Replay
+from pedzoo.viz.report.metrics import better
+from pedzoo.viz.report.page import framed, page
+
+NAUGHTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028&amp;"
+
+
+def row(name: str, case: dict[str, str] | None = None, **metrics: float) -> dict[str, Any]:
+    return {"name": name, "case": case or {}, "n": 3, "metrics": metrics, "ci95": {"success": [0.2, 0.9]}}
+
+
+def written(folder: Path, rows: list[dict[str, Any]], **more: Any) -> Path:
+    file = folder / "results.json"
+    file.write_text(json.dumps({"command": "rollout", "rows": rows, **more}))
+    return file
+
+
+def data_of(text: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+class Tags(HTMLParser):
+    """The tags of a page, as a browser reads them."""
+
+    def __init__(self, text: str) -> None:
+        """Read the page."""
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Keep a tag."""
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_names_from_files_stay_text(tmp_path: Path) -> None:
+    file = written(tmp_path, [row(NAUGHTY, success=0.5)], protocol={"scenario": NAUGHTY}, notes=[NAUGHTY])
+    text = page(content_of([file]), NAUGHTY)
+    assert [tag for tag, _ in Tags(text).tags].count("script") == 2
+    assert not any(tag == "img" or "onerror" in given for tag, given in Tags(text).tags)
+    data = data_of(text)
+    assert data["tables"][0]["tables"][0]["rows"][0]["name"] == NAUGHTY and data["notes"] == [NAUGHTY]
+    inside = framed(content_of([file]), NAUGHTY)
+    (frame,) = Tags(inside).tags
+    assert frame[0] == "iframe" and frame[1]["sandbox"] == "allow-scripts"
+
+
+def test_the_page_needs_nothing_else_and_runs_its_own_script_alone(tmp_path: Path) -> None:
+    text = page(content_of([written(tmp_path, [row("orca", success=0.5)])]))
+    assert not re.search(r"https?:|//[a-z]+\.|@import|url\(", text)
+    tags = Tags(text).tags
+    assert not any("src" in given or given.get("rel") == "stylesheet" for _, given in tags)
+    (policy,) = [given["content"] for tag, given in tags if given.get("http-equiv")]
+    script = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)[0]
+    known = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy and policy.startswith("default-src 'none'") and f"script-src 'sha256-{known}'" in policy
+    assert "unsafe" not in policy and "connect-src" not in policy
+
+
+def test_tables_have_the_mean_and_every_case(tmp_path: Path) -> None:
+    rows = [
+        {**row(name, {"suite": "goals", "physics": "torch", "people": people}, success=value), "table": "g"}
+        for name, people, value in (("orca", "2", 0.5), ("orca", "3", 0.7), ("real", "2", 1.0))
+    ]
+    mean = {**row("orca", success=0.6), "table": "g"}
+    content = content_of([written(tmp_path, rows, summary=[mean])])
+    (group,) = content["tables"]
+    assert [table["title"] for table in group["tables"]] == ["mean of 2 cases", "2", "3"]
+    assert group["tables"][0]["rows"][0]["cells"] == {"success": [0.6, 0.2, 0.9]}
+    assert [one["reference"] for one in group["tables"][1]["rows"]] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("metric", "direction"),
+    [
+        *[("success", 1), ("contact_free", 1), ("stl", 1), ("agent_steps_per_s", 1)],
+        *[
+            ("agent_contacts_per_min", -1),
+            ("realism", -1),
+            ("closed_loop_ade_m", -1),
+            ("min_ade_20_scene_m", -1),
+        ],
+        *[("speed_m_per_s", 0), ("headway_p50_s", 0), ("time_ratio_median", -1)],
+    ],
+)
+def test_which_way_is_better(metric: str, direction: int) -> None:
+    assert better(metric) == direction
+
+
+def test_trainings_are_curves(tmp_path: Path) -> None:
+    run = tmp_path / "sgan" / "zara1-seed0"
+    run.mkdir(parents=True)
+    (run / "metrics.csv").write_text("epoch,step,train/loss,val/ade\n0,1,4,\n0,2,2,\n0,2,,0.5\n1,4,1,0.25\n")
+    (chart,) = content_of([tmp_path])["charts"]
+    lines = {panel["title"]: panel["lines"] for panel in chart["panels"]}
+    assert lines["train/loss"] == [{"name": "sgan/zara1-seed0", "x": [0, 1], "y": [3.0, 1.0]}]
+    assert lines["val/ade"][0]["y"] == [0.5, 0.25]
+
+
+def test_pages_stay_small() -> None:
+    def policy(name: str) -> dict[str, Any]:
+        return {"name": name, "episodes": [{"plan": str(i), "xy": "A" * 1000} for i in range(10)]}
+
+    plans = {str(i): {} for i in range(10)}
+    content = {"cases": [{"name": "a", "policies": [policy("b"), policy("c")]}], "plans": plans, "notes": []}
+    shorten(content, 7000)
+    assert [len(one["episodes"]) for one in content["cases"][0]["policies"]] == [3, 3]
+    assert sorted(content["plans"]) == ["0", "1", "2"]
+    assert content["notes"] == [
+        "Only the first 3 of 10 episodes are here: the page would be too large with more."
+    ]
+
+
+def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.json").write_text("{")
+    (tmp_path / "list.json").write_text("[1]")
+    (tmp_path / "empty").mkdir()
+    for name, message in (
+        ("none.json", "cannot read"),
+        ("text.json", "is no JSON: expected JSON that pedzoo"),
+        ("list.json", "has no rows with name and metrics"),
+        ("empty", "no training in"),
+    ):
+        with pytest.raises(UserError, match=message):
+            content_of([tmp_path / name])
+
+
+def test_the_command_and_a_rollout_write_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["--physics", "compiled", "--episodes", "2", "--metrics", "success", "--keep_episodes", "2"]
+    files = ["--html", str(tmp_path / "a.html"), "--json", str(tmp_path / "a.json")]
+    assert main(["rollout", "go_to_goal", *common, *files]) == 0
+    assert main(["report", str(tmp_path / "a.json"), "-o", str(tmp_path / "b.html")]) == 0
+    assert "2 replays" in capsys.readouterr().out
+    (mine,), (other,) = (data_of((tmp_path / name).read_text())["cases"] for name in ("a.html", "b.html"))
+    assert mine["policies"] == other["policies"] and len(mine["policies"][0]["episodes"]) == 2
+
+
+def test_an_episode_shows_itself_in_a_notebook() -> None:
+    shown = Replay.of(*rollout("go_to_goal", "door", "compiled", 1))
+    assert repr(shown) == "Replay('go_to_goal': go_to_goal; 1 episodes)"
+    assert shown._repr_html_().startswith("<iframe srcdoc=")
