@@ -113,9 +113,8 @@ def test_python_code(page: str, readers_folder: Path) -> None:
 
 
 def six_lines(scope: dict) -> None:
-    anna, ben = (np.asarray(scope["people"][name]) for name in ("anna", "ben"))
-    goals = scope["goals"]
-    assert np.linalg.norm(anna - goals["anna"]) < 0.4 and np.linalg.norm(ben - goals["ben"]) < 0.4
+    people, goals = scope["people"], scope["goals"]
+    assert all(np.linalg.norm(np.subtract(people[name], goals[name])) < 0.4 for name in ("ann", "ben"))
 
 
 def forecasts(scope: dict) -> None:

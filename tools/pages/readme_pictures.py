@@ -92,6 +92,11 @@ class Canvas:
         tip = np.asarray(place) + radius * np.array([np.cos(heading), np.sin(heading)])
         self.pen.line(self.pixels([place, tip]), LIDAR[:3], 3 * FINER)
 
+    def label(self, place: Any, text: str) -> None:
+        """Write beside a place."""
+        (x, y), font = self.pixels(place)[0], ImageFont.load_default(15 * FINER)
+        self.pen.text((x + 14 * FINER, y - 24 * FINER), text, INK, font)
+
     def area(self, outline: Any) -> None:
         """Draw what a lidar sees."""
         self.pen.polygon(self.pixels(outline), LIDAR)
@@ -205,9 +210,13 @@ def snippet(out: Path = PICTURES / "controller.png") -> None:
             canvas.robot(way[-1], 0.0, 0.3)
             continue
         canvas.trail(way, color)
+        shown = way[0] + 1.0
         for moment in range(0, len(way), 20):
-            canvas.person(way[moment], headings(np.array(way))[moment], color)
-    canvas.finished("every 2 s; the robot stands").quantize(COLORS).save(out, optimize=True)
+            if np.linalg.norm(way[moment] - shown) > 2 * SHOULDERS[1]:
+                shown = way[moment]
+                canvas.person(shown, headings(np.array(way))[moment], color)
+                canvas.label(shown, f"{moment // 10} s")
+    canvas.finished("people every 2 s; the robot stands").quantize(COLORS).save(out, optimize=True)
     print(out)
 
 
