@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,6 +35,29 @@ def test_robots_in_torchrl(capsys: pytest.CaptureFixture[str]) -> None:
     straight, untrained = capsys.readouterr().out.splitlines()
     assert straight.startswith("straight: ") and untrained.startswith("untrained: ")
     assert int(straight.split()[1]) > int(untrained.split()[1])
+
+
+def test_people_walk_around_a_robot_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("people_around_a_robot.py", seconds=6.0) > 0.15  # a body's radius: no touch
+    assert capsys.readouterr().out.startswith(" 0.0 s: robot (6.")
+
+
+def test_policies_are_compared(tmp_path: Path) -> None:
+    results = run("compare_policies.py", episodes=3, out=str(tmp_path / "door.png"))
+    assert results["sgan_goal_map.indoor"]["clean"] == 1.0 > results["go_to_goal"]["clean"]
+    assert (tmp_path / "door.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    cells = json.loads((EXAMPLES / "first_steps.ipynb").read_text())["cells"]
+    scope: dict[str, Any] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            exec(compile("".join(cell["source"]), "first_steps.ipynb", "exec"), scope)
+    assert scope["values"]["success"] == 1.0 and len(scope["axes"].lines) == 2
+    assert scope["people"]["anna"][0] > 6.0
 
 
 @pytest.mark.skipif(find_spec("pybullet") is None, reason="needs pybullet")

@@ -1,4 +1,4 @@
-"""Copy the main rows of FORECAST.json, RESULTS.md and LOOP.md in checkpoints/results into the README."""
+"""The tables of docs/results.md: the main rows of FORECAST.json, RESULTS.md and LOOP.md."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.forecast import BASELINES
 
 ROOT = Path(__file__).parents[2]
-BEGIN, END = "<!-- results: tools/pages/readme_results.py -->\n", "<!-- end of results -->"
-WALKED, END_OF_WALKED = "<!-- walked: tools/pages/readme_results.py -->\n", "<!-- end of walked -->"
-LOOP, END_OF_LOOP = "<!-- loop: tools/pages/readme_results.py -->\n", "<!-- end of loop -->"
 HEADLINE = "## all suites\n"
 """The first table of checkpoints/results/RESULTS.md."""
 
@@ -36,7 +33,7 @@ SHOWN = {
     ("noise: who goes first", "varied"): "doors at which the noise says who goes first",
     **{(f"replay: {fold}", "realism"): f"realism among the people of {fold}" for fold in SCENES},
 }
-"""Rows of checkpoints/results/LOOP.md by case and metric, and what the README calls them."""
+"""Rows of checkpoints/results/LOOP.md by case and metric, and what the page calls them."""
 
 SEEDS = "", "-seed1", "-seed2"
 COLUMNS = {
@@ -48,7 +45,7 @@ COLUMNS = {
     "orca:radius=0.3": ["orca:radius=0.3"],
     "social_force:preset=indoor": ["social_force:preset=indoor"],
 }
-"""Columns of the README, and those of LOOP.md of which they show the least and the most, if any."""
+"""Columns of the page, and those of LOOP.md of which they show the least and the most, if any."""
 
 INTRODUCTION = """
 zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many trainings ±
@@ -66,20 +63,6 @@ lines, on every fold:
 | fold | `sgan_goal` | `bent_line` | `straight_line` |
 |---|---|---|---|
 """
-
-
-def main() -> None:
-    """Write the tables between the README's markers."""
-    readme = ROOT / "README.md"
-    text = between(readme.read_text(), BEGIN, END, forecasts())
-    text = between(text, WALKED, END_OF_WALKED, walked())
-    readme.write_text(between(text, LOOP, END_OF_LOOP, in_the_loop()))
-
-
-def between(text: str, begin: str, end: str, new: str) -> str:
-    """Return ``text`` with what stands between two markers replaced."""
-    before, _, rest = text.partition(begin)
-    return f"{before}{begin}{new}\n{end}{rest.partition(end)[2]}"
 
 
 def walked() -> str:
@@ -160,7 +143,3 @@ def _cells(row: dict) -> list[str]:
 def _value(row: dict, metric: str) -> str:
     spread = row.get("spread", {}).get(metric)
     return f"{row['metrics'][metric]:.4f}" + (f" ± {spread:.4f}" if spread is not None else "")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,174 @@
+"""Everything that README and docs/ tell people to type works, page by page, in the order of reading."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.pages import PAGES, ROOT, blocks, commands, files, snippets
+
+from pedzoo.cli.commands import demo
+from pedzoo.cli.main import main
+from pedzoo.core.paths import config_names
+
+SHORT = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_val_batches", "check_val_every_n_epoch")]
+SHORT += ["--trainer.limit_train_batches=2", "--trainer.enable_progress_bar=false", "--rollout.episodes=2"]
+TUNED = "demo/runs/sgan_goal_map/embedded-seed0/checkpoints/best.ckpt"
+LESS = {
+    "fit": SHORT,
+    "forecast": ["--samples", "2"],
+    "rollout": ["--episodes", "2", "--video_seconds", "1"],
+    "bench": ["--quick", "--seconds", "0.01", "--turns", "1", "--size", "2x5"],
+    "evaluate": ["--suite", "door", "--episodes", "1"],
+    **{name: [] for name in ("models", "info", "robots", "export", "plans")},
+}
+"""Options by which commands take less time."""
+
+ELSEWHERE = [shlex.split(command) for _, command in [*demo.steps(), demo.compared(TUNED)]]
+"""Commands that other tests run: here those of tests/cli/test_demo.py."""
+ELSEWHERE += [
+    shlex.split(command)
+    for command in (
+        "evaluate sgan_goal_map.zara1 --from-card",  # tests/eval/test_card_numbers.py
+        "export sgan_goal.eth_ucy --onnx model.onnx",  # tests/models/test_onnx.py
+        "reproduce table1 --out pages",  # tests/tools/test_reproduce.py
+        "reproduce figure4 --out pages --quick",
+        "evaluate straight orca --suite robots --people orca,sgan_goal_map.indoor,replay "
+        "--robot diff_drive:radius=0.35 --quick",  # tests/eval/test_robots.py
+        "fit --config closed_loop/sgan_goal_map",  # tests/train/test_configs.py
+        "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # train/test_in_the_loop.py
+        "fit --config closed_loop/sgan_goal_map --weights sgan_goal.zara1 --model.walking.walls 30",
+        "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/train/test_ppo.py
+        "fit --config robot/ppo",  # tests/train/test_configs.py
+        "fit --config robot/ppo --model.robot diff_drive",
+        "fit --config robot/crowd",
+        "fit --config robot/rooms --model.people social_force:preset=indoor",
+        "evaluate go_to_goal --suite replay --data.files a.csv --data.dt 0.1 --quick",  # test_evaluate.py
+    )
+]
+MADE = {
+    "README.md": ("door.png", "door.webm"),
+    "docs/simulate.md": ("door.png", "door.webm", "walk.json", "plans.png"),
+    "docs/evaluate.md": ("out.json", "walked.json", "walked.md"),
+    "docs/own.md": ("rooms.yaml", "rooms.png"),
+    "docs/zoo.md": ("zoo/sgan_goal.embedded/card.yaml", "my_model/README.md"),
+}
+"""Files that the commands of a page have to write."""
+
+
+@pytest.fixture
+def readers_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with the files that a reader is supposed to have."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    plaza = ROOT / "pedzoo" / "data" / "embedded"
+    table = np.loadtxt(plaza / "plaza_test.csv", delimiter=",", skiprows=1)
+    table[:, 0] *= 4  # recorded at 0.1 s
+    for name in ("a.csv", "b.csv"):
+        np.savetxt(tmp_path / name, table, "%g", ",", header="frame,agent,x,y", comments="")
+    plan = (plaza / "plaza.yaml").read_text()
+    (tmp_path / "plan.yaml").write_text(plan)
+    (tmp_path / "plaza.png").write_bytes((plaza / "plaza.png").read_bytes())
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+def test_commands(page: str, readers_folder: Path, shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
+    for name, text in files(page).items():
+        (readers_folder / name).write_text(text)
+    if "my_map.py" in files(page):
+        runpy.run_path("my_map.py")
+    if page == "docs/zoo.md":  # its reader has trained before
+        first = shlex.split("fit --config sgan_goal --data.fold embedded")
+        assert main([*first, *SHORT]) == 0
+    words = commands(page)
+    assert {one[0] for one in words} <= {*LESS, *(one[0] for one in ELSEWHERE)}
+    for one in words:
+        if one in ELSEWHERE:
+            continue
+        shorter = ["--no-evaluation"] if "--zoo" in one else LESS[one[0]]
+        assert main([*one, *shorter]) == 0, one
+    for file in MADE.get(page, ()):
+        assert (readers_folder / file).is_file(), file
+
+
+def test_what_other_tests_run_is_on_a_page() -> None:
+    everything = [words for page in PAGES for words in commands(page)]
+    assert [words for words in ELSEWHERE if words not in everything] == []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if snippets(page) and page != "docs/robots.md"])
+def test_python_code(page: str, readers_folder: Path) -> None:
+    results = []
+    for code in snippets(page):
+        results.append(scope := {})
+        exec(compile(code, page, "exec"), scope)
+    checks = {"README.md": six_lines, "docs/zoo.md": forecasts, "docs/simulate.md": walks}
+    checks.get(page, lambda *_: None)(*results)
+
+
+def six_lines(scope: dict) -> None:
+    people, goals = scope["people"], scope["goals"]
+    assert all(np.linalg.norm(np.subtract(people[name], goals[name])) < 0.4 for name in ("ann", "ben"))
+
+
+def forecasts(scope: dict) -> None:
+    scenes, samples, people, steps, _ = scope["futures"].shape
+    assert (samples, steps) == (20, 8)
+    assert scope["batch"]["agents", "mask"].shape == (scenes, people)
+
+
+def walks(own: dict, beside_a_robot: dict, walk: dict) -> None:
+    assert set(own["velocity"]) == {"anna", 7}
+    assert own["people"]["anna"][0] > -3  # she set out from -9
+    assert list(beside_a_robot["velocity"]) == ["anna"]
+    assert walk["trace"].shape == (8, 50, 5, 4, 2)
+
+
+def test_files_of_a_page_have_at_most_30_lines() -> None:
+    lengths = {name: len(text.splitlines()) - 1 for page in PAGES for name, text in files(page).items()}
+    assert len(lengths) > 6 and {name: count for name, count in lengths.items() if count > 30} == {}
+
+
+def test_the_readme_is_short_and_has_six_lines_of_python() -> None:
+    assert len(PAGES["README.md"].splitlines()) <= 150
+    (code,) = blocks("README.md", "python")
+    assert len(code.strip().splitlines()) <= 6
+
+
+def test_the_two_scripts_of_the_readme_can_be_run() -> None:
+    scripts = re.findall(r"^\./(\S+)", blocks("README.md", "bash")[0], re.MULTILINE)
+    assert len(scripts) == 2
+    for script in scripts:
+        assert (ROOT / script).stat().st_mode & 0o111, script
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_linked_file_and_heading_exists(page: str) -> None:
+    for link, _, heading in re.findall(r"\]\((?!http)([^)#]*)(#([^)]*))?\)", PAGES[page]):
+        target = (ROOT / page).parent / link if link else ROOT / page
+        assert target.exists(), link
+        if heading:
+            assert heading in anchors(target.read_text()), f"{link}#{heading}"
+
+
+def anchors(text: str) -> set[str]:
+    """Return the names by which code hosts link headings."""
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_every_config_is_in_the_table_and_every_name_in_the_table_is_a_config() -> None:
+    table = PAGES["docs/train.md"].partition("| config | model |")[2].partition("\n\n")[0]
+    names = (line.split("|")[1] for line in table.splitlines() if line.startswith("| `"))
+    named = {name for cell in names for name in re.findall(r"`([\w/]+)`", cell)}
+    assert named == set(config_names())
+
+
+def test_no_page_names_an_install_from_an_index() -> None:
+    assert [page for page, text in PAGES.items() if "install 'pedzoo[" in text] == []
