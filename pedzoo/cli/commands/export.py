@@ -14,6 +14,7 @@ _GOES_WITH = {"to": "zoo", "name": "zoo", "no_evaluation": "zoo", "data.root": "
 
 def run(argv: list[str]) -> int:
     """Write what is asked for and say what it is; returns the exit code."""
+    from pedzoo.cli.checks import check_model
     from pedzoo.cli.output import check_outputs, write_json
     from pedzoo.core.errors import UserError
     from pedzoo.core.machine import versions
@@ -23,6 +24,7 @@ def run(argv: list[str]) -> int:
         if vars(options)[option] and not vars(options)[way]:
             raise UserError(f"--{option.replace('_', '-')} goes with --{way}: leave it out")
     check_outputs(onnx=options.onnx, json=options.json)
+    check_model(options.model)
     if options.zoo:
         said = _zoo(options)
     elif options.hub:

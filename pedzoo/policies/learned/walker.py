@@ -4,7 +4,6 @@ from typing import Any, ClassVar, NamedTuple, get_args
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
@@ -17,6 +16,7 @@ from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.learned.extended_goals import extend_goals
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.safety import safe
+from pedzoo.policies.named import NamedPolicy
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -35,7 +35,7 @@ class Plan(NamedTuple):
     steps: Tensor
 
 
-class Walker(TensorDictModuleBase):
+class Walker(NamedPolicy):
     """Predicts each person's future from a scene batch and walks its first step: displacement / 0.4 s.
 
     Under a deterministic exploration type of TorchRL the noise is zero. Else it is drawn by the scene's
@@ -84,6 +84,7 @@ class Walker(TensorDictModuleBase):
         if not 1 <= execute_steps <= PRED_LEN:
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
+        self.name = model.name
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal

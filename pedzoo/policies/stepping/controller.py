@@ -106,6 +106,11 @@ class Controller:
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
 
+    def __repr__(self) -> str:
+        grids = self._online_goals.planner.bank.grids
+        floor = grids[0].name if grids else "open space"
+        return f"Controller({self.policy!r} on {floor}, {len(self._agents.row)} agents, dt {self.dt:g} s)"
+
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
