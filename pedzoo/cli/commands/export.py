@@ -46,7 +46,7 @@ def _parser() -> Arguments:
     what.add_argument(
         "--hub", metavar="FOLDER", help="weights, card and README.md, to be uploaded as they are"
     )
-    what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (pedzoo[onnx])")
+    what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (pip install '.[onnx]')")
     zoo = parser.add_argument_group("with --zoo, of a checkpoint in its run folder")
     zoo.add_argument("--to", metavar="FOLDER", help="where to write (default: zoo)")
     zoo.add_argument("--name", metavar="ARCH.TAG", help="default: the config and the fold, sgan_goal.zara1")

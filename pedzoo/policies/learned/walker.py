@@ -4,8 +4,9 @@ from typing import Any, ClassVar, NamedTuple, get_args
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn.probabilistic import InteractionType as ExplorationType
+from tensordict.nn.probabilistic import interaction_type as exploration_type
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, exploration_type
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import ids_of
