@@ -10,25 +10,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pedzoo.eval.evaluate import evaluate as evaluate
-    from pedzoo.eval.rollout import rollout as rollout
-    from pedzoo.metrics.closed_loop import measure as measure
-    from pedzoo.models.zoo.loading import list_models as list_models
-    from pedzoo.models.zoo.loading import load as load
-    from pedzoo.policies.load import list_policies as list_policies
-    from pedzoo.sim.make import make_env as make_env
-    from pedzoo.sim.robot_parts.make import make_robot_env as make_robot_env
+    from pedzoo.eval.evaluate import evaluate
+    from pedzoo.eval.rollout import rollout
+    from pedzoo.metrics.closed_loop import measure
+    from pedzoo.models.zoo.loading import list_models
+    from pedzoo.policies.load import list_policies, list_scenarios, load
+    from pedzoo.sim.make import make_env
+    from pedzoo.sim.robot_parts.make import make_robot_env
+    from pedzoo.viz.plot import plot
 
 __version__ = "0.1.0"
 
+__all__ = [
+    "evaluate",
+    "list_models",
+    "list_policies",
+    "list_scenarios",
+    "load",
+    "make_env",
+    "make_robot_env",
+    "measure",
+    "plot",
+    "rollout",
+]
+
 _HOME = {
     "evaluate": "pedzoo.eval.evaluate",
-    "load": "pedzoo.models.zoo.loading",
     "list_models": "pedzoo.models.zoo.loading",
     "list_policies": "pedzoo.policies.load",
-    "measure": "pedzoo.metrics.closed_loop",
+    "list_scenarios": "pedzoo.policies.load",
+    "load": "pedzoo.policies.load",
     "make_env": "pedzoo.sim.make",
     "make_robot_env": "pedzoo.sim.robot_parts.make",
+    "measure": "pedzoo.metrics.closed_loop",
+    "plot": "pedzoo.viz.plot",
     "rollout": "pedzoo.eval.rollout",
 }
 

@@ -4,8 +4,10 @@ Nothing heavy is imported here: the overview is read from files, and a command i
 Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one line); 130 interrupted.
 """
 
+import os
 import sys
 from importlib import import_module
+from pathlib import Path
 
 from pedzoo import __version__
 from pedzoo.core import renamed
@@ -23,6 +25,9 @@ from pedzoo.core.registry import (
     Registry,
 )
 
+PAGES = Path(__file__).with_name("pages")
+"""Help of heavy commands, written by ``tools/pages/command_pages.py``."""
+
 COMMANDS = Registry("command", "pedzoo.cli.commands", "pedzoo.cli.commands.training")
 
 
@@ -30,13 +35,18 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command and return the exit code."""
     argv = sys.argv[1:] if argv is None else argv
     try:
-        return _dispatch(argv)
+        code = _dispatch(argv)
+        sys.stdout.flush()
+        return code
     except UserError as error:
         print(f"pedzoo: {_readable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("pedzoo: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # of `| head`: no more is read, not at exit either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
 
 
 def _readable(message: str) -> str:
@@ -53,7 +63,13 @@ def _dispatch(argv: list[str]) -> int:
         return 0
     name, rest = argv[0], argv[1:]
     if package := COMMANDS.package_of(name):
-        return import_module(f"{package}.{name}").run(renamed.new_words(rest))
+        page = PAGES / f"{name}.txt"
+        if rest in (["--help"], ["-h"]) and page.is_file():  # without the seconds that its imports take
+            print(page.read_text(), end="", flush=True)
+            raise SystemExit(0)
+        rest = renamed.new_words(rest)
+        import_module("pedzoo.cli.checks").check(name, rest)
+        return import_module(f"{package}.{name}").run(rest)
     return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
 
 

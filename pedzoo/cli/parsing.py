@@ -15,12 +15,13 @@ from typing import Any, get_args, get_origin
 
 from jsonargparse import ArgumentParser, Namespace
 
+from pedzoo.cli.words import shipped_configs, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.adapters import option_types
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import config_names, find_config
-from pedzoo.core.spec import homes, split, unquoted
+from pedzoo.core.paths import find_config
+from pedzoo.core.spec import homes
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
@@ -43,7 +44,7 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
     try:
         return parser.parse_args(_written_out(parser, _config_files(renamed.new_options(argv))))
     except ArgumentError as error:
-        raise UserError(explain(str(error), _known_options(parser, classes))) from error
+        raise UserError(explain(str(error), known_options(parser, classes))) from error
 
 
 def classes_named(argv: list[str]) -> dict[str, str]:
@@ -59,45 +60,24 @@ def classes_named(argv: list[str]) -> dict[str, str]:
     return result
 
 
-def given(argv: list[str], flag: str) -> str | None:
-    """Return the value that ``flag`` has on the command line, None where it is not there."""
-    for i, word in enumerate(argv):
-        name, joined, value = word.partition("=")
-        if name == flag and (joined or i + 1 < len(argv)):
-            return value if joined else argv[i + 1]
-    return None
-
-
-def whole_numbers(option: str, text: str) -> list[int]:
-    """Return the numbers of ``0,1,2``.
-
-    Raises:
-        UserError: Something else is among them.
-    """
-    try:
-        return [int(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        raise UserError(f"{option} {text}: expected whole numbers between commas") from None
-
-
 def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
     if match := re.search(r"unrecognized arguments: (\S+)", message):
         given = match[1].partition("=")[0]
         path, owner = _place(message[: match.start()])
         if owner:  # one of a group in it
-            return _unknown(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
-        return _unknown(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
+            return unknown_option(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
+        return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
     if re.search(r"arguments are required: model\b", message):
-        return f"no model: choose one with --config NAME ({_configs()}) or --model CLASS"
+        return f"no model: choose one with --config NAME ({shipped_configs()}) or --model CLASS"
     if re.search(r"arguments are required: policies\b", message):
         return "no policies: name them before the options, as in orca go_to_goal --episodes 20"
     if match := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
-        return _unknown("--" + ".".join(filter(None, match.groups())), known)
+        return unknown_option("--" + ".".join(filter(None, match.groups())), known)
     if match := re.search(r"Option '([^']*)' is not accepted", message):
         path, owner = _place(message[: match.start()])
         options = _options_of(path, owner) if owner else []
-        return _unknown(_below(path, match[1]), options or known)
+        return unknown_option(_below(path, match[1]), options or known)
     if match := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
         path, _ = _place(message[: match.start()])
         return _mismatch(path, _plain(match[1]), match[2])
@@ -111,7 +91,7 @@ def explain(message: str, known: list[str]) -> str:
         r"given class_path '([^']*)':\s+the following arguments are required: (.*)", message
     ):
         path, _ = _place(message[: match.start()])
-        return f"{path} {match[1]} needs {match[2]}, too: start from --config NAME ({_configs()})"
+        return f"{path} {match[1]} needs {match[2]}, too: start from --config NAME ({shipped_configs()})"
     if match := re.search(r"given class_path '([^']*)':\s+(.*)", message):
         path, _ = _place(message[: match.start()])
         return f"{path} {match[1]}: {match[2]}"
@@ -150,21 +130,6 @@ def _place(text: str) -> tuple[str, str]:
     return "--" + ".".join(re.findall(r'Parser key "([^"]*)"', text)), owners[-1] if owners else ""
 
 
-def _unknown(given: str, known: list[str]) -> str:
-    if given in known:  # it belongs to a model, and there is none yet
-        return f"{given} needs a model: choose one with --config NAME ({_configs()}) or --model CLASS"
-    parent, _, leaf = given.rpartition(".")
-    below = [name for name in known if name.startswith(f"{parent}.") or name.rpartition(".")[0] == parent]
-    below.sort(key=lambda name: name.count("."))
-    # of two with one name, the first of those that are nested least
-    siblings = {name.rpartition(".")[2].lstrip("-"): name for name in reversed(below)}
-    near = [siblings[name] for name in get_close_matches(leaf.lstrip("-"), siblings, n=1)]
-    # `--lr` for `--model.lr`, then a misspelt parent
-    near += [name for name in known if name.rpartition(".")[2] == leaf.lstrip("-")]
-    near += get_close_matches(given, known, n=1, cutoff=0.7)
-    return f"unknown option {given}" + (f": did you mean {near[0]}?" if near else "; --help lists all")
-
-
 def _mismatch(option: str, expected: str, given: str) -> str:
     near = get_close_matches(given, re.findall(r"'([^']*)'", expected), n=1)
     return f"{option}: expected {expected}, not {given!r}" + (f": did you mean {near[0]!r}?" if near else "")
@@ -175,11 +140,8 @@ def _plain(name: str) -> str:
     return re.sub(r"(?:typing\.)?Literal\[(.*)\]", r"one of \1", name)
 
 
-def _configs() -> str:
-    return ", ".join(config_names()) or "none shipped"
-
-
-def _known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -> list[str]:
+def known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -> list[str]:
+    """Return the options of a parser, and of the subclasses that it configures; arguments as of `parse`."""
     known = [name for name in option_types(parser) if name.startswith("--")]
     for prefix, base in classes:
         family = [base, *base.__subclasses__()]
@@ -222,18 +184,9 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
             continue
         value = value if joined else follows[0]
         if not value.startswith(("[", "-", "{")) and value != "null" and (alone or "," in value):
-            listed = json.dumps(_names(value)) if item is str else f"[{value}]"
+            listed = json.dumps(split_names(value)) if item is str else f"[{value}]"
             result[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
     return result
-
-
-def _names(text: str) -> list[str]:
-    """Split at commas, but for those between the settings behind a name's colon."""
-    result: list[str] = []
-    for part in split(text):
-        goes_on = bool(result) and ":" in result[-1] and "=" in part.partition(":")[0]
-        result = [*result[:-1], f"{result[-1]},{part}"] if goes_on else [*result, part]
-    return [unquoted(part) for part in result]
 
 
 def _item_type(hint: object) -> tuple[object | None, bool]:

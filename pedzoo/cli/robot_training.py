@@ -5,8 +5,9 @@ from typing import Any
 
 from lightning.pytorch.cli import LightningArgumentParser
 
-from pedzoo.cli.parsing import given, parse
+from pedzoo.cli.parsing import parse
 from pedzoo.cli.training_parser import ProgressBar, RunCLI
+from pedzoo.cli.words import given
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.train.robots.ppo import RobotPPO

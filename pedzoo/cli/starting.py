@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from pedzoo.cli.parsing import given
+from pedzoo.cli.words import given
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import names_code
 from pedzoo.models.zoo.keys import refuse_code

@@ -8,7 +8,9 @@ import warnings
 from argparse import SUPPRESS
 from collections.abc import Mapping
 from contextlib import ExitStack
+from csv import DictReader
 from pathlib import Path
+from time import monotonic
 from typing import Any, Literal, cast
 
 from lightning.fabric.utilities.exceptions import MisconfigurationException
@@ -17,16 +19,18 @@ from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import classes_named, parse
+from pedzoo.cli.progress import duration
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
 from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
+from pedzoo.core.registry import import_path, names_code
 from pedzoo.core.renamed import new_options
-from pedzoo.core.spec import setting_groups
+from pedzoo.core.spec import setting_groups, spelled
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
-from pedzoo.models.zoo.loading import read_checkpoint
+from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
@@ -103,7 +107,10 @@ class TrainingCLI(RunCLI):
         files = cast("ConfigParser", parser)
         files.classes = classes = classes_named(args)
         files.beside = self.beside
-        args = new_options(args, classes)
+        args = [
+            import_path(word) if before in ("--model", "--model.generator") and names_code(word) else word
+            for before, word in zip(["", *args], new_options(args, classes), strict=False)
+        ]
         self.config = parse(parser, args, [("model", ForecastModule)])
 
     def instantiate_classes(self) -> None:
@@ -162,7 +169,7 @@ class TrainingCLI(RunCLI):
 
     def fit(self) -> int:
         """Train, and print what to do next."""
-        run = self.run
+        run, began = self.run, monotonic()
         try:
             self.trainer.fit(self.model, self.datamodule, ckpt_path=self.config["ckpt_path"])
         except SystemExit:
@@ -183,9 +190,39 @@ class TrainingCLI(RunCLI):
         if not self.trainer.is_global_zero:
             return 0
         if run and (chosen := next((path for path in (run.best, run.last) if path.is_file()), None)):
-            print(f"\nnext: pedzoo forecast {chosen} {self._data_options()} --samples 20")
-            print(f"      pedzoo rollout {chosen} --scenario door --plot rollout.png --video rollout.webm")
+            print(f"\n{self._summary(run, chosen)}, {duration(monotonic() - began)}")
+            code = architecture_of(cast("ForecastModule", self.model).generator)
+            weights = shlex.quote(f"{code}:weights={chosen}" if names_code(code) else str(chosen))
+            print(f"next: pedzoo forecast {weights} {self._data_options()} --samples 20")
+            print(f"      pedzoo rollout {weights} --scenario {self._scenario()} --plot rollout.png")
         return 0
+
+    def _summary(self, run: RunFolder, chosen: Path) -> str:
+        """Return what the weights are worth by the run's own table: ``val/ade 0.075 (epoch 2)`` and so on."""
+        epoch, monitor = read_checkpoint(chosen).get("epoch"), self.config["monitor"]
+        file = run.path / "metrics.csv"
+        rows = list(DictReader(file.read_text().splitlines())) if file.is_file() else []
+        values = {
+            key: value
+            for row in rows
+            if row.get("epoch") == str(epoch)
+            for key, value in row.items()
+            if value
+        }
+        said = [
+            f"{monitor} {float(values[monitor]):.3f} (epoch {epoch})"
+            if monitor in values
+            else f"epoch {epoch}"
+        ]
+        for name in self.config_init["rollout"].scenarios:
+            if success := values.get(f"rollout/{name}/success"):
+                said.append(f"{name.partition(':')[0]} success {float(success):.2f}")
+        return ", ".join(said)
+
+    def _scenario(self) -> str:
+        """Return where to watch the weights walk: on the floor plan of their recordings, if there is one."""
+        plan = self.config["data"].get("map")
+        return shlex.quote(spelled("goals", {"map": str(plan)})) if plan else "door"
 
     def measure(self) -> int:
         """Validate or test, and print the table."""

@@ -1,7 +1,7 @@
 """What all trainings at the command line share: config files with what they inherit, and a progress bar."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,6 +13,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.core.configs import load_config
+from pedzoo.core.registry import file_path, import_path, names_code
 from pedzoo.train.run_settings import lent
 
 
@@ -44,8 +45,22 @@ class ConfigParser(LightningArgumentParser):
         settings = load_config(os.fspath(path), self.classes)
         if self.beside and Path(path) == self.beside:
             settings = lent(settings, self.beside)
+        else:
+            settings = with_classes(settings, lambda path: import_path(path) if names_code(path) else path)
         whole = yaml.safe_dump(settings, sort_keys=False)
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
+
+
+def with_classes(settings: Any, change: Callable[[str], str]) -> Any:
+    """Return settings in which every ``class_path`` is changed."""
+    if isinstance(settings, list):
+        return [with_classes(one, change) for one in settings]
+    if not isinstance(settings, dict):
+        return settings
+    result = {key: with_classes(value, change) for key, value in settings.items()}
+    if isinstance(path := result.get("class_path"), str):
+        result["class_path"] = change(path)
+    return result
 
 
 class RunCLI(LightningCLI):
@@ -73,4 +88,5 @@ class RunCLI(LightningCLI):
     def plain_config(self) -> dict[str, Any]:
         """Return the resolved configuration as plain values, without what belongs to this call only."""
         result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
+        result = with_classes(result, file_path)
         return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}

@@ -22,6 +22,9 @@ from zlib import crc32
 
 from pedzoo.core.errors import UserError, unknown
 
+_OF_FILES = "pedzoo_user_"
+"""How the names of modules begin that are files of users."""
+
 ROOT = Path(__file__).parents[2]
 """The checkout, or where the wheel is installed."""
 
@@ -215,6 +218,18 @@ def function_in_file(spec: str) -> Callable[..., Any]:
     return _in_file(spec, "function", inspect.isfunction)
 
 
+def import_path(spec: str) -> str:
+    """Return the import path of a class behind ``path/to/file.py:Class``; jsonargparse takes no other."""
+    cls = _in_file(spec, "class", inspect.isclass)
+    return f"{cls.__module__}.{cls.__qualname__}"
+
+
+def file_path(path: str) -> str:
+    """Return ``path/to/file.py:Class`` of an import path that `import_path` gave; others stay."""
+    module, _, name = path.rpartition(".")
+    return f"{sys.modules[module].__file__}:{name}" if module.startswith(_OF_FILES) else path
+
+
 def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
     """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind."""
     file, _, name = spec.rpartition(":")
@@ -229,7 +244,7 @@ def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
 
 @cache
 def _executed(path: Path) -> dict[str, Any]:
-    module_name = f"pedzoo_user_{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
+    module_name = f"{_OF_FILES}{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
     module_spec = importlib.util.spec_from_file_location(module_name, path)
     assert module_spec and module_spec.loader
     module = importlib.util.module_from_spec(module_spec)

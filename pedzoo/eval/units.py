@@ -13,7 +13,7 @@ from pedzoo.core.registry import SUITES, folder_of, names_code
 from pedzoo.core.spec import Spec, parse, unquoted
 from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
-from pedzoo.policies.load import parts
+from pedzoo.policies.crowd_names import parts
 
 _MATTER = (".py", ".csv", ".yaml", ".png")
 _NO_MATTER = ("cli", "train", "viz", "configs")

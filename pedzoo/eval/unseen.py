@@ -9,7 +9,7 @@ from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.header import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find
-from pedzoo.policies.load import parts
+from pedzoo.policies.crowd_names import parts
 
 
 def for_fold(policy: str, fold: str) -> str:

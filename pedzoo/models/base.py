@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pedzoo.maps.grid import OccupancyGrid
+    from pedzoo.models.zoo.card import ModelCard
     from pedzoo.policies.learned.walker import Walker
     from pedzoo.policies.stepping.controller import Controller
 
@@ -44,6 +45,8 @@ class Forecaster(nn.Module):
     """A model of the zoo.
 
     Attributes:
+        name: As it was loaded: ``sgan_goal.zara1``, a file, an architecture.
+        card: Its card, of weights that have one.
         needs: Inputs besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         noise_periods: How often each number of the noise is drawn when it walks, seconds, see
@@ -60,6 +63,8 @@ class Forecaster(nn.Module):
             of the model.
     """
 
+    name: str = ""
+    card: ModelCard | None = None
     needs: frozenset[str] = frozenset()
     stochastic: ClassVar[bool] = True
     noise_dim: int = 0

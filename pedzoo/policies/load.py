@@ -1,29 +1,20 @@
-"""Policies by name, and mixed crowds of them: ``orca:share=0.5+sgan_goal_map.indoor``.
+"""Policies by name: those of the registry, models, mixed crowds, and policies of robots."""
 
-The policies of a crowd are joined by ``+``. The setting ``share`` belongs to the team, not to the policy. A
-``+`` does not join policies in these places:
-
-* in brackets, and in a number (``1e+3``);
-* in the name of a file or folder that exists;
-* in a path or an address. There it joins if the name of a policy, of a model or of a file that exists
-  follows, or an address.
-"""
-
-import math
-import os
-import re
 from fnmatch import fnmatch
-from typing import NamedTuple, cast
+from pathlib import Path
+from typing import Any, cast
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, names_code
-from pedzoo.core.spec import build, make, name_of, parse, split
+from pedzoo.core.machine import usable
+from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
+from pedzoo.core.spec import build, make, parse
+from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
-from pedzoo.models.zoo.address import is_address
-from pedzoo.models.zoo.card import is_name
-from pedzoo.models.zoo.loading import baselines, list_models, load
-from pedzoo.models.zoo.store import find, is_file, names, robots
+from pedzoo.models.zoo.loading import baselines, list_models, untrained
+from pedzoo.models.zoo.loading import load as load_model
+from pedzoo.models.zoo.store import find, is_file, no_model, robots
+from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.local_planner import load_local_planner
 from pedzoo.policies.policy import Policy
@@ -34,8 +25,63 @@ from pedzoo.policies.teams import Crowd, Teams
 ROBOT_SECONDS = 0.2
 """Seconds between two decisions of a robot, where nothing else is said."""
 
-_SHARE = "share"
-_ROUNDING = 1e-6
+
+def load(
+    name: str | Path,
+    goal: GoalProtocol | None = None,
+    *,
+    device: str = "cpu",
+    pretrained: bool = True,
+    **settings: Any,
+) -> Any:
+    """Return any model or policy by its name; both have ``controller(map)``, ``policy()`` and ``name``.
+
+    Args:
+        name: A model, as of `pedzoo.models.zoo.loading.load`: ``sgan_goal_map.indoor``, a file, an address,
+            ``path/to/file.py:Class``. A policy, as of `load_policy`: ``orca:radius=0.3``, a model with
+            settings of how it walks (``sgan_goal_map.indoor:safety=false``), or a mixed crowd.
+        goal: The goal protocol for untrained models that ask for it.
+        device: Where the weights are, such as ``cuda``.
+        pretrained: False for a model whose weights are drawn anew, see `untrained`.
+        settings: Of an untrained model's architecture: ``load("sgan", pretrained=False, noise_dim=4)``.
+
+    Returns:
+        A `Forecaster` in eval mode, or a `Policy`.
+
+    Raises:
+        UserError: No such model or policy, setting or device, with the nearest spelling.
+    """
+    name = str(name)
+    if not pretrained:
+        result = untrained(name, goal, **settings)
+    elif settings:
+        given = ", ".join(settings)
+        raise UserError(
+            f"{given}: settings of untrained models, pretrained=False; those of a policy stand behind its "
+            f"name, {name}:KEY=VALUE"
+        )
+    elif _is_of_policy(name):
+        result = load_policy(name)
+    elif not (is_file(name) or name in MODELS.names() or find(name)):
+        raise no_model(name, [*POLICIES.names(), *baselines()], "model or policy")
+    else:
+        result = load_model(name, goal)
+    return result if device == "cpu" else result.to(usable(device))
+
+
+def _is_of_policy(text: str) -> bool:
+    """Return whether a text names a policy, or a model with settings of how it walks."""
+    if is_crowd(text):
+        return True
+    spec = parse(text)
+    if names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy):
+        return True
+    return spec.name in POLICIES.names() or bool(spec.settings.keys() - {"weights"})
+
+
+def list_scenarios(pattern: str = "*") -> list[str]:
+    """Return the names of all scenarios that match ``pattern``."""
+    return [name for name in SCENARIOS.names() if fnmatch(name, pattern)]
 
 
 def load_policy(name: str) -> Policy | Walker:
@@ -49,8 +95,12 @@ def load_policy(name: str) -> Policy | Walker:
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message; impossible shares.
     """
-    if is_crowd(name):
-        return Teams(crowd_of(name))
+    result = Teams(crowd_of(name)) if is_crowd(name) else _one_policy(name)
+    result.name = name
+    return result
+
+
+def _one_policy(name: str) -> Policy | Walker:
     spec, more = parse(name), {}
     own = names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy)
     if own or spec.name in POLICIES.names():
@@ -59,7 +109,7 @@ def load_policy(name: str) -> Policy | Walker:
         model, settings = spec.name, renamed.new_settings(spec.settings)
         if names_code(model) and "weights" in settings:
             model = f"{model}:weights={settings.pop('weights')}"
-        kind, cls, more = "walker", Walker, {"model": load(model)}
+        kind, cls, more = "walker", Walker, {"model": load_model(model)}
         spec = spec._replace(settings=settings)
     else:
         raise unknown("policy", spec.name, list_policies())
@@ -108,7 +158,7 @@ def load_robot_policy(name: str) -> RobotPolicy:
     if spec.name not in ROBOT_POLICIES.names() and (not names_code(spec.name) or _is_pedestrian(spec.name)):
         if (trained := load_robot_weights(name)) is not None:
             return trained
-        if not any(map(_is_policy, parts(name))):
+        if not any(map(is_policy, parts(name))):
             raise unknown("robot policy", spec.name, (*list_robot_policies(), *list_policies()))
         return AsPedestrian(load_policy(name))
     if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
@@ -118,105 +168,3 @@ def load_robot_policy(name: str) -> RobotPolicy:
 
 def _is_pedestrian(file: str) -> bool:
     return issubclass(POLICIES.get(file), Policy | Forecaster)
-
-
-class Member(NamedTuple):
-    """A team as it was written.
-
-    Attributes:
-        policy: Its policy with settings, without ``share``.
-        share: Part of the agents that it moves, above 0, at most 1.
-    """
-
-    policy: str
-    share: float
-
-
-def parts(text: str) -> list[str]:
-    """Return the policies that are joined in a text, each with its settings and its ``share``."""
-    pieces = split(text, "+")
-    result = pieces[:1]
-    for place in range(1, len(pieces)):
-        if _goes_on(result[-1], pieces[place:]):
-            result[-1] += f"+{pieces[place]}"
-        else:
-            result.append(pieces[place])
-    return [part.strip() for part in result]
-
-
-def is_crowd(text: str) -> bool:
-    """Return whether a text is a crowd of teams: several policies, or one with a ``share``."""
-    result = parts(text)
-    return len(result) > 1 or (":" in text and _SHARE in parse(text).settings)
-
-
-def members(text: str) -> list[Member]:
-    """Return the teams of a crowd; those without a share have equal parts of what the others leave.
-
-    Raises:
-        UserError: A share is no positive number, or the shares do not sum to 1.
-    """
-    policies: list[str] = []
-    shares: list[float | None] = []
-    for part in parts(text):
-        if not part:
-            raise UserError(f"{text!r}: a policy is missing beside '+': expected orca:share=0.5+go_to_goal")
-        name, settings = parse(part)
-        own = ",".join(f"{key}={value}" for key, value in settings.items() if key != _SHARE)
-        policies.append(f"{name}:{own}" if own else name)
-        shares.append(_number(part, settings[_SHARE]) if _SHARE in settings else None)
-    given = sum(share for share in shares if share is not None)
-    if given > 1 + _ROUNDING:
-        raise UserError(f"{text!r}: the shares sum to {given:g}: expected at most 1; make them smaller")
-    open_shares = shares.count(None)
-    rest = 1 - given
-    if not open_shares and rest > _ROUNDING:
-        raise UserError(
-            f"{text!r}: the shares sum to {given:g}, and the rest has no policy: leave out one share, which "
-            "then is the rest, or make them larger"
-        )
-    if open_shares and rest <= _ROUNDING:
-        without = policies[shares.index(None)]
-        raise UserError(f"{text!r}: nothing is left for {without!r}: make the other shares smaller")
-    return [
-        Member(policy, rest / open_shares if share is None else share)
-        for policy, share in zip(policies, shares, strict=True)
-    ]
-
-
-def _number(part: str, text: str) -> float:
-    try:
-        share = float(text)
-    except ValueError:
-        share = math.nan
-    if not 0 < share < math.inf:
-        raise UserError(f"{part!r}: share {text}: expected a number above 0, at most 1")
-    return share
-
-
-def _goes_on(before: str, pieces: list[str]) -> bool:
-    """Return whether a policy's text goes on behind the ``+``, with the first of the pieces."""
-    if re.search(r"\d\.?[eE]$", before) and pieces[0][:1].isdigit():
-        return True
-    # the name, or the value of the last setting
-    value = re.split(r"[:,]\s*\w+\s*=", before)[-1]
-    if re.search(r"\.py:\w+\s*$", value):
-        return False
-    joined = ["+".join(pieces[:count]) for count in range(1, len(pieces) + 1)]
-    if any(_exists(f"{value}+{ahead}") for ahead in joined):
-        return True
-    return "/" in value and not any(_is_policy(ahead) for ahead in joined)
-
-
-def _is_policy(text: str) -> bool:
-    name = name_of(text.strip())
-    if is_name(name) and name.partition(".")[0] in MODELS.names():
-        return True
-    return is_address(name) or name in (*POLICIES.names(), *MODELS.names(), *names()) or _exists(text)
-
-
-def _exists(text: str) -> bool:
-    """Return whether the name in a text is that of a file, or of a model in a folder."""
-    name = os.path.expanduser(name_of(text.strip()))
-    file = name.rpartition(":")[0] if names_code(name) else name
-    return os.path.exists(file) or os.path.exists(f"{file}.yaml")

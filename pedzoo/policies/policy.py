@@ -2,13 +2,12 @@
 
 from typing import Any, ClassVar
 
-from tensordict.nn import TensorDictModuleBase
-
 from pedzoo.core.errors import UserError
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.named import NamedPolicy
 
 
-class Policy(TensorDictModuleBase):
+class Policy(NamedPolicy):
     """Reads a scene batch and writes each person's velocity (B, A, 2) in m/s to ``agents/action``.
 
     Attributes:

@@ -137,6 +137,16 @@ class PedestrianEnv(EnvBase):
         self.reward_spec = reward_spec(num_envs, agents).to(self.device)
         self.done_spec = done_spec(num_envs).to(self.device)
 
+    def __repr__(self) -> str:
+        scenes, people = (
+            f"{self.batch_size[0]} scenes of {self.prepared.people} people",
+            f"{self.decision_dt:g} s",
+        )
+        name = type(self.scenario).__name__
+        return (
+            f"{type(self).__name__}({name}, {scenes}, {type(self.physics).__name__}, decides every {people})"
+        )
+
     @property
     def scenario(self) -> Scenario:
         """The settings of the scenes."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+import torch
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
-from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.warm_start import WarmStart
 
 CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""
@@ -25,7 +26,12 @@ def make_env(
     physics: str = "compiled",
     clearance: float = CLEARANCE,
     body_radius: float = BODY_RADIUS,
-    **settings: Any,
+    seed: int = 0,
+    decision_dt: float = STEP_SECONDS,
+    warm_start: WarmStart = "orca",
+    first_episode: int = 0,
+    stride: int | None = None,
+    device: torch.device | str = "cpu",
 ) -> PedestrianEnv:
     """Return the environment of a scenario.
 
@@ -38,14 +44,21 @@ def make_env(
             ``file.py:Class``, with settings. Called ``world`` before, and ``compiled`` ``grid``.
         clearance: Metres that planned ways keep from walls.
         body_radius: Of a person, metres.
-        settings: As of `PedestrianEnv`: ``seed``, ``decision_dt``, ``warm_start``, ``first_episode``, ...
+        seed: Of all scenes; scene i of a seed is the same however many are run at once.
+        decision_dt: Seconds between two decisions, a multiple of 0.1.
+        warm_start: Where the first 8 observed steps come from.
+        first_episode: Number of the first scene.
+        stride: From a scene that ends to the next one, ``num_envs`` by default; see `PedestrianEnv`.
+        device: Where scenes are, and everything that they are looked up in.
 
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
     prepared = prepare_scenario(scenario, clearance)
     moves = make_physics(physics, prepared.bank, body_radius)
-    return PedestrianEnv(prepared, moves, num_envs, body_radius=body_radius, **settings)
+    return PedestrianEnv(
+        prepared, moves, num_envs, seed, decision_dt, warm_start, first_episode, stride, body_radius, device
+    )
 
 
 def make_scenario(scenario: str | Spec | Scenario) -> Scenario:

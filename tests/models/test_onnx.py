@@ -231,7 +231,7 @@ def test_missing_packages_are_named(
 ) -> None:
     monkeypatch.setattr(onnx_export, "find_spec", lambda name: None if "onnxr" in name else name)
     assert main(["export", "constant_velocity", "--onnx", str(tmp_path / "x.onnx")]) == 2
-    assert "ONNX needs onnxruntime: pip install 'pedzoo[onnx]'" in capsys.readouterr().err
+    assert "ONNX needs onnxruntime: pip install '.[onnx]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["patch", "rings", "alexnet"])

@@ -22,7 +22,8 @@ from pedzoo.eval.suite import EvaluationCase, WorkUnit
 from pedzoo.eval.units import digest
 from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.bank import MapBank
-from pedzoo.policies.load import Member, is_crowd, load_policy, members, parts, teams
+from pedzoo.policies.crowd_names import Member, is_crowd, members, parts
+from pedzoo.policies.load import load_policy, teams
 from pedzoo.policies.policy import Policy, has_noise, walkers
 from pedzoo.policies.stepping.controller import Controller
 from pedzoo.policies.teams import Teams

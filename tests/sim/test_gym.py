@@ -210,7 +210,7 @@ def test_what_does_not_fit_is_named() -> None:
 
 def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'pedzoo\[gym\]'"):
+    with pytest.raises(UserError, match=r"pip install '\.\[gym\]'"):
         importlib.reload(pedzoo.sim.gym)
 
 

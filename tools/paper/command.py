@@ -57,8 +57,8 @@ Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV, ROBOTS. What was in
     options = parser.parse_args(argv)
 
     from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
-    from pedzoo.cli.parsing import whole_numbers
     from pedzoo.cli.progress import overall_bar
+    from pedzoo.cli.words import whole_numbers
     from pedzoo.core.machine import versions
     from tools.paper.base import markdown
 

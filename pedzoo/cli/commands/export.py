@@ -14,6 +14,7 @@ _GOES_WITH = {"to": "zoo", "name": "zoo", "no_evaluation": "zoo", "data.root": "
 
 def run(argv: list[str]) -> int:
     """Write what is asked for and say what it is; returns the exit code."""
+    from pedzoo.cli.checks import check_model
     from pedzoo.cli.output import check_outputs, write_json
     from pedzoo.core.errors import UserError
     from pedzoo.core.machine import versions
@@ -23,6 +24,7 @@ def run(argv: list[str]) -> int:
         if vars(options)[option] and not vars(options)[way]:
             raise UserError(f"--{option.replace('_', '-')} goes with --{way}: leave it out")
     check_outputs(onnx=options.onnx, json=options.json)
+    check_model(options.model)
     if options.zoo:
         said = _zoo(options)
     elif options.hub:
@@ -44,7 +46,7 @@ def _parser() -> Arguments:
     what.add_argument(
         "--hub", metavar="FOLDER", help="weights, card and README.md, to be uploaded as they are"
     )
-    what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (pedzoo[onnx])")
+    what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (pip install '.[onnx]')")
     zoo = parser.add_argument_group("with --zoo, of a checkpoint in its run folder")
     zoo.add_argument("--to", metavar="FOLDER", help="where to write (default: zoo)")
     zoo.add_argument("--name", metavar="ARCH.TAG", help="default: the config and the fold, sgan_goal.zara1")

@@ -1,6 +1,7 @@
 """Shortest paths through a floor plan by way of the corners of its open cells."""
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,15 +99,15 @@ class CornerGraph:
         if self.graph.sight.clear(ends[:1], ends[1:])[0]:
             return np.empty(0, dtype=np.int32)
         first, last = self._views(start, goal)
-        begin = self._metres(first, start_place)
-        end = self._metres(last, goal_place)
+        begin = self.metres(first, start_place)
+        end = self.metres(last, goal_place)
         if self._small:
             length, before = self._all_pairs
             total = length[first[:, None], last] + begin[:, None] + end
             one, other = divmod(int(total.argmin()), len(last))
             before, chain = before[first[one]], [int(last[other])]
         else:
-            length, before = self._search(first, begin)
+            length, before = self.search(first, begin)
             chain = [int(last[(length[last] + end).argmin()])]
         while 0 <= (earlier := int(before[chain[-1]])) < len(self.cells):
             chain.append(earlier)
@@ -141,7 +142,7 @@ class CornerGraph:
         length, before = dijkstra(self.matrix, return_predecessors=True)
         return length, before
 
-    def _search(
+    def search(
         self, first: NDArray[np.int64], begin: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Return lengths and predecessors from a start, the node K, that sees the corners ``first``."""
@@ -157,6 +158,11 @@ class CornerGraph:
         length, before = dijkstra(joined, indices=count - 1, return_predecessors=True)
         return length, before
 
-    def _metres(self, some: NDArray[np.int64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+    def seen_by(self, cell: int) -> NDArray[np.int64]:
+        """Return the corners in sight of an open cell that a path may bend around."""
+        return self._seen_from(np.array([cell], dtype=np.int32))[1]
+
+    def metres(self, some: NDArray[np.int64] | slice, place: NDArray[Any]) -> NDArray[np.float64]:
+        """Return how far corners (S,) are from a column and row (2,)."""
         x, y = (self._place[some] - place).T
         return np.hypot(x, y) * self.graph.grid.resolution

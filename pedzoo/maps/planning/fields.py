@@ -8,7 +8,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
-from tqdm import tqdm
 
 from pedzoo.maps.planning.graph import STEPS, OpenGraph
 
@@ -50,6 +49,8 @@ def build_fields(graph: OpenGraph, cells: NDArray[np.int64], points: NDArray[np.
 
 
 def _sweep(graph: OpenGraph, cells: NDArray[np.int64], points: NDArray[np.float64]) -> Fields:
+    from tqdm import tqdm
+
     reach = dijkstra(graph.matrix, indices=cells).ravel()
     order, ends = _bands(reach / graph.grid.resolution)
     front = _Front(graph, cells, points)

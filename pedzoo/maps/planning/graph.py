@@ -2,10 +2,9 @@
 
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
@@ -153,10 +152,10 @@ def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.
     send a person who is pushed near one into it.
     """
     # connected through their sides, as the graph is; part 0 is everything else
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=4)
-    area = stats[1:, cv2.CC_STAT_AREA] * resolution**2
+    parts, _ = label(cells)
+    area = np.bincount(parts.ravel())[1:] * resolution**2
     large = np.concatenate(([False], area >= min(POCKET, area.max(initial=0))))
-    return np.take(large, np.asarray(parts, dtype=np.int32))
+    return np.take(large, parts)
 
 
 def format_point(point: NDArray[np.float64]) -> str:

@@ -4,12 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-_FEW = 1500
-"""Columns left of all lines at which looking at every one of them is cheaper than leaping on."""
-
-_ROUNDING = 1e-6
-"""Cells: lines between centres miss other centres by far more, unless they meet them."""
-
 _DIAGONAL = 2**0.5
 
 
@@ -36,54 +30,12 @@ class Sight:
 
     def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return which lines (M,) are clear, from and to columns and rows of open cells (M, 2)."""
-        way = (target - origin).astype(np.int64)
-        size = np.abs(way)
-        steep = size[:, 1] > size[:, 0]
-        steps = size.max(axis=1)
-        along, across = np.where(steep[:, None], way[:, ::-1], way).T
-        slope = across / np.maximum(steps, 1)
-        # flat index = base + column * forward + floor(height) * sideways, columns counted along the line
-        forward = np.where(steep, self._width, 1)
-        sideways = np.where(steep, 1, self._width)
-        base = (
-            origin[:, 1].astype(np.int64) * self._width + origin[:, 0] + np.where(across == 0, self._cells, 0)
-        )
-        base -= np.where(along < 0, forward, 0)  # squares are named by their smallest corner
-        forward = np.where(along < 0, -forward, forward)
+        from pedzoo.maps.planning.compiled_sight import clear_lines
 
-        seen = np.ones(len(way), dtype=bool)
-        open_lines = np.flatnonzero(steps)
-        at = np.zeros(len(open_lines), dtype=np.int64)
-        lines = base, forward, sideways, slope, steps
-        while True:
-            room = self._look(at, *(part[open_lines] for part in lines[:4]))
-            seen[open_lines[room == 0]] = False
-            at = at + room
-            rest = (room > 0) & (at < steps[open_lines])
-            open_lines, at = open_lines[rest], at[rest]
-            count = steps[open_lines] - at
-            if count.sum() <= _FEW:
-                break
-        line = np.repeat(open_lines, count)
-        column = np.arange(len(line)) + np.repeat(at - (count.cumsum() - count), count)
-        seen[line[self._look(column, *(part[line] for part in lines[:4])) == 0]] = False
+        seen = np.empty(len(origin), dtype=bool)
+        ends = (np.ascontiguousarray(end, dtype=np.int32) for end in (origin, target))
+        clear_lines(self._leap, self._width, self._cells, *ends, seen)
         return seen
-
-    def _look(
-        self,
-        column: NDArray[np.int64],
-        base: NDArray[np.int64],
-        forward: NDArray[np.int64],
-        sideways: NDArray[np.int64],
-        slope: NDArray[np.float64],
-    ) -> NDArray[np.int16]:
-        """Return the leaps of lines that are at the beginning of a column of squares, which may be two."""
-        begin = slope * column
-        end = begin + slope
-        low = np.floor(np.minimum(begin, end) + _ROUNDING).astype(np.int64)
-        high = np.ceil(np.maximum(begin, end) - _ROUNDING).astype(np.int64) - 1
-        at = base + column * forward
-        return np.minimum(self._leap[at + low * sideways], self._leap[at + np.maximum(high, low) * sideways])
 
 
 def _room(free: NDArray[np.bool_]) -> NDArray[np.float64]:

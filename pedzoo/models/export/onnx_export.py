@@ -102,7 +102,7 @@ def check_packages() -> None:
         UserError: One is missing.
     """
     if missing := [name for name in PACKAGES if find_spec(name) is None]:
-        raise UserError(f"ONNX needs {' and '.join(missing)}: pip install 'pedzoo[onnx]'")
+        raise UserError(f"ONNX needs {' and '.join(missing)}: pip install '.[onnx]' in a checkout")
 
 
 def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:

@@ -62,7 +62,7 @@ def readme(card: ModelCard) -> str:
 _FROM_HERE = """## From this repository
 
 ```python
-import pedzoo  # pip install pedzoo
+import pedzoo  # pip install . in a checkout of pedzoo
 
 model = pedzoo.load("hf://OWNER/REPOSITORY")  # as this page's address says
 ```

@@ -14,10 +14,11 @@ import torch
 from safetensors.torch import save
 
 from pedzoo.core import renamed
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import config_names, write_whole
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
-from pedzoo.core.spec import grouped, homes, parse, setting_groups, unquoted
+from pedzoo.core.spec import grouped, parse, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.card import ModelCard
@@ -56,20 +57,30 @@ def load(
         UserError: No such model, its files are damaged or cannot be had, or they are not what its card says.
     """
     name = str(name)
-    if names_code(name):
-        return _own(name, goal)
     if entry := find(name):
-        return _from_safetensors(weights_of(entry), entry.card)
+        model = _from_safetensors(weights_of(entry), entry.card)
+        model.name, model.card = entry.card.name, entry.card
+    elif names_code(name):
+        model = _own(name, goal)
+    else:
+        model = _weights_or_baseline(name, goal, own)
+    model.name = model.name or name
+    return model
+
+
+def _weights_or_baseline(name: str, goal: GoalProtocol | None, own: type[Forecaster] | None) -> Forecaster:
     if name.endswith(".safetensors"):
         return _from_safetensors(Path(name), own=own)
     if name.endswith(".ckpt"):
         return _from_checkpoint(Path(name), own)
     if name not in MODELS.names():
         raise no_model(name, baselines())
-    model = _untrained(name, goal)
+    model = untrained(name, goal)
     if any(True for _ in model.parameters()):
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
-        raise UserError(f"{name!r} is an architecture; name its weights: {weights}")
+        raise UserError(
+            f"{name!r} is an architecture; name its weights: {weights}; or pretrained=False for new ones"
+        )
     return model
 
 
@@ -79,7 +90,7 @@ def _own(name: str, goal: GoalProtocol | None) -> Forecaster:
     if unknown_settings := sorted(settings.keys() - {"weights"}):
         raise unknown(f"setting of {code}", unknown_settings[0], ["weights"])
     if not settings:
-        return _untrained(code, goal)
+        return untrained(code, goal)
     weights, own = unquoted(settings["weights"]), MODELS.get(code, Forecaster)
     model = load(weights, own=own)
     if not isinstance(model, own):
@@ -87,10 +98,39 @@ def _own(name: str, goal: GoalProtocol | None) -> Forecaster:
     return model
 
 
-def _untrained(name: str, goal: GoalProtocol | None) -> Forecaster:
+def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> Forecaster:
+    """Return a model whose weights are drawn anew, in eval mode.
+
+    Args:
+        name: An architecture (``sgan``), a config whose generator is meant (``sgan_goal``), a zoo name whose
+            architecture and settings are meant (``sgan_goal.zara1``), or ``path/to/file.py:Class``.
+        goal: The goal protocol, for models that ask for it.
+        settings: Of the architecture, without their groups: ``noise_dim=4``.
+
+    Raises:
+        UserError: No such model, or it has no such setting.
+    """
+    init: dict[str, Any] = {}
+    if entry := find(name):
+        name, init = entry.card.config["architecture"], entry.card.config["init"]
+    elif name not in MODELS.names() and name in config_names():
+        generator = load_config(name)["model"]["init_args"]["generator"]
+        name, init = generator["class_path"].rpartition(".")[0].rpartition(".")[2], generator["init_args"]
+        init = dict(
+            item
+            for key, part in init.items()
+            for item in (part.items() if isinstance(part, dict) else [(key, part)])
+        )
+    elif name not in MODELS.names() and not names_code(name):
+        raise no_model(name, [*MODELS.names(), *config_names()])
     model = MODELS.get(name, Forecaster)
-    asks = "goal_protocol" in {*inspect.signature(model).parameters, *homes(model)}
-    return _made(model, {"goal_protocol": goal} if goal and asks else {}, name).eval()
+    types = setting_types(model)
+    if wrong := sorted(settings.keys() - types.keys()):
+        raise unknown(f"setting of model {name}", wrong[0], types)
+    settings |= {"goal_protocol": goal} if goal and "goal_protocol" in types else {}
+    result = _made(model, init | settings, name).eval()
+    result.name = name
+    return result
 
 
 def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:

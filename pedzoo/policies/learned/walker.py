@@ -4,9 +4,9 @@ from typing import Any, ClassVar, NamedTuple, get_args
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn.probabilistic import InteractionType as ExplorationType
+from tensordict.nn.probabilistic import interaction_type as exploration_type
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, exploration_type
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import ids_of
@@ -17,6 +17,7 @@ from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.learned.extended_goals import extend_goals
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.safety import safe
+from pedzoo.policies.named import NamedPolicy
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -35,7 +36,7 @@ class Plan(NamedTuple):
     steps: Tensor
 
 
-class Walker(TensorDictModuleBase):
+class Walker(NamedPolicy):
     """Predicts each person's future from a scene batch and walks its first step: displacement / 0.4 s.
 
     Under a deterministic exploration type of TorchRL the noise is zero. Else it is drawn by the scene's
@@ -84,6 +85,7 @@ class Walker(TensorDictModuleBase):
         if not 1 <= execute_steps <= PRED_LEN:
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
+        self.name = model.name
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal

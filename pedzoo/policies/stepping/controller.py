@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn.probabilistic import InteractionType as ExplorationType
+from tensordict.nn.probabilistic import set_interaction_type as set_exploration_type
 from torch import Tensor, nn
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.batch import PERSON, ROBOT, scene_batch
 from pedzoo.core.errors import UserError
@@ -20,7 +21,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.policies.stepping.called_with import PREF_SPEED, as_discs, as_points
 from pedzoo.policies.stepping.caller_clock import CallerClock, times
 from pedzoo.policies.stepping.online_goals import OnlineGoals
@@ -101,10 +102,15 @@ class Controller:
         grid = load_plan(map) if isinstance(map, str | Path) else map
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._online_goals = OnlineGoals(Planner(bank, clearance))
+        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance))
         # with one call per decision there is nothing to blend
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
+
+    def __repr__(self) -> str:
+        grids = self._online_goals.planner.bank.grids
+        floor = grids[0].name if grids else "open space"
+        return f"Controller({self.policy!r} on {floor}, {len(self._agents.row)} agents, dt {self.dt:g} s)"
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""

@@ -12,7 +12,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import AHEAD_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.policies.stepping.called_with import as_points
 from pedzoo.policies.stepping.roster import Roster
 
@@ -27,7 +27,7 @@ class OnlineGoals(NamedTuple):
         planner: Its bank holds the floor plan alone, or nothing.
     """
 
-    planner: Planner
+    planner: OnlinePlanner
 
     @property
     def map_id(self) -> int:
@@ -72,8 +72,8 @@ class OnlineGoals(NamedTuple):
             return self, people
         planner, added = self.planner, fresh
         if planner.goals > max(_KEPT, 4 * len(fresh)):
-            # the field of a goal is as large as the floor plan, and new goals keep coming
-            planner, added = Planner(planner.bank, planner.clearance), has_goal
+            # the table of a goal is as large as the floor plan, and new goals keep coming
+            planner, added = planner.without_goals(), has_goal
         online_goals, goal_id = OnlineGoals(planner), goal_id.clone()
         goal_id[added] = online_goals._added(people, asked, added)
         people = people._replace(goal_id=goal_id)

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pedzoo.core.errors import UserError
 
 if find_spec("gymnasium") is None:
-    raise UserError("pedzoo.sim.gym needs gymnasium: pip install 'pedzoo[gym]'")
+    raise UserError("pedzoo.sim.gym needs gymnasium: pip install '.[gym]' in a checkout")
 
 from pedzoo.sim.gym.ids import register_all
 

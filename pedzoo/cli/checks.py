@@ -1,0 +1,208 @@
+"""Mistakes that are refused before anything heavy is imported: options, names, settings and files.
+
+What is checked here the command itself checks, too, so that everything of which this is not certain passes.
+"""
+
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pedzoo.cli.main import PAGES
+from pedzoo.cli.output import check_outputs
+from pedzoo.cli.words import given, split_names, unknown_option
+from pedzoo.core import renamed
+from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.paths import find_config
+from pedzoo.core.registry import (
+    DATASETS,
+    MODELS,
+    PHYSICS,
+    POLICIES,
+    ROBOT_POLICIES,
+    SCENARIOS,
+    SUITES,
+    Registry,
+    names_code,
+)
+from pedzoo.core.spec import name_of, parse, unquoted
+from pedzoo.models.zoo.store import ROBOTS, find, is_file, names, no_model
+from pedzoo.policies.crowd_names import members, parts
+
+ROBOT_MODULES = "pedzoo.train.robots."
+"""Where the classes are that train robots."""
+
+_TRAININGS = ("fit", "validate", "test")
+
+
+@cache
+def known() -> dict[str, Any]:
+    """Return the options of commands, and the settings of what is named with some."""
+    return json.loads((PAGES / "known.json").read_text())
+
+
+def check(command: str, argv: list[str]) -> None:
+    """Refuse a command line of a heavy command that is certainly wrong; others pass.
+
+    Raises:
+        UserError: An option, a name, a setting or a file that there is not.
+    """
+    if command not in known()["options"] or {"-h", "--help"} & set(argv):
+        return
+    argv = renamed.new_options(argv)
+    _check_options(command, argv)
+    check_outputs(**{name: given(argv, f"--{name}") for name in ("json", "markdown", "plot", "video")})
+    words = [*argv, "--"]
+    first = words[: next(i for i, word in enumerate(words) if word.startswith("-"))]
+    for name in first:
+        if command == "forecast":
+            check_model(name)
+        elif command in ("rollout", "evaluate"):
+            _check_policy(name, command)
+        elif command == "score" and Path(name).suffix in (".csv", ".txt"):
+            _check_file("crowd", name)
+    for option, look in _VALUES.items():
+        if (value := given(argv, option)) is not None and value not in ("", "null"):
+            for one in [value] if option in _SINGLE else split_names(value):
+                look(option, unquoted(one))
+
+
+def _model_class(command: str, argv: list[str]) -> str:
+    """Return the class that is trained: of the command line, of its config, or of a base of that."""
+    if path := given(argv, "--model"):
+        return path
+    name = given(argv, "--config") or given(argv, "-c")
+    while command in _TRAININGS and name:
+        file = find_config(name)
+        try:
+            settings = yaml.safe_load(file.read_text())
+            path, base = settings.get("model", {}).get("class_path"), settings.get("base")
+        except (yaml.YAMLError, UnicodeDecodeError, AttributeError):
+            return ""  # the command says what is wrong with it
+        if path or not isinstance(base, str):
+            return path if isinstance(path, str) else ""
+        beside = file.parent / base
+        name = str(beside) if beside.is_file() else base
+    return ""
+
+
+def _check_options(command: str, argv: list[str]) -> None:
+    model = _model_class(command, argv)
+    robots = command == "fit" and model.startswith(ROBOT_MODULES)
+    options = known()["options"]["fit robot" if robots else command]
+    groups = {name.rpartition(".")[0] for name in options}
+    leaves = {name.rpartition(".")[2] for name in options}
+    for word in argv:
+        flag = word.partition("=")[0]
+        place = f"--{flag[2:].replace('-', '_')}".replace(".init_args", "")
+        above = [place[:i] for i, letter in enumerate(place) if letter == "."]
+        if not flag.startswith("--") or flag == "--" or place in options or flag.endswith((".help", "+")):
+            continue
+        own = place.startswith(("--trainer.", *(() if model.startswith("pedzoo.") else ("--model.",))))
+        opened = any(name in options and name not in groups for name in above)
+        if not (own or opened or (above and place.rpartition(".")[2] in leaves)):
+            raise UserError(unknown_option(flag, options))
+
+
+def _check_policy(text: str, command: str = "rollout") -> None:
+    """Refuse the name of a policy, or of one of a crowd, and its settings."""
+    for one in [part.policy for part in members(text)] if len(parts(text)) > 1 else [text]:
+        spec = parse(one)
+        if names_code(spec.name):
+            _check_file("policy", spec.name.rpartition(":")[0])
+        elif spec.name in POLICIES.names():
+            _check_settings(POLICIES, spec.name, {key: "" for key in spec.settings if key != "share"})
+        elif command == "evaluate" and (spec.name in ROBOT_POLICIES.names() or spec.name.startswith(ROBOTS)):
+            continue
+        else:
+            others = (*POLICIES.names(), *known()["baselines"], *_people())
+            check_model(spec.name, "policy", others)
+            settings = renamed.new_settings({k: v for k, v in spec.settings.items() if k != "share"})
+            _check_known("walker", "", spec.name, settings)
+
+
+def check_model(name: str, kind: str = "model", others: tuple[str, ...] = ()) -> None:
+    """Refuse the name of a model that there is not, or of a file; a class in a file is not looked for."""
+    name = name_of(name)
+    if is_file(name):
+        if name.endswith(".ckpt") and not Path(name).is_file():
+            raise UserError(f"no checkpoint at {name!r}")
+        _check_file(kind, f"{name.partition('.py:')[0]}.py" if names_code(name) else name)
+    elif name not in MODELS.names() and "://" not in name and find(name) is None:
+        raise unknown(kind, name, others) if others else no_model(name, known()["baselines"])
+
+
+def _people() -> list[str]:
+    return [name for name in names() if not name.startswith(ROBOTS)]
+
+
+def _check_settings(registry: Registry, name: str, settings: dict[str, str]) -> None:
+    if name not in registry.names() and not names_code(name):
+        raise unknown(registry.kind, name, registry.names())
+    _check_known(registry.kind, name, name, settings)
+
+
+def _check_known(kind: str, name: str, said: str, settings: dict[str, str]) -> None:
+    expected = known()["settings"][kind].get(name)
+    if expected is not None and (wrong := [key for key in settings if key not in expected]):
+        raise unknown(f"setting of {kind} {said}", wrong[0], expected)
+
+
+def _check_scenario(option: str, text: str) -> None:
+    spec = parse(text)
+    _check_settings(SCENARIOS, spec.name, dict(spec.settings))
+
+
+def _check_physics(option: str, text: str) -> None:
+    spec = parse(renamed.OLD_BACKENDS.get(text, text))
+    _check_settings(PHYSICS, spec.name, dict(spec.settings))
+
+
+def _check_suite(option: str, text: str) -> None:
+    name = renamed.OLD_SUITES.get(text, text)
+    if name not in SUITES.names() and not names_code(name):
+        raise unknown("suite", text, SUITES.names())
+
+
+def _check_fold(option: str, text: str) -> None:
+    folds = [fold for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()]
+    if text not in folds and not names_code(text):
+        raise unknown("fold", text, folds)
+
+
+def _check_weights(option: str, text: str) -> None:
+    check_model(text)
+
+
+def _check_checkpoint(option: str, text: str) -> None:
+    if not Path(text).is_file():
+        raise UserError(f"no checkpoint {text!r}")
+
+
+def _check_run(option: str, text: str) -> None:
+    if not (Path(text) / "config.yaml").is_file():
+        raise UserError(f"cannot resume {text!r}: it has no config.yaml")
+
+
+def _check_file(what: str, text: str) -> None:
+    if not Path(text).expanduser().exists():
+        raise UserError(f"{what}: no file {text!r}")
+
+
+_VALUES: dict[str, Callable[[str, str], None]] = {
+    "--scenario": _check_scenario,
+    "--rollout.scenarios": _check_scenario,
+    "--physics": _check_physics,
+    "--rollout.physics": _check_physics,
+    "--suite": _check_suite,
+    "--data.fold": _check_fold,
+    "--data.files": _check_file,
+    "--data.homography": _check_file,
+    "--weights": _check_weights,
+    "--ckpt_path": _check_checkpoint,
+    "--resume": _check_run,
+}
+_SINGLE = ("--scenario", "--physics", "--weights", "--ckpt_path", "--resume", "--data.homography")

@@ -1,0 +1,181 @@
+"""The planner of goals that keep changing: a goal costs one search of corners, not a field of all cells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.waypoint_table import WaypointTable
+
+_GOALS = 64
+"""Goals that there is room for at first."""
+
+_TRIED = 32
+"""Corners whose sight is tried first."""
+
+_BORDER = 1e-3
+"""Cells: a person so near to the border of two cells may be looked up in both."""
+
+
+class OnlinePlanner(Planner):
+    """Paths on one floor plan, or on none, whose fields have only the cells that were asked for.
+
+    A field of a new goal takes up to a second on a large plan. Here the corners get their distances to the
+    goal (some milliseconds), and the cells under people the best of the corners that they see. These paths
+    are shortest ones, those of fields at most a little longer.
+
+    Poses are those of the floor plan: scenes are not turned against it.
+    """
+
+    def __init__(self, bank: MapBank, clearance: float = 0.25) -> None:
+        """Take the floor plan, and find its corners."""
+        super().__init__(bank, clearance)
+        if bank.grids:
+            _ = self.corners(0).matrix, bank.walls  # at the first step they would come too late
+        self._clear()
+
+    def _clear(self) -> None:
+        """Begin a table without goals: what no one asked for is a page of zeros that takes no memory."""
+        self._ids, self._goals, self._from_corners = {}, [], []
+        self._asked: set[tuple[int, int]] = set()
+        maps = [self.graph(0)] if self.bank.grids else []
+        self._empty = WaypointTable.build(maps, self.clearance)
+        self._table, self._with_fields = self._empty, 0
+        self._reserve(_GOALS)
+
+    def _reserve(self, goals: int) -> None:
+        size = 1 + goals * self._entries
+        waypoint, length = np.zeros(size, np.int32), np.zeros(size, np.float32)
+        if self._with_fields:
+            used = 1 + self._with_fields * self._entries
+            waypoint[:used], length[:used] = self._waypoint[:used], self._length[:used]
+        self._waypoint, self._length, self._room = waypoint, length, goals
+
+    @property
+    def _entries(self) -> int:
+        """Entries of a field: the open cells, and the goal itself."""
+        return (len(self.graph(0)) if self.bank.grids else 0) + 1
+
+    def without_goals(self) -> OnlinePlanner:
+        """Return a planner of the same floor plan without goals."""
+        result = OnlinePlanner.__new__(OnlinePlanner)
+        result.__dict__.update(self.__dict__)
+        result._clear()
+        return result
+
+    def prepare(self) -> WaypointTable:
+        """Return the table of all goals, with the paths from corners."""
+        fresh = self._goals[self._with_fields :]
+        if not fresh:
+            return self._table or self._empty
+        if len(self._goals) > self._room:
+            self._reserve(2 * len(self._goals))
+        for number, goal in enumerate(fresh, start=self._with_fields):
+            end = (number + 1) * self._entries
+            self._waypoint[end], self._length[end] = self._entries - 1, 0.0
+            self._from_corners.append(self._add_corners(number) if goal.row >= 0 else np.empty(0))
+        self._with_fields = len(self._goals)
+        rows = [
+            (1 + k * self._entries, self._entries - 1, goal.row + 1) for k, goal in enumerate(self._goals)
+        ]
+        places = torch.tensor([goal.point for goal in self._goals]).float().t()
+        empty = self._empty
+        self._table = replace(
+            empty,
+            x=torch.cat((empty.x, places[0])),
+            y=torch.cat((empty.y, places[1])),
+            goal=torch.cat((empty.goal, torch.tensor(rows).t()), dim=1),
+            waypoint=torch.from_numpy(self._waypoint),
+            length=torch.from_numpy(self._length),
+        )
+        return self._table
+
+    def guidance(
+        self,
+        points: Tensor,
+        goal_id: Tensor,
+        row: Tensor,
+        pose: Tensor,
+        pref_speed: Tensor,
+        look_ahead_seconds: float,
+        fastest: float,
+    ) -> Guidance:
+        """Return what `Planner.guidance` does; cells that people stand on get their paths first."""
+        self.prepare()
+        if self.bank.grids:
+            here, goals = points.view(-1, 2).double().numpy(), goal_id.view(-1).numpy()
+            self._fill(here[goals >= 0], goals[goals >= 0])
+        return super().guidance(points, goal_id, row, pose, pref_speed, look_ahead_seconds, fastest)
+
+    def _fill(self, points: NDArray[np.float64], goals: NDArray[np.int64]) -> None:
+        """Write the paths from the open cells nearest to points (P, 2) to their goals (P,)."""
+        graph = self.graph(0)
+        place, last = graph.to_place(points), np.array([graph.shape[1] - 1, graph.shape[0] - 1])
+        low, high = (
+            np.ceil(place - 0.5 + side).clip(0, last).astype(np.int64) for side in (-_BORDER, _BORDER)
+        )
+        wanted: set[tuple[int, int]] = set()
+        for column in (low[:, 0], high[:, 0]):
+            for line in (low[:, 1], high[:, 1]):
+                cells = graph.nearest[line * graph.shape[1] + column]
+                wanted |= set(zip(goals.tolist(), cells.tolist(), strict=True))
+        # corners have paths around them already, but may see more themselves
+        for goal, cell in wanted - self._asked:
+            self._add_cell(goal, cell)
+        self._asked |= wanted
+
+    def _at(self, goal: int, cell: Any) -> Any:
+        return 1 + goal * self._entries + cell
+
+    def _write(self, goal: int, cell: Any, waypoint: Any, length: Any) -> None:
+        at = self._at(goal, cell)
+        self._waypoint[at], self._length[at] = waypoint, length
+
+    def _add_corners(self, number: int) -> NDArray[np.float64]:
+        """Write the paths from all corners to a goal, and return their lengths (K,), metres."""
+        graph, corners, goal = self.graph(0), self.corners(0), self._goals[number]
+        seen = corners.seen_by(goal.cell)
+        there = corners.metres(seen, graph.to_place(np.array([goal.point]))[0])
+        length, before = corners.search(seen, there)
+        length, before = length[:-1], before[:-1]
+        goes_on = (before >= 0) & (before < len(corners.cells))
+        onward = np.where(goes_on, corners.cells[np.where(goes_on, before, 0)], self._entries - 1)
+        known = np.isfinite(length)
+        self._write(number, corners.cells[known], onward[known], length[known])
+        return length
+
+    def _add_cell(self, number: int, cell: int) -> None:
+        """Write the path from an open cell to a goal: straight, or by way of a corner in sight."""
+        graph, corners, goal = self.graph(0), self.corners(0), self._goals[number]
+        end = graph.to_place(np.array([goal.point]))[0]
+        if cell == goal.cell or graph.sight.clear(graph.place[[cell]], graph.place[[goal.cell]])[0]:
+            metres = float(np.hypot(*(graph.place[cell] - end))) * graph.grid.resolution
+            self._write(number, cell, self._entries - 1, metres)
+            return
+        total = corners.metres(slice(None), graph.place[cell]) + self._from_corners[number]
+        best = self._best_in_sight(cell, total)
+        if best is None:
+            self._write(number, cell, cell, np.inf)
+        else:
+            self._write(number, cell, corners.cells[best], total[best])
+
+    def _best_in_sight(self, cell: int, total: NDArray[np.float64]) -> int | None:
+        """Return the corner in sight of an open cell with the least ``total`` (K,), None for none."""
+        graph, cells = self.graph(0), self.corners(0).cells
+        for tried in (_TRIED, len(cells)):  # the best one is nearly always among the first
+            tried = min(tried, len(cells))
+            some = np.argpartition(total, tried - 1)[:tried] if tried else np.empty(0, dtype=np.int64)
+            some = some[np.argsort(total[some])]
+            here = np.broadcast_to(graph.place[cell], (tried, 2))
+            seen = graph.sight.clear(here, graph.place[cells[some]]) & np.isfinite(total[some])
+            if seen.any():
+                return int(some[seen.argmax()])
+        return None

@@ -1,0 +1,119 @@
+"""Mistakes are refused, and help is printed, before anything heavy is imported."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+from pedzoo.cli.main import PAGES, main
+from pedzoo.core.registry import ROOT
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+HEAVY = {
+    "torch",
+    "lightning",
+    "torchrl",
+    "tensordict",
+    "numpy",
+    "scipy",
+    "rich",
+    "jsonargparse",
+    "matplotlib",
+}
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("rollout orcaa", "unknown policy 'orcaa': did you mean 'orca'?"),
+        ("rollout orca:radus=3", "unknown setting of policy orca 'radus': did you mean 'radius'?"),
+        ("rollout orca+sgan_goal_map.indor", "did you mean 'sgan_goal_map.indoor'?"),
+        ("rollout sgan_goal.zara1:saftey=no", "did you mean 'safety'?"),
+        ("rollout orca --scenario dor", "unknown scenario 'dor': did you mean 'door'?"),
+        (
+            "rollout orca --scenario door:widht=1",
+            "unknown setting of scenario door 'widht': did you mean 'width'?",
+        ),
+        ("rollout orca --episode 3", "unknown option --episode: did you mean --episodes?"),
+        ("rollout orca --physics bulet", "unknown physics 'bulet': did you mean 'bullet'?"),
+        ("evaluate orca --suite door,gols", "unknown suite 'gols': did you mean 'goals'?"),
+        ("evaluate none.ckpt", "no checkpoint at 'none.ckpt'"),
+        ("forecast sgan_goal.zara7", "unknown model 'sgan_goal.zara7': did you mean"),
+        ("fit --config sgan_goall", "unknown config 'sgan_goall': did you mean 'sgan_goal'?"),
+        ("fit --config sgan_goal --model.lrr 1", "did you mean --model.lr?"),
+        ("fit --config closed_loop/sgan_goal_map --model.steeps 1", "did you mean --model.steps?"),
+        ("fit --config sgan_goal --data.fold zara9", "unknown fold 'zara9': did you mean 'zara"),
+        ("fit --config sgan_goal --data.files none.csv", "no file 'none.csv'"),
+        ("fit --resume nowhere", "cannot resume 'nowhere': it has no config.yaml"),
+        ("score none.csv --against zara1", "no file 'none.csv'"),
+        ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
+    ],
+)
+def test_mistakes_are_refused_without_heavy_imports(line, message):
+    code = (
+        "import sys; from pedzoo.cli.main import main; code = main(sys.argv[1:]);"
+        f"heavy = {HEAVY} & set(sys.modules); assert not heavy, heavy; sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *line.split()], capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "rollout orca:radius=0.3 file.py:Mine --scenario door:width=0.9,people=4 --video-view top",
+        "rollout go_to_goal --scenario file.py:Mine:anything=1 --metrics spl,file.py:f",
+        "evaluate sgan_goal_map.indoor:safety=false,noise=step orca:share=0.5+go_to_goal --suite cards",
+        "evaluate robot_ppo.circle stop --suite robots --people orca,replay:fold=zara1",
+        "forecast hf://OWNER/REPO bent_line --data.people present",
+        "fit --config sgan_goal --data.files file.py --model.generator.noise_dim 4 --trainer.max_epochs=2",
+        "fit --config robot/ppo --model.scenarios circle",
+        "fit --model file.py --model.anything 3 --data.batch_size 4 --data.loading.max-pairs 9",
+        "fit --model.lr 3",
+        "score sgan_goal_map.indoor --against zara1",
+    ],
+)
+def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
+    from pedzoo.cli.checks import check
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file.py").touch()
+    check(line.split()[0], line.split()[1:])
+
+
+def test_pages_and_known_options_are_those_of_the_parsers():
+    code = (  # a process of its own: options of subclasses that tests define are not shipped
+        "import json; from tools.pages import command_pages as made;"
+        "print(json.dumps([made.known(), made.pages()]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    known, pages = json.loads(done.stdout.splitlines()[-1])
+    cure = "run python tools/pages/command_pages.py"
+    assert json.loads((PAGES / "known.json").read_text()) == known, cure
+    for name, text in pages.items():  # their form differs between versions of Python
+        options = re.compile(r"--[\w.]+").findall
+        assert set(options((PAGES / f"{name}.txt").read_text())) == set(options(text)), cure
+
+
+def test_head_ends_a_command_without_a_traceback():
+    line = f"{sys.executable} -m pedzoo models | head -1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+    assert done.stdout.count("\n") == 1 and "Traceback" not in done.stderr
+
+
+def test_shells_complete_commands_options_and_names(capsys):
+    def following(*words: str) -> list[str]:
+        assert main(["completion", "words", *words]) == 0
+        return capsys.readouterr().out.split()
+
+    assert {"fit", "rollout"} <= set(following())
+    assert {"--episodes", "orca", "sgan_goal_map.indoor"} <= set(following("rollout"))
+    assert "door" in following("rollout", "orca", "--scenario")
+    assert main(["completion", "bash"]) == 0
+    assert "complete " in capsys.readouterr().out

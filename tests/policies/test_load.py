@@ -1,0 +1,75 @@
+"""One function loads every model and policy."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import pedzoo
+from pedzoo.core.errors import UserError
+
+
+def test_all_public_names_exist_and_are_documented():
+    assert pedzoo.__all__ == sorted(pedzoo.__all__)
+    assert all(getattr(pedzoo, name).__doc__ for name in pedzoo.__all__)
+    assert {"door", "goals"} <= set(pedzoo.list_scenarios()) and pedzoo.list_scenarios("doo*") == ["door"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "seconds"),
+    [
+        ("orca:radius=0.3", "Orca", 0.1),
+        ("constant_velocity", "Walker", 0.4),
+        ("sgan_goal.zara1:safety=false", "Walker", 0.4),
+        ("orca:share=0.5+go_to_goal", "Teams", 0.1),
+    ],
+)
+def test_every_policy_and_model_steps_people_of_a_simulator(name, kind, seconds):
+    loaded = pedzoo.load(name)
+    assert loaded.name == name
+    assert repr(loaded.policy()) == f"{kind}({name!r}, decides every {seconds:g} s)"
+    controller = loaded.controller(dt=seconds)
+    velocity = controller.step({"anna": (0.0, 0.0)}, {"anna": (5.0, 0.0)})["anna"]
+    assert velocity[0] > 0.5 and abs(velocity[1]) < 0.5
+    assert len(repr(controller)) < 150
+
+
+def test_models_know_their_name_and_card():
+    model = pedzoo.load("sgan_goal.zara1")
+    assert (model.name, model.card.name) == ("sgan_goal.zara1", "sgan_goal.zara1")
+    assert pedzoo.load("bent_line").card is None
+
+
+def test_untrained_models_have_the_architecture_that_is_named():
+    torch.manual_seed(0)
+    trained = pedzoo.load("sgan_goal_map.zara1")
+    for name in ("sgan_goal_map.zara1", "sgan_goal_map"):
+        fresh = pedzoo.load(name, pretrained=False)
+        shapes = {key: value.shape for key, value in fresh.state_dict().items()}
+        assert shapes == {key: value.shape for key, value in trained.state_dict().items()}
+        assert fresh.needs == trained.needs
+    assert not torch.equal(next(fresh.parameters()), next(trained.parameters()))
+    assert pedzoo.load("sgan", pretrained=False, noise_dim=4).noise_dim == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("orcaa", {}, "did you mean 'orca'?"),
+        ("sgan", {}, "pretrained=False"),
+        ("sgan", {"pretrained": False, "nois_dim": 4}, "did you mean 'noise_dim'?"),
+        ("orca", {"radius": 0.3}, "orca:KEY=VALUE"),
+        ("orca", {"device": "cudda"}, "device 'cudda'"),
+    ],
+)
+def test_mistakes_name_the_cure(name, settings, message):
+    with pytest.raises(UserError, match=message.replace("?", r"\?")):
+        pedzoo.load(name, **settings)
+
+
+def test_environments_are_short_and_plots_are_one_call(tmp_path):
+    walked = pedzoo.rollout("orca:radius=0.2", "door", physics="compiled", episodes=2)
+    assert repr(walked[1]) == "PedestrianEnv(Door, 2 scenes of 2 people, Compiled, decides every 0.1 s)"
+    pedzoo.plot(walked, tmp_path / "one.png")
+    pedzoo.plot({"mine": walked, "again": walked}, tmp_path / "two.png")
+    assert (tmp_path / "two.png").stat().st_size > (tmp_path / "one.png").stat().st_size
