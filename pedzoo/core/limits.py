@@ -17,6 +17,21 @@ LARGEST_CARD = 2_000_000
 LARGEST_YAML = 10_000_000
 """Bytes of a config or of the yaml of a floor plan."""
 
+LARGEST_WEIGHTS = 4_000_000_000
+"""Bytes of weights that a card may name."""
+
+LARGEST_TABLE = 1_000_000_000
+"""Bytes of a recording, about 25 million rows."""
+
+LARGEST_PICTURE = 8192 * 8192
+"""Pixels of the picture of a floor plan, and cells of the plan: 400 x 400 m in cells of 5 cm."""
+
+MOST_POSITIONS = 5_000_000
+"""Rows of a recording at steps of 0.4 s: 500 hours of one person."""
+
+LONGEST_RECORDING = 366 * 86_400.0
+"""Seconds of a recording."""
+
 DEEPEST = 20
 """Levels of values in YAML and JSON; libyaml does not survive a hundred thousand."""
 
