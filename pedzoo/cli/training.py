@@ -1,5 +1,6 @@
 """``pedzoo fit``, ``validate`` and ``test``: LightningCLI with run folders and readable errors."""
 
+import errno
 import inspect
 import logging
 import math
@@ -19,7 +20,7 @@ from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import classes_named, parse
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
-from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, check_seed
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.renamed import new_options
@@ -37,8 +38,7 @@ _EXPECTED = (
     "callbacks used to create the checkpoint need to be provided",  # validate and test need none of them
     "does not have many workers",  # batches are cut from tensors in memory: workers would slow it down
     "is smaller than the logging interval",  # small recordings; epoch means are logged anyway
-    "Experiment logs directory .* is not empty",  # a resumed run; RunFolder.begin has copied them
-    "Checkpoint directory .* exists and is not empty",  # likewise
+    "Checkpoint directory .* exists and is not empty",  # a resumed run
 )
 
 _USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
@@ -58,6 +58,10 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
             return cli.fit() if command == "fit" else cli.measure()
         except MisconfigurationException as error:  # options that do not go together, no such metric, no GPU
             raise UserError(str(error)) from error
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT):
+                raise
+            raise UserError(f"cannot write {error.filename or 'a file'}: {error.strerror}") from error
 
 
 class TrainingCLI(RunCLI):
@@ -105,6 +109,7 @@ class TrainingCLI(RunCLI):
         files.beside = self.beside
         args = new_options(args, classes)
         self.config = parse(parser, args, [("model", ForecastModule)])
+        check_seed(self.config)
 
     def instantiate_classes(self) -> None:
         """Build everything; what a class refuses is told in its own words.

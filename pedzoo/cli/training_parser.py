@@ -13,6 +13,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.core.configs import load_config
+from pedzoo.core.errors import UserError
 from pedzoo.train.run_settings import lent
 
 
@@ -46,6 +47,18 @@ class ConfigParser(LightningArgumentParser):
             settings = lent(settings, self.beside)
         whole = yaml.safe_dump(settings, sort_keys=False)
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
+
+
+def check_seed(config: Mapping[str, Any]) -> None:
+    """Check that the seed of a run is one that all generators of random numbers take.
+
+    Raises:
+        UserError: It is not.
+    """
+    if not 0 <= (seed := int(config["seed_everything"])) < 2**32:
+        raise UserError(
+            f"--seed_everything has {len(str(seed))} digits, expected a number from 0 to {2**32 - 1}"
+        )
 
 
 class RunCLI(LightningCLI):
