@@ -60,7 +60,7 @@ class RobotTrainingCLI(RunCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
         self.config = parse(parser, args, [("model", RobotPPO)])
-        check_seed(self.config)
+        check_seed(self.config["seed_everything"])
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""

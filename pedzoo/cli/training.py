@@ -109,7 +109,7 @@ class TrainingCLI(RunCLI):
         files.beside = self.beside
         args = new_options(args, classes)
         self.config = parse(parser, args, [("model", ForecastModule)])
-        check_seed(self.config)
+        check_seed(self.config["seed_everything"])
 
     def instantiate_classes(self) -> None:
         """Build everything; what a class refuses is told in its own words.

@@ -49,16 +49,15 @@ class ConfigParser(LightningArgumentParser):
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
 
 
-def check_seed(config: Mapping[str, Any]) -> None:
+def check_seed(seed: int) -> None:
     """Check that the seed of a run is one that all generators of random numbers take.
 
     Raises:
         UserError: It is not.
     """
-    if not 0 <= (seed := int(config["seed_everything"])) < 2**32:
-        raise UserError(
-            f"--seed_everything has {len(str(seed))} digits, expected a number from 0 to {2**32 - 1}"
-        )
+    if not 0 <= seed < 2**32:
+        given = f"{seed:d}" if abs(seed) < 2**63 else f"a number of {len(str(abs(seed)))} digits"
+        raise UserError(f"--seed_everything is {given}, expected 0 to {2**32 - 1}")
 
 
 class RunCLI(LightningCLI):
