@@ -6,7 +6,7 @@ from typing import Any
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.parsing import parse
-from pedzoo.cli.training_parser import ProgressBar, RunCLI
+from pedzoo.cli.training_parser import ProgressBar, RunCLI, check_seed
 from pedzoo.cli.words import given
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
@@ -61,6 +61,7 @@ class RobotTrainingCLI(RunCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
         self.config = parse(parser, args, [("model", RobotPPO)])
+        check_seed(self.config["seed_everything"])
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""

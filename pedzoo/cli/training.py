@@ -1,5 +1,6 @@
 """``pedzoo fit``, ``validate`` and ``test``: LightningCLI with run folders and readable errors."""
 
+import errno
 import inspect
 import logging
 import math
@@ -22,7 +23,7 @@ from pedzoo.cli.parsing import classes_named, parse
 from pedzoo.cli.progress import duration
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
-from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, check_seed
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import import_path, names_code
@@ -41,8 +42,7 @@ _EXPECTED = (
     "callbacks used to create the checkpoint need to be provided",  # validate and test need none of them
     "does not have many workers",  # batches are cut from tensors in memory: workers would slow it down
     "is smaller than the logging interval",  # small recordings; epoch means are logged anyway
-    "Experiment logs directory .* is not empty",  # a resumed run; RunFolder.begin has copied them
-    "Checkpoint directory .* exists and is not empty",  # likewise
+    "Checkpoint directory .* exists and is not empty",  # a resumed run
 )
 
 _USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
@@ -62,6 +62,10 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
             return cli.fit() if command == "fit" else cli.measure()
         except MisconfigurationException as error:  # options that do not go together, no such metric, no GPU
             raise UserError(str(error)) from error
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT):
+                raise
+            raise UserError(f"cannot write {error.filename or 'a file'}: {error.strerror}") from error
 
 
 class TrainingCLI(RunCLI):
@@ -112,6 +116,7 @@ class TrainingCLI(RunCLI):
             for before, word in zip(["", *args], new_options(args, classes), strict=False)
         ]
         self.config = parse(parser, args, [("model", ForecastModule)])
+        check_seed(self.config["seed_everything"])
 
     def instantiate_classes(self) -> None:
         """Build everything; what a class refuses is told in its own words.

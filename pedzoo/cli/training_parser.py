@@ -13,6 +13,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.core.configs import load_config
+from pedzoo.core.errors import UserError
 from pedzoo.core.registry import file_path, import_path, names_code
 from pedzoo.train.run_settings import lent
 
@@ -61,6 +62,17 @@ def with_classes(settings: Any, change: Callable[[str], str]) -> Any:
     if isinstance(path := result.get("class_path"), str):
         result["class_path"] = change(path)
     return result
+
+
+def check_seed(seed: int) -> None:
+    """Check that the seed of a run is one that all generators of random numbers take.
+
+    Raises:
+        UserError: It is not.
+    """
+    if not 0 <= seed < 2**32:
+        given = f"{seed:d}" if abs(seed) < 2**63 else f"a number of {len(str(abs(seed)))} digits"
+        raise UserError(f"--seed_everything is {given}, expected 0 to {2**32 - 1}")
 
 
 class RunCLI(LightningCLI):

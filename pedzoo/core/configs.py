@@ -5,9 +5,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import yaml
-
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import load_yaml, read_text
 from pedzoo.core.paths import find_config
 from pedzoo.core.renamed import new_config
 from pedzoo.core.spec import spelled
@@ -55,13 +54,17 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         circle = " -> ".join(file.stem for file in chain[above.index(chain[-1]) :])
         raise UserError(f"config {str(path)!r} is its own base: {circle}; remove one of these bases")
     try:
-        settings = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"config {str(path)!r} is no YAML: {' '.join(str(error).split())}") from error
+        settings = load_yaml(read_text(path), references=True)
+    except OSError as error:
+        raise UserError(f"config {str(path)!r} cannot be read: {error.strerror}") from error
+    except UserError as error:
+        raise UserError(f"config {str(path)!r} is no YAML: {error}") from error
     if not isinstance(settings, dict):
         raise UserError(
             f"config {str(path)!r}: expected a mapping such as 'model: ...', not {settings!r:.60}"
         )
+    if (key := _no_text(settings)) is not None:
+        raise UserError(f"config {str(path)!r}: {key!r:.60} stands in the place of an option's name")
     settings = new_config(settings, say_so=True)
     if (base := settings.pop(BASE, None)) is None:
         return settings
@@ -73,6 +76,15 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     except UserError as error:
         raise UserError(f"base of config {str(path)!r}: {error}") from error
     return new_config(merged(_loaded(file, chain), settings), say_so=True)
+
+
+def _no_text(settings: Any) -> Any:
+    """Return a key that is no text, such as a number or a date; None where there is none."""
+    if not isinstance(settings, dict):
+        return None
+    other = next((key for key in settings if not isinstance(key, str)), None)
+    inner = (key for value in settings.values() if (key := _no_text(value)) is not None)
+    return next(inner, None) if other is None else other
 
 
 def _with_scenarios(settings: Any) -> Any:

@@ -11,6 +11,6 @@ class UserError(ValueError):
 def unknown(kind: str, given: str, known: Iterable[str]) -> UserError:
     """Return the error for a name that does not exist, with the nearest spelling and all that do."""
     names = sorted(known)
-    near = get_close_matches(given, names, n=1)
+    near = get_close_matches(given[:200], names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    return UserError(f"unknown {kind} {given!r}: {hint}known: {', '.join(names) or 'none'}")
+    return UserError(f"unknown {kind:.200} {given!r:.200}: {hint}known: {', '.join(names) or 'none'}")

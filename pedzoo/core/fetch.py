@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pedzoo import __version__
 from pedzoo.core.errors import UserError
@@ -35,8 +35,11 @@ LONGEST_WAIT = 30.0
 BUSY = (408, 425, 429, 500, 502, 503, 504)
 """Answers that another try may change."""
 
+PATIENCE, SLOWEST = 180.0, 1000.0
+"""Seconds that a file may take, and bytes that must have come for every second more."""
+
 _BLOCK = 1 << 13
-"""Bytes per piece: what of a piece has come when a download breaks off is lost."""
+"""Bytes per piece, at most."""
 
 _FAILED: set[str] = set()
 """Hosts that no try reached in this process: asked last, so that many files do not wait for each."""
@@ -70,6 +73,7 @@ def fetch(
     hint: str = "",
     size: int | None = None,
     *,
+    limit: int | None = None,
     folder: Path | None = None,
     token: str | None = None,
 ) -> Path:
@@ -84,6 +88,7 @@ def fetch(
         filename: Path below the folder, which it may not leave.
         hint: Another way to give the file, for the error message: "or give its path as weights=...".
         size: Its length in bytes, where it is known; another one is refused without reading on.
+        limit: Bytes that it may have at most, where its length is not known.
         folder: Where it goes; `pedzoo.core.paths.cache_home` by default.
         token: Sent to the addresses' hosts as ``Authorization: Bearer``, and to no other.
 
@@ -110,7 +115,7 @@ def fetch(
             target.parent.mkdir(parents=True, exist_ok=True)
             for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
                 try:
-                    os.replace(_whole(url, target, sha256, size, token), target)
+                    os.replace(_whole(url, target, sha256, Expected(size, limit), token), target)
                     return target
                 except _RefusedError as error:
                     said.append(f"{url}: {error}")
@@ -149,21 +154,23 @@ def _alone(target: Path) -> Iterator[None]:
         lock.release()
 
 
-def _whole(url: str, target: Path, sha256: str | None, size: int | None, token: str | None) -> Path:
+def _whole(url: str, target: Path, sha256: str | None, expected: Expected, token: str | None) -> Path:
     """Try at one address until all of the file has come, and return where it is."""
     part = target.with_name(f".{target.name}.part")
+    clock = Clock(time.monotonic(), _length(part))
     mixed, furthest, waits = part.exists(), 0, iter(WAITS)
     while True:
         if sha256 is None:
             part.unlink(missing_ok=True)
         try:
-            _stream(url, part, size, token)
+            _stream(url, part, expected, clock, token)
         except _BrokeOffError as error:
             if (length := _length(part)) > furthest:
                 furthest, waits = length, iter(WAITS)
             if (wait := next(waits, None)) is None:
                 _FAILED.add(_host(url))
                 raise _RefusedError(f"{error}, tried {len(WAITS) + 1} times") from error
+            clock.check(length)
             time.sleep(max(wait, error.wait))
             continue
         digest = sha256_of(part)
@@ -175,6 +182,34 @@ def _whole(url: str, target: Path, sha256: str | None, size: int | None, token: 
         mixed = False  # some of it was left by an earlier download: once more, all from here
 
 
+class Expected(NamedTuple):
+    """What is known of a file's length: itself, or the largest that is taken."""
+
+    size: int | None
+    limit: int | None
+
+    def check(self, length: int) -> None:
+        """Check the length of what a server has sent, or says that it sends."""
+        if self.size is not None and length > self.size:
+            raise _RefusedError(f"has more than the expected {self.size} bytes")
+        if self.limit is not None and length > self.limit:
+            raise _RefusedError(f"has {length} bytes, and at most {self.limit} are read of such a file")
+
+
+class Clock(NamedTuple):
+    """When a download began, and how much of the file was there then."""
+
+    began: float
+    had: int
+
+    def check(self, length: int) -> None:
+        """Check that the server, with all its breaks, is not so slow that this never ends."""
+        seconds = time.monotonic() - self.began
+        got = max(length - self.had, 0)
+        if seconds > PATIENCE + got / SLOWEST:
+            raise _RefusedError(f"gave {got} bytes in {seconds:.0f} s: too slow, try again later")
+
+
 def _host(url: str) -> str:
     return url.partition("://")[2].partition("/")[0]
 
@@ -183,9 +218,10 @@ def _length(part: Path) -> int:
     return part.stat().st_size if part.exists() else 0
 
 
-def _stream(url: str, part: Path, size: int | None, token: str | None) -> None:
+def _stream(url: str, part: Path, expected: Expected, clock: Clock, token: str | None) -> None:
     """Ask once for what a file lacks, and append it to ``part`` or begin it anew."""
     import requests  # takes 0.1 s: only downloads pay for it
+    import urllib3
 
     def authorize(request: requests.PreparedRequest) -> requests.PreparedRequest:
         request.headers["Authorization"] = f"Bearer {token}"  # requests drops it where another host answers
@@ -199,15 +235,18 @@ def _stream(url: str, part: Path, size: int | None, token: str | None) -> None:
     again = requests.ConnectionError, requests.Timeout, requests.exceptions.ChunkedEncodingError
     try:
         with requests.get(url, headers=headers, auth=auth, stream=True, timeout=TIMEOUT) as answer:
-            _read(answer, part, start, size)
+            _read(answer, part, start, expected, clock)
+    except urllib3.exceptions.HTTPError as error:  # while the file comes: requests is not between
+        raise _BrokeOffError(_root(error)) from error
     except requests.RequestException as error:
         final = isinstance(error, requests.exceptions.SSLError) or not isinstance(error, again)
         raise (_RefusedError if final else _BrokeOffError)(_root(error)) from error
 
 
-def _read(answer: requests.Response, part: Path, start: int, size: int | None) -> None:
+def _read(answer: requests.Response, part: Path, start: int, expected: Expected, clock: Clock) -> None:
     from tqdm import tqdm
 
+    size = expected.size
     said, where = f"{answer.status_code} {answer.reason}", answer.headers.get("Content-Range", "")
     goes_on = answer.status_code == 206 and start > 0
     if answer.status_code == 416 and where == f"bytes */{start}":
@@ -226,14 +265,17 @@ def _read(answer: requests.Response, part: Path, start: int, size: int | None) -
     total = done + int(length) if length.isdecimal() else size
     if size is not None and total != size:
         raise _RefusedError(f"has {total} bytes, expected {size}")
+    expected.check(total or 0)
+    if answer.headers.get("Content-Encoding", "identity") != "identity":
+        raise _RefusedError("is sent compressed, although that was not asked for")
     look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
     bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
     with part.open("ab" if goes_on else "wb") as file, bar:
-        for block in answer.iter_content(_BLOCK):
+        while block := answer.raw.read1(_BLOCK):  # what is there: `iter_content` waits for whole blocks
             done += file.write(block)
             bar.update(len(block))
-            if size is not None and done > size:
-                raise _RefusedError(f"has more than the expected {size} bytes")
+            expected.check(done)
+            clock.check(done)
     if size is not None and done < size:
         raise _BrokeOffError(f"broke off after {done} of {size} bytes")
 

@@ -17,8 +17,26 @@ LARGEST_CARD = 2_000_000
 LARGEST_YAML = 10_000_000
 """Bytes of a config or of the yaml of a floor plan."""
 
+LARGEST_WEIGHTS = 4_000_000_000
+"""Bytes of weights that a card may name."""
+
+LARGEST_TABLE = 1_000_000_000
+"""Bytes of a recording, about 25 million rows."""
+
+LARGEST_PICTURE = 8192 * 8192
+"""Pixels of the picture of a floor plan, and cells of the plan: 400 x 400 m in cells of 5 cm."""
+
+MOST_POSITIONS = 5_000_000
+"""Rows of a recording at steps of 0.4 s: 500 hours of one person."""
+
+LONGEST_RECORDING = 366 * 86_400.0
+"""Seconds of a recording."""
+
 DEEPEST = 20
 """Levels of values in YAML and JSON; libyaml does not survive a hundred thousand."""
+
+MOST_VALUES = 1_000_000
+"""Values of a config."""
 
 _NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
 """What reading values ends in that are not what they say they are, such as the 99th of a month."""
@@ -48,25 +66,45 @@ def read_text(path: Path, limit: int = LARGEST_YAML) -> str:
         raise UserError(f"{str(path)!r} is no text in UTF-8 ({error.reason}): save it as UTF-8") from error
 
 
-def load_yaml(text: bytes | str) -> Any:
+def load_yaml(text: bytes | str, references: bool = False) -> Any:
     """Return the values of untrusted YAML; texts that would expand without end are refused.
+
+    Args:
+        text: The YAML.
+        references: Whether a value may stand for another one (``*``), as people write it for themselves.
 
     Raises:
         UserError: It is no YAML, has values that are not of the kind they say, references or many levels.
     """
     try:
-        return _loaded(text)
+        result = _loaded(text, references)
+        if references:
+            check_limit(_values_in(result, {}), MOST_VALUES, "it", "values", "write fewer references (*)")
+        return result
     except UserError:
         raise
+    except RecursionError as error:
+        raise UserError("cannot be read: a value is inside itself") from error
     except _NO_YAML as error:
         raise UserError(f"cannot be read: {' '.join(str(error).split())}") from error
 
 
-def _loaded(text: bytes | str) -> Any:
+def _loaded(text: bytes | str, references: bool) -> Any:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
+    expected = f"{'' if references else 'no references (*) and '}at most {DEEPEST} levels of values"
     depth = 0
     for event in yaml.parse(text, loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
-            raise UserError(f"expected no references (*) and at most {DEEPEST} levels of values")
+        if depth > DEEPEST or (isinstance(event, yaml.AliasEvent) and not references):
+            raise UserError(f"expected {expected}")
     return yaml.load(text, loader)
+
+
+def _values_in(value: Any, known: dict[int, int]) -> int:
+    """Return the number of values with all references written out; ``known`` has those of earlier ones."""
+    if not isinstance(value, dict | list):
+        return 1
+    if id(value) not in known:
+        parts = value.values() if isinstance(value, dict) else value
+        known[id(value)] = 1 + sum(_values_in(part, known) for part in parts)
+    return known[id(value)]

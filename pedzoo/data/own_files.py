@@ -1,5 +1,6 @@
 """People's own recordings: any files, cut in time into train, val and test, resampled to 0.4 s."""
 
+import warnings
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import LARGEST_CARD, read_text
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 
@@ -93,7 +95,8 @@ def _shares(text: str) -> dict[Split, float]:
 def _homography(path: str) -> np.ndarray:
     expected = "expected a text file of 3 rows of 3 numbers"
     try:
-        matrix = np.loadtxt(path)
+        with warnings.catch_warnings(action="ignore"):  # of an empty file
+            matrix = np.loadtxt(read_text(Path(path), LARGEST_CARD).splitlines())
     except (OSError, ValueError) as error:
         raise UserError(f"--data.homography {path!r}: {error}; {expected}") from error
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():

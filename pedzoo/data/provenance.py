@@ -6,6 +6,12 @@ from typing import Any
 
 from pedzoo.data.recordings import find_fold
 
+_FREE = "MIT, as pedzoo"
+"""Terms of recordings that pedzoo made itself."""
+
+_NO_TRADE = "CC BY-NC 4.0"
+"""Terms of masks that floor plans were drawn from."""
+
 
 def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool = False) -> dict[str, Any]:
     """Return ``recordings``, ``source``, ``terms`` and ``citation`` of what a model was trained on.
@@ -22,6 +28,16 @@ def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool
         source, citation = known.constant("SOURCE", source), known.constant("CITATION", citation)
         terms = known.constant("TERMS", terms) + known.constant("PLAN_TERMS", "") * plans
     return {"recordings": recordings, "source": source, "terms": terms, "citation": citation}
+
+
+def licence(terms: str) -> str:
+    """Return the licence of weights by the terms of what they were trained on.
+
+    Weights are pedzoo's to give away where nothing but its own recordings went into them.
+    """
+    if terms.replace(_FREE, "").strip("; ") == "":
+        return "MIT"
+    return "terms of the recordings" + f" and {_NO_TRADE}" * (_NO_TRADE in terms)
 
 
 def together(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import LARGEST_TABLE, check_limit
 
 COLUMNS = ("frame", "agent", "x", "y")
 ALIASES = {"agent": ("agent", "ped", "id", "track_id"), "frame": ("frame", "frame_id")}
@@ -42,8 +43,10 @@ class TextForm:
         """Find out from the first line of a file.
 
         Raises:
-            UserError: It names no or other columns, or there are not four.
+            UserError: It names no or other columns, there are not four, or the file is too large.
         """
+        remedy = "cut the recording into several files"
+        check_limit(path.stat().st_size, LARGEST_TABLE, f"recording {str(path)!r}", "bytes", remedy)
         with path.open(encoding=ENCODING) as file:
             head = file.readline()
         delimiter = "," if "," in head else None
@@ -73,11 +76,11 @@ class TextForm:
             UserError: Text in a number's place, or a value is missing.
         """
         try:
-            with warnings.catch_warnings(action="ignore"):  # of an empty file: our callers have words for it
+            # numpy unpacks archives where it is given a path; callers have words for empty files
+            with path.open(encoding=ENCODING) as file, warnings.catch_warnings(action="ignore"):
                 return np.loadtxt(
-                    path,
+                    file,
                     ndmin=2,
-                    encoding=ENCODING,
                     comments=None,
                     quotechar='"',
                     delimiter=self.delimiter,
@@ -87,7 +90,7 @@ class TextForm:
         except UnicodeDecodeError:
             raise
         except ValueError:
-            return np.array(list(self._one_by_one(path)))
+            return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(COLUMNS))))
 
     def _one_by_one(self, path: Path) -> Iterator[list[float]]:
         """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""
@@ -99,7 +102,7 @@ class TextForm:
             if not row or (len(fields) != 4 and not self.header):
                 raise UserError(
                     f"recording {str(path)!r}, line {number}: expected numbers {', '.join(COLUMNS)}, "
-                    f"got {(self.delimiter or ' ').join(fields)!r}"
+                    f"got {(self.delimiter or ' ').join(fields)!r:.200}"
                 )
             yield row
 

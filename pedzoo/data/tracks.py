@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import LONGEST_RECORDING, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.text_form import COLUMNS, TextForm
 
@@ -114,8 +115,14 @@ class Tracks:
         Positions are interpolated linearly between two rows of an agent. Where an agent was not seen for
         more than two of their usual intervals (and more than one step), the track ends and continues under a
         new agent number, so that no rows are invented in a hole. Rows one step apart already stay bit-equal.
+
+        Raises:
+            UserError: It lasts longer than any recording, or has more rows than are read.
         """
         time = (self.frame - self.frame.min()) * seconds_per_frame
+        what = f"recording {self.name!r} at {seconds_per_frame:g} s per frame number"
+        remedy = "give the seconds between consecutive frame numbers (1e-9 for nanoseconds)"
+        check_limit(time.max(), LONGEST_RECORDING, what, "seconds", remedy)
         gap, same = np.diff(time), np.diff(self.agent) == 0
         on_grid = np.round(time / step)
         if np.allclose(on_grid * step, time, rtol=0, atol=1e-6) and (np.diff(on_grid)[same] == 1).all():
@@ -127,6 +134,8 @@ class Tracks:
         ends = np.concatenate((starts[1:], [len(self)])) - 1
         first = np.ceil(time[starts] / step - 1e-6).astype(np.int64)
         count = np.maximum(np.floor(time[ends] / step + 1e-6).astype(np.int64) - first + 1, 0)
+        remedy += ", or cut it in time"
+        check_limit(count.sum(), MOST_POSITIONS, what, f"rows {step:g} s apart", remedy)
         of_piece = np.repeat(np.arange(len(starts)), count)
         frame = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[of_piece]
         wanted = np.clip(frame * step, time[starts][of_piece], time[ends][of_piece])

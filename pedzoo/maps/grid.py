@@ -17,6 +17,12 @@ from pedzoo.core.errors import unknown as unknown_name
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """The values of a cell."""
 
+FINEST, COARSEST = 1e-4, 1e3
+"""Limits of the side of a cell in metres."""
+
+FARTHEST = 1e8
+"""Limit of an origin in metres; map projections count to 10,000 km."""
+
 Unknown = Literal["wall", "free"]
 """Meaning of unknown cells: walls indoors, free in recorded scenes (outside the camera's image)."""
 
@@ -47,12 +53,16 @@ class OccupancyGrid:
                 f"map {self.name!r}: got cells {cells.shape} with values up to {cells.max(initial=0)}, "
                 f"expected (H, W) of {FREE} (free), {OCCUPIED} (occupied) or {UNKNOWN} (unknown)"
             )
-        if not (math.isfinite(self.resolution) and self.resolution > 0):
+        if not FINEST <= self.resolution <= COARSEST:
             raise UserError(
-                f"map {self.name!r}: resolution {self.resolution} must be metres per cell, above 0"
+                f"map {self.name!r}: resolution {self.resolution} must be metres per cell, above 0: from "
+                f"{FINEST:g} to {COARSEST:g}"
             )
-        if len(self.origin) != 3 or not all(math.isfinite(value) for value in self.origin):
-            raise UserError(f"map {self.name!r}: origin {self.origin} must be x, y (metres), yaw (radians)")
+        if len(self.origin) != 3 or not all(abs(value) <= FARTHEST for value in self.origin):
+            raise UserError(
+                f"map {self.name!r}: origin {self.origin} must be x, y (metres), yaw (radians), none of them "
+                f"beyond {FARTHEST:g}"
+            )
         cells.flags.writeable = False
         object.__setattr__(self, "cells", cells)
 

@@ -11,6 +11,7 @@ from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_POLICIES, names_code
 from pedzoo.core.spec import name_of
+from pedzoo.models.zoo.fitting import check_settings, check_shapes, check_tensors
 from pedzoo.models.zoo.header import config_in, opened
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find, weights_of
@@ -101,8 +102,12 @@ def load_planner(name: str, time_step: float) -> LocalPlanner:
 def _filled(config: dict[str, Any], state: dict[str, Tensor], name: str) -> RobotPolicy | None:
     if config["architecture"] not in ROBOT_POLICIES.names():
         return None
+    check_tensors(state, name)
+    cls = ROBOT_POLICIES.get(config["architecture"])
+    check_settings(cls, config["init"])
     try:
-        policy = ROBOT_POLICIES.get(config["architecture"])(**config["init"])
+        check_shapes(lambda: cls(**config["init"]), state)
+        policy = cls(**config["init"])
         policy.load_state_dict(state)
     except (TypeError, RuntimeError) as error:
         line = str(error).strip().splitlines()[0]

@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
@@ -98,7 +100,8 @@ def architecture_options(weights: str, config: str) -> list[str]:
 
 
 def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:
-    model = build(config)
+    with torch.device("meta"):  # its settings alone are asked for
+        model = build(config)
     cls = type(model)
     # all options, also those that weights of an earlier version do not know: a config may set them
     options = grouped(cls, model.config)

@@ -17,12 +17,13 @@ import yaml
 from filelock import FileLock, Timeout
 from lightning.fabric.plugins import CheckpointIO, TorchCheckpointIO
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
-from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
+from lightning.pytorch.loggers import Logger, WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import PARTS, shipped, write_whole
+from pedzoo.train.metrics_file import MetricsFile, WholeMetrics
 
 Wandb = Literal["off", "offline", "online"]
 
@@ -59,7 +60,7 @@ class RunFolder:
         self.path, self.goes_on = path, goes_on
         self.last = path / "checkpoints" / "last.ckpt"
         self.best = path / "checkpoints" / "best.ckpt"
-        self._lock = FileLock(path / LOCK)
+        self._lock, self._metrics = FileLock(path / LOCK), MetricsFile(path / "metrics.csv")
 
     @classmethod
     def claim(cls, base: Path) -> RunFolder:
@@ -75,7 +76,10 @@ class RunFolder:
             try:
                 path.mkdir(parents=True)
                 break
-            except FileExistsError:
+            except OSError as error:
+                if not isinstance(error, FileExistsError) or not path.parent.is_dir():
+                    why = f"cannot make the run folder {str(path)!r} ({error.strerror})"
+                    raise UserError(f"{why}: name another place as --runs") from error
                 if _left_by_this_job(path):
                     return cls(path, goes_on=True)
                 number += 1
@@ -152,9 +156,9 @@ class RunFolder:
         return {"default_root_dir": str(self.path), "plugins": own if saves else [*own, WholeCheckpoints()]}
 
     def loggers(self, wandb: Wandb) -> list[Logger]:
-        """Return the CSV logger, and Weights & Biases' where it is wanted."""
-        root, name, version = self.path.parent.parent, self.path.parent.name, self.path.name
-        result: list[Logger] = [CSVLogger(root, name, version)]
+        """Return that of ``metrics.csv``, and Weights & Biases' where it is wanted."""
+        name, version = self.path.parent.name, self.path.name
+        result: list[Logger] = [self._metrics]
         if wandb != "off":
             result.append(
                 WandbLogger(
@@ -167,7 +171,7 @@ class RunFolder:
         self, config: dict[str, Any], argv: list[str], monitor: str | None, mode: str
     ) -> list[Callback]:
         """Return the callbacks that write the records and, unless ``monitor`` is None, checkpoints."""
-        result: list[Callback] = [Record(self, config, argv)]
+        result: list[Callback] = [Record(self, config, argv), WholeMetrics(self._metrics, self.goes_on)]
         if monitor is None:
             return result
         common: dict[str, Any] = {"dirpath": self.last.parent, "enable_version_counter": False}
@@ -191,7 +195,10 @@ def _left_by_this_job(path: Path) -> bool:
     job = slurm_job()
     if job is None or not record.is_file() or not any(path.glob("hpc_ckpt_*.ckpt")):
         return False
-    return json.loads(record.read_text()).get("slurm_job") == job
+    try:
+        return json.loads(record.read_text())["slurm_job"] == job
+    except (ValueError, LookupError, TypeError):
+        return False
 
 
 class WholeCheckpoints(TorchCheckpointIO):

@@ -18,6 +18,8 @@ from helpers.runs import make_run
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import shipped
+from pedzoo.data.provenance import licence, provenance, together
 from pedzoo.eval import card_numbers
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
@@ -83,7 +85,7 @@ def test_a_folder_for_the_hub_loads_again_and_is_the_same_when_written_again(
 ) -> None:
     hub = tmp_path / "hub"
     assert main(["export", model, "--hub", str(hub)]) == 0
-    assert sorted(os.listdir(hub)) == ["README.md", "card.yaml", "weights.safetensors"]
+    assert sorted(os.listdir(hub)) == ["LICENSE.md", "README.md", "card.yaml", "weights.safetensors"]
     assert torch.equal(answers(pedzoo.load(hub)), answers(load(model)))
     before = {path.name: path.read_bytes() for path in hub.iterdir()}
     write_hub(str(hub), hub)
@@ -94,7 +96,7 @@ def test_a_folder_for_the_hub_replaces_files_of_an_earlier_layout(model: str) ->
     folder = Path(model).parent
     before = answers(load(model))
     write_hub(model, folder)
-    assert sorted(os.listdir(folder)) == ["README.md", "card.yaml", "weights.safetensors"]
+    assert sorted(os.listdir(folder)) == ["LICENSE.md", "README.md", "card.yaml", "weights.safetensors"]
     assert torch.equal(answers(load(folder)), before)
 
 
@@ -129,7 +131,10 @@ def test_the_front_matter_is_what_the_hub_reads() -> None:
     ("licence", "said"),
     [
         ("CC-BY-4.0", {"license": "cc-by-4.0"}),
-        ("Ours, for research", {"license": "other", "license_name": "ours-for-research"}),
+        (
+            "Ours, for research",
+            {"license": "other", "license_name": "ours-for-research", "license_link": "LICENSE.md"},
+        ),
     ],
 )
 def test_licences_have_the_names_of_the_hub(licence: str, said: dict[str, str]) -> None:
@@ -173,4 +178,25 @@ def test_a_hub_folder_has_one_model(model: str, tmp_path: Path) -> None:
     write_hub(model, tmp_path / "hub")
     with pytest.raises(UserError, match=r"holds sgan\.mall already: .* a folder of its own"):
         write_hub("sgan_goal.zara1", tmp_path / "hub")
-    assert len(os.listdir(tmp_path / "hub")) == 3
+    assert len(os.listdir(tmp_path / "hub")) == 4
+
+
+def test_shipped_weights_have_the_licence_that_their_recordings_allow(tmp_path: Path) -> None:
+    """MIT are only those that saw no recorded person; masks under CC BY-NC are passed on as what they are."""
+    seen = set()
+    for file in sorted(shipped("checkpoints").glob("*/card.yaml")):
+        card = read_card(file)
+        terms = card.data["terms"]
+        assert (card.licence == "MIT") == (terms.startswith(("MIT", "simulated"))), card.name
+        assert ("CC BY-NC 4.0" in card.licence) == ("CC BY-NC 4.0" in terms), card.name
+        if card.licence != "MIT":
+            assert card.licence == licence(terms)
+            front = yaml.safe_load(readme(card).split("---\n")[1])
+            assert front["license"] == "other" and front["license_link"] == "LICENSE.md"
+        seen.add(card.licence)
+    assert len(seen) == 3
+    write_hub("sgan_goal_map.zara1", tmp_path / "hub")
+    assert "CC BY-NC 4.0" in (text := (tmp_path / "hub" / "LICENSE.md").read_text()) and "Pellegrini" in text
+    assert licence(provenance("embedded")["terms"]) == "MIT"
+    mixed = together(provenance("embedded"), provenance("zara1", plans=True))
+    assert licence(mixed["terms"]) == licence(provenance("zara1", plans=True)["terms"]) != "MIT"

@@ -128,3 +128,36 @@ def test_shipped_configs_are_whole(name: str) -> None:
     wanted = {"model", "trainer"} if robot else {"model", "data", "trainer", "rollout"}
     assert "base" not in result and wanted <= result.keys()
     assert robot or all(isinstance(one, str) for one in result["rollout"]["scenarios"] or [])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &a [*a]", "a value is inside itself"),
+        ("a: " + "[" * 1000 + "]" * 1000, "at most 20 levels"),
+        ("monitor: 2026-11-99", "day is out of range"),
+        ("seed_everything: " + "1" * 5000, "cannot be read"),
+        ("1: 2", "1 stands in the place of an option's name"),
+        ("model: {2026-01-01: 2}", "stands in the place of an option's name"),
+        ("[1, 2]: 2", "cannot be read"),
+        ("<<: 3", "cannot be read"),
+        ("monitor: caf\u00e9".encode("latin-1"), "save it as UTF-8"),
+        ("base: sgan".encode("utf-16"), "save it as UTF-8"),
+    ],
+)
+def test_odd_values_of_configs_are_refused(text: str | bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(UserError, match=message):
+        load_config(path)
+
+
+def test_references_are_for_people_and_not_for_bombs(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text("a: &size 3\nb: *size\nc: {<<: &more {d: 1}}\ne: *more")
+    assert load_config(path) == {"a": 3, "b": 3, "c": {"d": 1}, "e": {"d": 1}}
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 9)]
+    path.write_text("\n".join(lines))
+    with pytest.raises(UserError, match="490,329,055 values, at most 1,000,000 are read: write fewer"):
+        load_config(path)

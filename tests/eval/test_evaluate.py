@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -358,7 +359,10 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
 
 def test_checkpoints_of_a_training_are_known_by_its_fold(tmp_path: Path) -> None:
     file = tmp_path / "best.ckpt"
-    torch.save({"pedzoo": {"architecture": "sgan", "protocol": {"fold": "zara1"}}}, file)
+    torch.save(
+        {"pedzoo": {"architecture": "sgan", "init": {}, "protocol": {"fold": "zara1"}}, "state_dict": {}},
+        file,
+    )
     assert unseen.has_seen(f"{file}:noise=step", "hotel") and not unseen.has_seen(str(file), "zara1")
 
 
@@ -383,6 +387,49 @@ def test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files(tmp_pat
     file.write_text("something else\n")
     with pytest.raises(UserError, match="no finished parts"):
         Journal(file)
+    assert file.read_text() == "something else\n"
+
+
+@pytest.mark.parametrize(
+    "torn",
+    [
+        b'{"unit": "two", "ro',
+        b"\0" * 4096,
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"unit": "two", "rows": 7}',
+        b'{"unit": 2, "rows": []}',
+        b'{"unit": "two", "rows": [1' + b"0" * 5000 + b"]}",
+        b"null",
+        b"",
+    ],
+)
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_journal_does_again_what_is_torn(
+    torn: bytes, place: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "parts"
+    journal = Journal(file)
+    for unit in ("one", "two", "three"):
+        journal.add(unit, [{"n": unit}])
+    lines = file.read_bytes().splitlines(keepends=True)
+    lines[place] = torn + b"\n"
+    file.write_bytes(b"".join(lines))
+    again = Journal(file)
+    left = ["one", "two", "three"]
+    lost = left.pop(place)
+    assert again.done == {unit: [{"n": unit}] for unit in left}
+    assert "1 finished part" in (error := capsys.readouterr().err) and "once more" in error
+    again.add(lost, [{"n": lost}])
+    assert set(Journal(file).done) == {"one", "two", "three"} and not capsys.readouterr().err
+
+
+def test_finished_parts_are_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synchronised = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synchronised.append(os.fstat(handle).st_size))
+    journal = Journal(tmp_path / "parts")
+    journal.add("one", [{"n": 1}])
+    assert synchronised == [(tmp_path / "parts").stat().st_size]
 
 
 def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:

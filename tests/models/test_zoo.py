@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 from helpers.batches import make_batch, random_weights
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 
 import pedzoo
 from pedzoo.core.errors import UserError
@@ -22,7 +22,7 @@ from pedzoo.models.export.publish import describe
 from pedzoo.models.zoo import loading as zoo
 from pedzoo.models.zoo import store
 from pedzoo.models.zoo.header import read_config
-from pedzoo.models.zoo.loading import fill, list_models, load, save_weights
+from pedzoo.models.zoo.loading import list_models, load, save_weights
 from pedzoo.models.zoo.saved import saved_config
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy, load_robot_policy
@@ -267,7 +267,7 @@ def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> Non
     assert model.sample(make_batch((2,)), 3, 8).unique().tolist() == [0.25]
     random_weights(model)
     save_weights(model, tmp_path / "mine.safetensors")
-    again = fill(load(f"{own}:Drifting"), load_file(tmp_path / "mine.safetensors"), "mine")
+    again = load(f"{own}:Drifting:weights={tmp_path / 'mine.safetensors'}")
     assert torch.equal(answers(again), answers(model))
     for name, message in {
         "Forgetful": "cannot be saved: keep its arguments",

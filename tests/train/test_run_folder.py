@@ -16,6 +16,7 @@ import yaml
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
+from pedzoo.train.metrics_file import MetricsFile, rows_of
 from pedzoo.train.modules.gan import GANModule
 from pedzoo.train.run import RunFolder, WholeCheckpoints
 
@@ -139,6 +140,56 @@ signal.pause()
     run.begin()
     run.end()
     assert not RUN.exists()
+
+
+@pytest.mark.parametrize("logged", [False, True])
+def test_metrics_tell_the_whole_run_once(logged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    long = [*FIT, "--trainer.max_epochs", "3", "--trainer.check_val_every_n_epoch", "2"]
+    assert main([*long, "--runs", "whole"]) == 0
+    expected = rows_of(next(Path("whole").rglob("metrics.csv")))
+
+    class CutError(BaseException):
+        pass
+
+    log = MetricsFile.log_metrics
+
+    def cut(self: MetricsFile, metrics: Any, step: int | None = None) -> None:
+        ends = metrics["epoch"] == 1 and "train/" in "".join(metrics)  # its checkpoint is there by now
+        if ends and logged:
+            log(self, metrics, step)
+            log(self, {"train/of_the_next_epoch": 0.0, "epoch": 2}, step)
+            self.write()
+        if ends:
+            raise CutError
+        log(self, metrics, step)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(MetricsFile, "log_metrics", cut)
+        with pytest.raises(CutError):
+            main(long)
+    assert torch.load(LAST)["epoch"] == 1
+    assert resume(3) == 0
+    assert rows_of(RUN / "metrics.csv") == expected
+    assert {row["epoch"] for row in expected} == {"0", "1", "2"}
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "/proc/runs"])
+def test_runs_that_cannot_be_written(place: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("file").write_text("mine")
+    assert main([*FIT, "--runs", place]) == 2
+    assert "cannot make the run folder" in (error := capsys.readouterr().err) and error.count("\n") == 1
+    assert Path("file").read_text() == "mine"
+
+
+def test_a_full_disk_is_said_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: Any, **settings: Any) -> None:
+        raise OSError(28, "No space left on device", "last.ckpt")
+
+    monkeypatch.setattr(WholeCheckpoints, "save_checkpoint", full)
+    assert main(FIT) == 2
+    assert capsys.readouterr().err.endswith("pedzoo: cannot write last.ckpt: No space left on device\n")
 
 
 @pytest.fixture

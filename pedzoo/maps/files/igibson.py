@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import LARGEST_PICTURE, check_limit
 from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 
 TRAVERSABLE = 255
 """The only grey level that is free space; resizing makes others at its edges."""
+
+MOST_EROSION = 1000
+"""Cells; the work grows with its square."""
 
 
 def read_igibson(
@@ -36,10 +40,10 @@ def read_igibson(
     import cv2
 
     path = Path(path)
-    if not (resolution > 0 and source_resolution > 0 and erosion >= 0):
+    if not (resolution > 0 and source_resolution > 0 and 0 <= erosion <= MOST_EROSION):
         raise UserError(
             f"{path}: resolution {resolution}, source_resolution {source_resolution}, erosion {erosion}: "
-            "expected metres above 0 and cells from 0"
+            f"expected metres above 0 and cells from 0 to {MOST_EROSION}"
         )
     pixels = read_pixels(path)
     if pixels.shape[0] != pixels.shape[1]:
@@ -54,7 +58,9 @@ def read_igibson(
             raise UserError(f"{floor}: {solid.shape} pixels, expected those of {path.name}, {pixels.shape}")
         pixels = np.where(solid == 0, np.uint8(0), pixels)
 
-    size = int(round(len(pixels) * source_resolution / resolution, 6))
+    side = len(pixels) * source_resolution / resolution
+    check_limit(side**2, LARGEST_PICTURE, f"{path} at {resolution} m", "cells", "give a larger resolution")
+    size = int(round(side, 6))
     if size < 1:
         raise UserError(
             f"{path}: {len(pixels)} pixels of {source_resolution} m are no cell of {resolution} m"

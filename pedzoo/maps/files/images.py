@@ -1,24 +1,34 @@
 """Images as floor plans: grey levels of a file, and plain images with a known resolution."""
 
+import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import LARGEST_PICTURE, check_limit
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
+
+FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF")
+"""What Pillow calls the formats that are read; PPM includes pgm."""
+
+_LONGEST_FILE = 8 * LARGEST_PICTURE
+"""Bytes: the largest picture with grey levels that are written out as texts."""
 
 
 def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
-    """Return an image's grey levels (H, W), row 0 at the top, of any format that OpenCV reads.
+    """Return an image's grey levels (H, W), row 0 at the top, of any of `FORMATS`.
 
     Raises:
-        UserError: The file does not exist or is no image.
+        UserError: The file does not exist, is no image, or has more than `LARGEST_PICTURE` pixels.
     """
     import cv2
 
     if not file.is_file():
         raise UserError(f"{owner}image {str(file)!r} does not exist")
+    _check_size(file, owner)
     try:
         pixels = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     except cv2.error:
@@ -26,6 +36,22 @@ def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
     if pixels is None:
         raise UserError(f"{owner}image {str(file)!r} cannot be read: expected png, pgm or jpg")
     return np.asarray(pixels, dtype=np.uint8)
+
+
+def _check_size(file: Path, owner: str) -> None:
+    """Check the number of pixels that a file's header states, before a decoder makes place for them."""
+    from PIL import Image
+
+    what, remedy = f"{owner}image {str(file)!r}", "reduce it, and give its resolution accordingly"
+    check_limit(file.stat().st_size, _LONGEST_FILE, what, "bytes", remedy)
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(file, formats=FORMATS) as image:
+            width, height = image.size
+    except Image.DecompressionBombError:
+        width = height = LARGEST_PICTURE
+    except (OSError, ValueError, SyntaxError, EOFError, struct.error) as error:
+        raise UserError(f"{what} cannot be read: expected png, pgm or jpg") from error
+    check_limit(width * height, LARGEST_PICTURE, what, "pixels", remedy)
 
 
 def read_image(

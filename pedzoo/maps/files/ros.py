@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import load_yaml, read_text
 from pedzoo.core.paths import write_whole
 from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -29,7 +30,7 @@ def read_ros(path: str | Path) -> OccupancyGrid:
     keys = _read_keys(path)
     mode = keys.get("mode", "trinary")
     if mode != "trinary":
-        raise UserError(f"{path}: mode {mode!r} is not supported, expected 'trinary'")
+        raise UserError(f"{path}: mode {mode!r:.60} is not supported, expected 'trinary'")
     free, occupied = _number(keys, "free_thresh", path), _number(keys, "occupied_thresh", path)
     if not 0 <= free < occupied <= 1:
         raise UserError(
@@ -37,17 +38,18 @@ def read_ros(path: str | Path) -> OccupancyGrid:
         )
     negate = keys.get("negate", 0)
     if negate not in (0, 1):
-        raise UserError(f"{path}: negate {negate!r}, expected 0 (dark is occupied) or 1 (light is occupied)")
+        raise UserError(f"{path}: negate {negate!r:.60}, expected 0 (dark is occupied) or 1 (light is)")
     origin = keys["origin"]
     if not isinstance(origin, list) or len(origin) != 3:
-        raise UserError(f"{path}: origin {origin!r}, expected [x, y, yaw] in metres and radians")
+        raise UserError(f"{path}: origin {origin!r:.60}, expected [x, y, yaw] in metres and radians")
     x, y, yaw = (_number({"origin": value}, "origin", path) for value in origin)
 
-    image = _pixels_of(path, keys["image"]).astype(np.float64)
-    darkness = (image if negate else 255 - image) / 255
-    cells = np.full(image.shape, UNKNOWN, dtype=np.uint8)
-    cells[darkness > occupied] = OCCUPIED
-    cells[darkness < free] = FREE
+    level = np.arange(256)
+    darkness = (level if negate else 255 - level) / 255
+    meaning = np.full(len(level), UNKNOWN, dtype=np.uint8)
+    meaning[darkness > occupied] = OCCUPIED
+    meaning[darkness < free] = FREE
+    cells = meaning[_pixels_of(path, keys["image"])]
     return OccupancyGrid(np.flipud(cells), _number(keys, "resolution", path), (x, y, yaw), name=path.stem)
 
 
@@ -78,13 +80,11 @@ def write_ros(grid: OccupancyGrid, path: Path) -> None:
 
 
 def _read_keys(path: Path) -> Mapping[str, Any]:
-    import yaml
-
     if not path.is_file():
         raise UserError(f"no map file {str(path)!r}: expected a ROS map yaml with an image beside it")
     try:
-        keys = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        keys = load_yaml(read_text(path))
+    except UserError as error:
         raise UserError(f"{path} is not a ROS map yaml: {error}") from error
     required = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
     missing = [key for key in required if not isinstance(keys, dict) or key not in keys]
@@ -96,8 +96,8 @@ def _read_keys(path: Path) -> Mapping[str, Any]:
 def _number(keys: Mapping[str, Any], key: str, path: Path) -> float:
     try:
         return float(keys[key])  # YAML reads 5e-2 as text: float() takes both
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{path}: {key} {keys[key]!r} is not a number") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UserError(f"{path}: {key} {keys[key]!r:.60} is not a number") from error
 
 
 def _pixels_of(path: Path, image: Any) -> NDArray[np.uint8]:

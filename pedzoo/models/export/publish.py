@@ -11,6 +11,7 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import WEIGHTS, weight_files
 from pedzoo.core.registry import names_code
 from pedzoo.core.types import PRED_LEN
+from pedzoo.data.provenance import licence as licence_by
 from pedzoo.data.provenance import provenance, together
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.export.run_record import RunRecord, read_run
@@ -19,9 +20,6 @@ from pedzoo.models.zoo.header import read_config
 from pedzoo.models.zoo.layout import card_beside, name_of_files
 from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
 from pedzoo.models.zoo.store import find
-
-LICENCE = "MIT"
-"""Of weights, unless something else is said. The terms of the recordings are in the card, too."""
 
 IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
 """Metadata of weights about their training; the rest is in the card."""
@@ -36,7 +34,7 @@ def publish(
     folder: str | Path,
     name: str | None = None,
     measured: list[dict[str, Any]] | None = None,
-    licence: str = LICENCE,
+    licence: str | None = None,
     url: str | None = None,
 ) -> Path:
     """Write ``NAME/weights.safetensors`` and ``NAME/card.yaml`` and return the path of the latter.
@@ -49,7 +47,7 @@ def publish(
         name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
         measured: Reports of evaluations for the card; None keeps those of an existing card of the same
             weights.
-        licence: Of the weights.
+        licence: Of the weights; None for what the terms of their recordings allow.
         url: Where the weights can be downloaded, if not beside the card.
 
     Raises:
@@ -125,7 +123,7 @@ def _write(
     record: RunRecord,
     data: dict[str, Any],
     measured: list[dict[str, Any]] | None,
-    licence: str = LICENCE,
+    licence: str | None = None,
     url: str | None = None,
 ) -> Path:
     """Write the card beside the weights."""
@@ -142,7 +140,7 @@ def _write(
         data=data,
         evaluations=measured,
         versions=record.versions or {},
-        licence=licence,
+        licence=licence or licence_by(data["terms"]),
         file=weights.name,
         url=url,
     )

@@ -9,7 +9,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
-from pedzoo.core.limits import load_yaml
+from pedzoo.core.limits import LARGEST_CARD, load_yaml
 from pedzoo.core.paths import CARD, WEIGHTS, cache_home
 from pedzoo.models.zoo.card import ModelCard, check_name, is_name
 
@@ -78,9 +78,13 @@ def kept_models() -> dict[str, list[str]]:
 def download(
     urls: Sequence[str], filename: str, sha256: str | None = None, size: int | None = None, hint: str = ""
 ) -> Path:
-    """Fetch a file; only the hub gets the user's ``HF_TOKEN``. Arguments as of `fetch`."""
+    """Fetch a file; only the hub gets the user's ``HF_TOKEN``. Arguments as of `fetch`.
+
+    A file without a ``size`` is a card or the page of one.
+    """
+    limit = LARGEST_CARD if size is None else None
     token = os.environ.get("HF_TOKEN") if all(url.startswith(f"{_hub()}/") for url in urls) else None
-    return fetch(urls, sha256, filename, hint, size, token=token)
+    return fetch(urls, sha256, filename, hint, size, limit=limit, token=token)
 
 
 def _hub() -> str:
@@ -98,7 +102,7 @@ def _on_hub(name: str) -> Place:
 
 
 def _only_model(name: str, url: str, below: str) -> str:
-    text = download([f"{url}/README.md"], f"{below}/README.md").read_text(errors="replace")
+    text = download([f"{url}/README.md"], f"{below}/README.md").read_text("utf-8", errors="replace")
     front = _FRONT.match(text)
     try:
         said = load_yaml(front[1]) if front else None

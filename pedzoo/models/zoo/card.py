@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import LARGEST_CARD, load_yaml, read_text
+from pedzoo.core.limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
 from pedzoo.core.paths import write_whole
 from pedzoo.models.zoo.header import Config
 from pedzoo.models.zoo.keys import check, check_keys, check_plain
@@ -114,6 +114,7 @@ class ModelCard:
             )
         if not re.fullmatch("[0-9a-f]{64}", self.sha256):
             raise UserError(f"sha256 {self.sha256!r}: expected 64 digits of 0-9 and a-f")
+        check_limit(self.size, LARGEST_WEIGHTS, "size of weights", "bytes", "is the card right?")
         if self.url is not None and not re.fullmatch(r"https?://\S+", self.url):
             raise UserError(f"url {self.url!r}: expected an address at http:// or https://")
         if self.architecture != self.config["architecture"]:

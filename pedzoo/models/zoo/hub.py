@@ -16,6 +16,9 @@ from pedzoo.models.zoo.store import find, names, weights_of
 
 TAGS = ("pedestrians", "trajectory-forecasting", "social-navigation", "crowd-simulation")
 
+TERMS_FILE = "LICENSE.md"
+"""Says on whose terms weights may be used."""
+
 LICENCES = ("mit", "apache-2.0", "bsd-3-clause", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc0-1.0")
 """Licences that the hub knows by these names; all others are ``other`` there."""
 
@@ -42,7 +45,7 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
             f"folder {str(folder)!r} holds {', '.join(others)} already: a repository of the hub is one "
             f"model's, so give {card.name} a folder of its own"
         )
-    files = [folder / WEIGHTS, own, folder / "README.md"]
+    files = [folder / WEIGHTS, own, folder / "README.md", folder / TERMS_FILE]
     weights = weights_of(entry).read_bytes()
     if (earlier := folder / f"{card.name}.yaml").is_file():
         weights_beside(earlier, read_card(earlier)).unlink(missing_ok=True)
@@ -50,6 +53,7 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
     write_whole(files[0], weights)
     write_card(card, files[1])
     write_whole(files[2], readme(card).encode())
+    write_whole(files[3], terms(card).encode())
     return files
 
 
@@ -57,6 +61,17 @@ def readme(card: ModelCard) -> str:
     """Return the page of a card with the front matter by which the hub, and pedzoo, know what is there."""
     front = yaml.safe_dump(_front(card), sort_keys=False, allow_unicode=True, width=110)
     return f"---\n{front}---\n\n{page(card)}\n{_FROM_HERE}"
+
+
+def terms(card: ModelCard) -> str:
+    """Return what the licence of a card means, as a page of Markdown."""
+    said = card.data
+    return (
+        f"# Licence of the weights of {card.name}: {card.licence}\n\n"
+        f"They were trained on: {said['source']}.\n\nTerms: {said['terms']}.\n\n"
+        f"To cite: {said['citation']}.\n\n"
+        "The code of pedzoo, which loads them, is under the MIT licence.\n"
+    )
 
 
 _FROM_HERE = """## From this repository
@@ -75,7 +90,8 @@ def _front(card: ModelCard) -> dict[str, Any]:
     licence = card.licence.lower()
     result: dict[str, Any] = {"license": licence}
     if licence not in LICENCES:
-        result = {"license": "other", "license_name": re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")}
+        slug = re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")
+        result = {"license": "other", "license_name": slug, "license_link": TERMS_FILE}
     result |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
     if results := [_result(report, row) for report in card.evaluations for row in report["rows"]]:
         result["model-index"] = [{"name": card.name, "results": results}]

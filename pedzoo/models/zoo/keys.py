@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import is_dataclass
 from functools import cache, partial
 from types import NoneType, UnionType
-from typing import Annotated, Any, NotRequired, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
 from typing_extensions import is_typeddict
 
@@ -34,8 +34,8 @@ def check(result: Any, form: Any, where: str = "") -> None:
     Args:
         result: The value.
         form: A `TypedDict` (``closed`` ones refuse other keys), a dataclass (its fields as keys),
-            ``list[X]``, ``dict[str, X]``, ``tuple[X, X]`` (a list of so many), a plain type; one of these
-            ``| None``; or ``Annotated[type, form]``.
+            ``list[X]``, ``dict[str, X]``, ``tuple[X, X]`` (a list of so many), ``Literal``, a plain type; one
+            of these ``| None``; or ``Annotated[type, form]``.
         where: What it is, for the message.
 
     Raises:
@@ -43,7 +43,7 @@ def check(result: Any, form: Any, where: str = "") -> None:
     """
     while get_origin(form) in (Annotated, NotRequired):
         form = get_args(form)[-1]
-    choices = get_args(form) if isinstance(form, UnionType) else (form,)
+    choices = get_args(form) if get_origin(form) in (Union, UnionType) else (form,)
     if form is Any or (NoneType in choices and _fits(result, NoneType)):
         return
     form = choices[0]
@@ -79,6 +79,8 @@ def check_keys(result: Any, form: Any, where: str = "") -> None:
 
 def _fits(result: Any, form: Any) -> bool:
     kind, inner = get_origin(form) or form, get_args(form)
+    if kind is Literal:
+        return any(result == one and type(result) is type(one) for one in inner)
     if kind is tuple:
         return isinstance(result, list) and len(result) == len(inner) and all(map(_fits, result, inner))
     if isinstance(result, bool):
@@ -88,11 +90,13 @@ def _fits(result: Any, form: Any) -> bool:
 
 def _in_words(form: Any) -> str:
     kind = get_origin(form) or form
+    if kind is Literal:
+        return " or ".join(map(repr, get_args(form)))
     return f"{len(get_args(form))} numbers" if kind is tuple else _WORDS[kind]
 
 
 def check_plain(value: Any) -> None:
-    """Check that a value is made of texts, finite numbers, lists and mappings, as JSON is.
+    """Check that a value is made of texts, finite numbers of 64 bits, lists and mappings, as JSON is.
 
     Raises:
         UserError: It holds something else, such as YAML's dates and sets, or control characters, which are
@@ -105,12 +109,17 @@ def check_plain(value: Any) -> None:
             raise UserError(f"{one!r:.60}: expected no control characters")
         if isinstance(one, Mapping) and all(isinstance(key, str | int) for key in one):
             waiting += [*one, *one.values()]
-        elif isinstance(one, list):
+        elif isinstance(one, list | tuple):
             waiting += one
-        elif not isinstance(one, str | int | NoneType) and not (
-            isinstance(one, float) and math.isfinite(one)
-        ):
-            raise UserError(f"{one!r:.60}: expected plain values (text, finite numbers, lists, mappings)")
+        elif not isinstance(one, str | NoneType) and not _plain_number(one):
+            given = type(one).__name__ if isinstance(one, int) else f"{one!r:.60}"  # repr has limits
+            raise UserError(f"{given}: expected plain values (text, finite numbers, lists, mappings)")
+
+
+def _plain_number(value: Any) -> bool:
+    if isinstance(value, int):
+        return abs(value) < 2**63
+    return isinstance(value, float) and math.isfinite(value)
 
 
 def refuse_code(value: Any, what: str, remedy: str) -> None:

@@ -3,8 +3,6 @@
 import hashlib
 import inspect
 import json
-import pickle
-import struct
 import sys
 from fnmatch import fnmatch
 from pathlib import Path
@@ -22,13 +20,11 @@ from pedzoo.core.spec import grouped, parse, setting_groups, setting_types, unqu
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.card import ModelCard
+from pedzoo.models.zoo.fitting import check_archive, check_settings, check_shapes, check_tensors
 from pedzoo.models.zoo.header import Config, config_in, opened
-from pedzoo.models.zoo.keys import check, refuse_code
+from pedzoo.models.zoo.keys import check, check_plain, refuse_code
 from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, weights_of
 from pedzoo.models.zoo.store import obtain as obtain
-
-_DAMAGED = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
-"""What reading a damaged checkpoint can end in."""
 
 
 def list_models(pattern: str = "*") -> list[str]:
@@ -162,8 +158,13 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         raise UserError(
             f"{name!r} moves robots, and is no model of people: use pedzoo.policies.load.load_robot_policy"
         )
+    cls = MODELS.get(name, Forecaster)
     try:
-        return _made(MODELS.get(name, Forecaster), init, name)
+        check_settings(cls, init)
+    except UserError as error:
+        raise UserError(f"{source!r}: {name}: {error}") from error
+    try:
+        return _made(cls, init, name)
     except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
@@ -216,7 +217,7 @@ def _from_safetensors(
         raise UserError(
             f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
         )
-    return fill(build(config, own, str(path)), state, str(path))
+    return _filled(config, state, own, str(path))
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
@@ -228,14 +229,23 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     if not path.is_file():
         raise UserError(f"no checkpoint at {str(path)!r}")
+    check_archive(path)
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-    except _DAMAGED as error:
+    except Exception as error:  # a pickle that was tampered with can end in any
         raise UserError(
             f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?"
         ) from error
     if not isinstance(checkpoint, dict) or "pedzoo" not in checkpoint:
         raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
+    try:
+        check_plain(checkpoint["pedzoo"])
+        check(checkpoint["pedzoo"], Config, "config")
+    except UserError as error:
+        raise UserError(f"checkpoint {str(path)!r}: {error}") from error
+    state = checkpoint.get("state_dict")
+    if not isinstance(state, dict) or not all(isinstance(key, str) for key in state):
+        raise UserError(f"checkpoint {str(path)!r} has no weights by name")
     checkpoint["pedzoo"] = renamed.new_init(checkpoint["pedzoo"])
     return checkpoint
 
@@ -244,19 +254,21 @@ def _from_checkpoint(path: Path, own: type[Forecaster] | None) -> Forecaster:
     checkpoint = read_checkpoint(path)
     prefix = "generator."
     state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
-    return fill(build(checkpoint["pedzoo"], own, str(path)), state, str(path))
+    return _filled(checkpoint["pedzoo"], state, own, str(path))
 
 
-def fill(model: Forecaster, state: dict[str, torch.Tensor], source: str) -> Forecaster:
-    """Load weights into a model of exactly their architecture and return it in eval mode.
-
-    Raises:
-        UserError: A tensor is missing, left over, or of another shape.
-    """
+def _filled(
+    config: dict[str, Any], state: dict[str, torch.Tensor], own: type[Forecaster] | None, source: str
+) -> Forecaster:
+    """Return the model of a config with its weights, built only if they fit."""
+    check_tensors(state, source)
     try:
+        if own is None:  # a class of one's own may need real tensors to be built
+            check_shapes(lambda: build(config, source=source), state)
+        model = build(config, own, source)
         model.load_state_dict(state)
     except RuntimeError as error:
-        name = architecture_of(model)
+        name = config["architecture"]
         raise UserError(
             f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
         ) from error

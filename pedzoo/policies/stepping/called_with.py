@@ -49,7 +49,18 @@ def number_of(one: Hashable) -> int:
 
 
 FARTHEST = 1e4
-"""Metres: float32 tells millimetres apart up to here."""
+"""Metres from the scene's origin: float32 tells millimetres apart up to here."""
+
+ZERO = np.zeros(2)
+
+
+def origin_of(point: Any) -> NDArray[np.float64]:
+    """Return the origin (2,) of a scene about a point: a scene is walked alike wherever it lies.
+
+    What is no point is refused by `as_points`.
+    """
+    place = np.asarray(point, dtype=np.float64) if _is_pair(point) else ZERO
+    return place if np.isfinite(place).all() else ZERO
 
 
 def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
@@ -74,11 +85,13 @@ def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
     return discs
 
 
-def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
-    """Return the values of a dictionary, each two numbers, as (n, 2) float64; messages call them ``what``.
+def as_points(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64] = ZERO) -> Tensor:
+    """Return the values of a dictionary, each two numbers, less an origin (2,), as (n, 2) float64.
+
+    Messages call the values ``what``.
 
     Raises:
-        UserError: A value is anything else, or not finite.
+        UserError: A value is anything else, not finite, or too far from the origin.
     """
     values = [xy.detach().cpu().numpy() if isinstance(xy, Tensor) else xy for xy in given.values()]
     try:
@@ -90,11 +103,12 @@ def as_points(given: Mapping[Any, Any], what: str) -> Tensor:
     if not np.isfinite(points).all():
         one = list(given)[int((~np.isfinite(points).all(1)).argmax())]
         raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
+    points = points - origin
     if (np.abs(points) > FARTHEST).any():
         one = list(given)[int((np.abs(points) > FARTHEST).any(1).argmax())]
         raise UserError(
-            f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the origin, where "
-            "centimetres are lost to rounding: subtract an offset from all positions and goals"
+            f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the scene's origin, the "
+            "floor plan's or the first agent's place: are all in one frame, and in metres?"
         )
     return torch.from_numpy(points)
 

@@ -17,6 +17,9 @@ _OBSERVED = (OBS_LEN - 1) * STEP_SECONDS
 _ROUNDING = 1e-9
 """Seconds."""
 
+SHORTEST = 1e-3
+"""Least seconds between two calls: positions of all calls of 2.8 s are kept."""
+
 
 class CallerClock(NamedTuple):
     """Calls every ``dt`` seconds, or at times that the caller says. Never written in place.
@@ -130,9 +133,10 @@ def times(whole: float, dt: float, what: str) -> int:
     Raises:
         UserError: Not a whole number.
     """
-    result = round(whole / dt) if 0 < dt < math.inf else 0
+    result = round(whole / dt) if SHORTEST <= dt < math.inf else 0
     if result < 1 or abs(result * dt - whole) > 1e-6:
         raise UserError(
-            f"dt {dt}: {what} every {whole:g} s, expected a whole part of that, such as {whole / 4:g}"
+            f"dt {dt}: {what} every {whole:g} s, expected a whole part of that, such as {whole / 4:g}, of at "
+            f"least {SHORTEST:g} s"
         )
     return result

@@ -1,6 +1,7 @@
 """Policies for any simulator: positions of people by id in, velocities by id out."""
 
 from collections.abc import Hashable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
@@ -22,7 +23,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
-from pedzoo.policies.stepping.called_with import PREF_SPEED, as_discs, as_points
+from pedzoo.policies.stepping.called_with import PREF_SPEED, ZERO, as_discs, as_points, origin_of
 from pedzoo.policies.stepping.caller_clock import CallerClock, times
 from pedzoo.policies.stepping.online_goals import OnlineGoals
 from pedzoo.policies.stepping.roster import Roster
@@ -100,9 +101,12 @@ class Controller:
                 "who come and go: expected 1"
             )
         grid = load_plan(map) if isinstance(map, str | Path) else map
+        origin = ZERO
+        if grid is not None:
+            origin, grid = origin_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance))
+        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance), origin)
         # with one call per decision there is nothing to blend
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
@@ -132,8 +136,8 @@ class Controller:
     ) -> dict[Id, NDArray[np.float64]]:
         """Return the velocity (2,) of every person, m/s, at most 1.3 times their preferred speed.
 
-        Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. A call that
-        raises changes nothing.
+        Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. They may be
+        anywhere, within 10 km of it, or without one of the first agent. A call that raises changes nothing.
 
         Args:
             people: Where they are now, by id: any hashable values.
@@ -163,11 +167,14 @@ class Controller:
         present = {**people, **discs}
         agents = self._agents.now(present, self.pref_speed).with_radius(radius or {})
         agents = agents.with_groups(_of(people, groups))
+        online_goals = self._online_goals
+        if present and not (self._agents.row or online_goals.planner.bank.grids):
+            online_goals = online_goals._replace(origin=origin_of(present[agents.ids[0]]))
         position = agents.past.new_empty(len(present), 2)
-        position[agents.rows(present)] = as_points(present, "position").float()
+        position[agents.rows(present)] = as_points(present, "position", online_goals.origin).float()
         # on the way since the last call, or at once for a new goal
         agents = agents.arrived(agents.past[:, -1], position)
-        online_goals, asked, new = self._online_goals, _of(people, goals), agents.is_new
+        asked, new = _of(people, goals), agents.is_new
         comes = bool(new.any())
         if asked or comes:
             online_goals, with_goals = online_goals.with_goals(agents, position, asked)

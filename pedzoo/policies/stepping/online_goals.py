@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
@@ -25,9 +27,11 @@ class OnlineGoals(NamedTuple):
 
     Attributes:
         planner: Its bank holds the floor plan alone, or nothing.
+        origin: Of its frame in the caller's (2,), metres.
     """
 
     planner: OnlinePlanner
+    origin: NDArray[np.float64]
 
     @property
     def map_id(self) -> int:
@@ -49,7 +53,7 @@ class OnlineGoals(NamedTuple):
             UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
         """
         given = {one: goal for one, goal in goals.items() if goal is not None}
-        rows, points = people.rows(given), as_points(given, "goal")
+        rows, points = people.rows(given), as_points(given, "goal", self.origin)
         known = len(given) == len(goals) and torch.equal(people.goal[rows], points)
         if known and not people.is_new.any():
             return self, people
@@ -74,7 +78,7 @@ class OnlineGoals(NamedTuple):
         if planner.goals > max(_KEPT, 4 * len(fresh)):
             # the table of a goal is as large as the floor plan, and new goals keep coming
             planner, added = planner.without_goals(), has_goal
-        online_goals, goal_id = OnlineGoals(planner), goal_id.clone()
+        online_goals, goal_id = self._replace(planner=planner), goal_id.clone()
         goal_id[added] = online_goals._added(people, asked, added)
         people = people._replace(goal_id=goal_id)
         guidance = online_goals.guide(people, position)

@@ -1,0 +1,58 @@
+"""Hostile contents for every reader: seconds of what `tools.reliability.fuzz` does for hours."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tools.reliability.fuzz import CORPUS
+from tools.reliability.hostile import ODD, complaint, mistaken, warm
+from tools.reliability.readers import READERS
+
+hypothesis = pytest.importorskip("hypothesis")
+from hypothesis import HealthCheck, given, settings  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+QUICK = settings(
+    max_examples=40, deadline=None, database=None, suppress_health_check=list(HealthCheck), derandomize=True
+)
+
+
+@pytest.fixture(params=READERS)
+def name(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """A reader that reads what is sound."""
+    warm(READERS[request.param], tmp_path)
+    return request.param
+
+
+def test_contents_with_mistakes_are_read_or_refused_in_words(name: str) -> None:
+    examples = READERS[name].examples()
+
+    @QUICK
+    @given(st.integers(0, 2**63 - 1))
+    def check(seed: int) -> None:
+        draw = np.random.default_rng(seed)
+        with tempfile.TemporaryDirectory() as folder:
+            content = mistaken(examples[draw.integers(len(examples))], draw)
+            assert complaint(READERS[name], content, Path(folder)) is None
+
+    check()
+
+
+def test_any_bytes_are_read_or_refused_in_words(name: str) -> None:
+    @QUICK
+    @given(st.one_of(st.binary(max_size=300), st.text(max_size=100).map(str.encode), st.sampled_from(ODD)))
+    def check(content: bytes) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            assert complaint(READERS[name], content, Path(folder)) is None
+
+    check()
+
+
+@pytest.mark.parametrize("file", sorted(CORPUS.glob("*-*")), ids=lambda file: file.name)
+def test_what_was_wrong_once_is_right(file: Path, tmp_path: Path) -> None:
+    warm(READERS[file.name.partition("-")[0]], tmp_path)
+    assert complaint(READERS[file.name.partition("-")[0]], file.read_bytes(), tmp_path) is None
