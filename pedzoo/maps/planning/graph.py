@@ -1,6 +1,7 @@
 """The open cells of a floor plan as a graph, and shortest paths on it."""
 
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,7 +153,7 @@ def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.
     send a person who is pushed near one into it.
     """
     # connected through their sides, as the graph is; part 0 is everything else
-    parts, _ = label(cells)
+    parts = np.asarray(cast("Any", label(cells))[0])
     area = np.bincount(parts.ravel())[1:] * resolution**2
     large = np.concatenate(([False], area >= min(POCKET, area.max(initial=0))))
     return np.take(large, parts)
