@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,12 +26,12 @@ policy_of = cache(load_policy)
 
 def walked(
     name: str,
-    begin: NDArray[np.float64],
-    goals: NDArray[np.float64],
+    begin: NDArray[Any],
+    goals: NDArray[Any],
     grid: OccupancyGrid | None = None,
     seed: int = 3,
     seconds: float = 10.0,
-) -> NDArray[np.float64]:
+) -> NDArray[Any]:
     """Return the positions (T, N, 2) of people whom a policy moves, metres, in double precision."""
     policy = policy_of(name)
     controller = Controller(policy, grid, dt=policy.decision_dt, seed=seed)

@@ -95,7 +95,7 @@ def _files(folder: str, pattern: str) -> list[bytes]:
 
 _JOURNAL = b"".join(b'{"unit": "%d", "rows": [{"n": %d}]}\n' % (one, one) for one in range(4))
 _POLICIES = [b"orca:radius=0.2,dt=0.4", b"orca:share=0.3+social_force:tau=0.5", b"go_to_goal:safety=true"]
-_SCENARIOS = [b"door:width=0.9,people=[2,5]", b"circle:people=6", b"goals:plans='flat'", b"queue"]
+_SCENARIOS = [b"door:width=0.9,people=4", b"circle:people=6", b"goals:map=flat,people=5", b"queue"]
 
 READERS = {
     "tracks": Reader("people.csv", lambda path: Tracks.read(path).resampled(0.4), _tracks),

@@ -59,7 +59,7 @@ def origin_of(point: Any) -> NDArray[np.float64]:
 
     What is no point is refused by `as_points`.
     """
-    place = np.asarray(point, dtype=np.float64) if _is_pair(point) else ZERO
+    place: NDArray[np.float64] = np.array(point, dtype=np.float64) if _is_pair(point) else ZERO
     return place if np.isfinite(place).all() else ZERO
 
 
