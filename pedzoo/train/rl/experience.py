@@ -58,8 +58,14 @@ class Gatherer:
             rank: Number of this process.
             processes: That share the scenes of a seed.
         """
-        numbers = {"first_episode": rank * scenes, "stride": processes * scenes}
-        self.env = make_env(scenario, scenes, physics, decision_dt=STEP_SECONDS, **numbers)
+        self.env = make_env(
+            scenario,
+            scenes,
+            physics,
+            decision_dt=STEP_SECONDS,
+            first_episode=rank * scenes,
+            stride=processes * scenes,
+        )
         self.env.policy_name = "the model in training"
         self._collector = Collector(
             self.env,
