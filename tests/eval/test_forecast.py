@@ -19,9 +19,14 @@ from pedzoo.metrics.displacement import displacement_error
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
 
-SAMPLED = {"ade_sampled_m", "fde_sampled_m", "sample_distance_m"} | {
-    f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")
-}
+SAMPLED = (
+    {"ade_sampled_m", "fde_sampled_m", "sample_distance_m", "calibration_error"}
+    | {
+        "fde_of_min_ade_3_agent_m",
+        "miss_rate_3",
+    }
+    | {f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")}
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +54,13 @@ def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str
     names = [weights["plain"], weights["goal"]]
     report = forecast(names, data, samples=3, seed=5, progress=lambda *step: seen.append(step))
     rows = report["rows"]
-    assert [row["name"] for row in rows] == ["constant_velocity", *names, "straight_line", "bent_line"]
+    assert [row["name"] for row in rows] == [
+        "constant_velocity",
+        "anchors",
+        *names,
+        "straight_line",
+        "bent_line",
+    ]
     assert report["protocol"] == data.protocol | {"split": "test", "samples": 3}
     assert report["protocol"]["goal"] == "destination" and report["protocol"]["fold"] == "embedded"
     assert report["seeds"] == [5]
@@ -57,8 +68,9 @@ def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str
     assert seen == [(row["name"], i + 1, batches) for row in rows for i in range(batches)]
     for row in rows:
         assert row["n"] == len(data.sets["test"].rows)
-        assert set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} | SAMPLED
-        assert all(0 <= value < 100 for value in row["metrics"].values()), row
+        nats = {"nll_nats_per_step"} if row["name"] == "anchors" else set()
+        assert set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} | SAMPLED | nats
+        assert all(0 <= value < 100 for key, value in row["metrics"].items() if key not in nats), row
         assert row["case"] == {}
     json.dumps(report, allow_nan=False)
 
@@ -98,16 +110,16 @@ def test_constant_velocity_by_hand() -> None:
 
 def test_samples_count_and_repeat_with_their_seed(weights: dict[str, str]) -> None:
     name, data = weights["plain"], make_data(batch_size=64)
-    first, again, other = (forecast([name], data, 3, seed)["rows"][1]["metrics"] for seed in (0, 0, 1))
+    first, again, other = (forecast([name], data, 3, seed)["rows"][2]["metrics"] for seed in (0, 0, 1))
     assert first == again
     for key in ("ade_m", "fde_m", "next_step_m"):  # of the mode, which has no noise
         assert first[key] == other[key]
-    for key in SAMPLED:
+    for key in SAMPLED - {"miss_rate_3"}:
         assert first[key] != other[key]
     assert first["sample_distance_m"] > 1e-3
     assert first["min_ade_3_agent_m"] < first["min_ade_3_scene_m"] < first["ade_sampled_m"]
     assert (
-        forecast(["bent_line", name], make_data("window_end", batch_size=64), 3)["rows"][2]["metrics"]
+        forecast(["bent_line", name], make_data("window_end", batch_size=64), 3)["rows"][3]["metrics"]
         == first
     )
 
@@ -116,7 +128,7 @@ def test_mode_and_samples_are_those_of_the_model(weights: dict[str, str]) -> Non
     from pedzoo.models.zoo.loading import load
 
     data = make_data(batch_size=4096)
-    metrics = forecast([weights["plain"]], data, 3, seed=2)["rows"][1]["metrics"]
+    metrics = forecast([weights["plain"]], data, 3, seed=2)["rows"][2]["metrics"]
     (batch,) = list(data.test_dataloader())
     agents, model = agents_of(batch), load(weights["plain"])
     with torch.no_grad():
@@ -159,7 +171,7 @@ def test_unknown_positions_do_not_count(weights: dict[str, str]) -> None:
     complete = forecast([weights["plain"]], make_data(), 3)["rows"]
     for some, all_ in zip(partly, complete, strict=True):
         assert some["n"] > all_["n"]
-        assert all(0 <= value < 100 for value in some["metrics"].values())
+        assert all(0 <= value < 100 for key, value in some["metrics"].items() if "nats" not in key)
 
 
 def test_what_cannot_be_forecast_is_refused(weights: dict[str, str]) -> None:
@@ -190,7 +202,7 @@ def test_the_command_writes_what_the_function_returns(
     assert {key: written[key] for key in direct} == json.loads(json.dumps(direct))
     printed = capsys.readouterr().out
     assert "goal window_end" in printed and "constant_velocity" in printed and "bent_line" in printed
-    assert written["rows"][1]["case"] == {"note": "trained for destination goals"}
+    assert written["rows"][2]["case"] == {"note": "trained for destination goals"}
 
 
 def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_path: Path) -> None:
