@@ -212,3 +212,27 @@ def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_
     written = json.loads(out.read_text())
     assert written["protocol"]["goal"] == "destination"
     assert all(row["case"] == {} for row in written["rows"])
+
+
+def test_one_command_trains_and_tests_on_files_of_ones_own(tmp_path: Path) -> None:
+    """The table has the baselines, the centroids of these files, and the two models that were trained."""
+    lines = ["frame,agent,x,y"]
+    random = torch.Generator().manual_seed(0)
+    for agent in range(24):
+        start, speed = 12 * agent // 2, 0.3 + 0.3 * float(torch.rand((), generator=random))
+        for step in range(30):
+            wobble = float(torch.randn((), generator=random)) * 0.02
+            lines.append(f"{start + step},{agent},{speed * step:.3f},{agent % 5 + wobble:.3f}")
+    (tmp_path / "mine.csv").write_text("\n".join(lines))
+    out = tmp_path / "out.json"
+    argv = ["forecast", "--train", "anchor_mlp,anchor_net", "--data.files", str(tmp_path / "mine.csv")]
+    argv += ["--data.dt", "0.4", "--data.split", "0.6,0.2,0.2", "--data.pred_len=12", "--samples", "20"]
+    assert main([*argv, "--runs", str(tmp_path / "runs"), "--json", str(out)]) == 0
+    report = json.loads(out.read_text())
+    names = [row["name"] for row in report["rows"]]
+    assert names[:2] == ["constant_velocity", "anchors"]
+    assert ["anchor_mlp" in names[2], "anchor_net" in names[3]] == [True, True] and len(names) == 4
+    assert report["protocol"]["fold"] == "files" and report["protocol"]["pred_len"] == 12
+    for row in report["rows"][1:]:
+        assert row["metrics"]["min_ade_20_agent_m"] < 1.0
+        assert {"miss_rate_20", "calibration_error", "nll_nats_per_step"} <= set(row["metrics"])

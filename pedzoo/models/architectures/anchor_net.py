@@ -39,7 +39,8 @@ class Architecture:
     Attributes:
         steps: Predicted steps of 0.4 s.
         modes: Modes.
-        width: Width of all layers, a multiple of 4.
+        width: Width of the decoder and of the attention, a multiple of 4.
+        own_dim: Width of the layers that read a person's own track.
         anchors: Whether modes begin as anchors; without them every mode is learned from nothing.
         neighbours: Nearest people within 5 m that are seen; 0 for none.
         goal: Whether it sees a goal; its modes then begin at the bent line to it.
@@ -51,6 +52,7 @@ class Architecture:
     steps: int = PRED_LEN
     modes: int = 20
     width: int = 96
+    own_dim: int = 256
     anchors: bool = True
     neighbours: int = 8
     goal: bool = False
@@ -94,18 +96,18 @@ class AnchorNet(AnchorForecaster):
         self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
         self.architecture, width = a, a.width
         self.needs = frozenset(["goal"] * a.goal + ["map"] * (a.map is not None))
-        self.own = _two_layers(2 * OBS_LEN + 4 * a.goal + 2 * a.goal, width)
+        self.own = _two_layers(2 * OBS_LEN + 4 * a.goal + 2 * a.goal, a.own_dim)
         if a.neighbours:
             self.other = _two_layers(2 * OBS_LEN + 3, width)
-            self.ask, self.answer = nn.Linear(width, width), nn.Linear(width, 2 * width)
+            self.ask, self.answer = nn.Linear(a.own_dim, width), nn.Linear(width, 2 * width)
             self.alone = nn.Parameter(torch.zeros(1, 1, 2 * width))
         encoders = {"patch": PatchEncoder, "rings": RingEncoder}
         self.map = encoders[a.map](dim=a.map_dim) if a.map else None
-        seen = width * (2 if a.neighbours else 1) + (a.map_dim if a.map else 0)
+        seen = a.own_dim + (width if a.neighbours else 0) + (a.map_dim if a.map else 0)
         self.context = nn.Linear(seen, width)
         self.anchor = nn.Linear(2 * a.steps, width) if a.anchors else None
         self.query = nn.Parameter(0.5 * torch.randn(a.modes + 1, width))
-        self.decoder = nn.Sequential(nn.GELU(), nn.Linear(width, width), nn.GELU())
+        self.decoder = nn.Sequential(nn.GELU(), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width))
         self.paths = nn.Linear(width, 2 * a.steps)
         self.choice = nn.Linear(width, 1)
         self.widths = nn.Linear(width, 2 * a.steps)
@@ -121,7 +123,7 @@ class AnchorNet(AnchorForecaster):
         hidden = context.unsqueeze(1) + self.query
         if self.anchor is not None:
             hidden = hidden + self.anchor(anchors.path.flatten(2))
-        hidden = self.decoder(hidden)
+        hidden = functional.gelu(hidden + self.decoder(hidden))
         path = self.paths(hidden).view_as(anchors.path)
         # bounded: no mode is ever impossible
         choice = BOUND * (self.choice(hidden[:, :-1]).squeeze(-1) / BOUND).tanh()
@@ -172,7 +174,7 @@ class AnchorNet(AnchorForecaster):
         features = torch.cat((place.flatten(2) / 3, moves, (-distance / 1.5).exp()), -1)
         answers = torch.cat((self.answer(self.other(features)), self.alone.expand(len(own), -1, -1)), 1)
         absent = torch.cat((apart >= NEAR**2, apart.new_zeros(len(own), 1, dtype=torch.bool)), 1)
-        width = own.shape[-1]
+        width = self.architecture.width
         key, value = (part.unflatten(2, (HEADS, -1)).transpose(1, 2) for part in answers.split(width, 2))
         query = self.ask(own).view(-1, HEADS, 1, width // HEADS)
         read = functional.scaled_dot_product_attention(query, key, value, ~absent[:, None, None])
