@@ -12,6 +12,7 @@ from helpers.batches import changed, make_batch, random_weights
 from tensordict import TensorDict
 from torch import Tensor
 
+import pedzoo
 from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
@@ -269,3 +270,16 @@ def test_people_of_any_speed_have_anchors() -> None:
     history = step.view(1, -1, 1, 1) * torch.arange(8.0).view(8, 1) * torch.tensor([1.0, 0.0])
     assert model.candidates(changed(scene(7), history=history), 20, 8).isfinite().all()
     assert random_weights(Anchors()).sample(scene(7), 3, 8).isfinite().all()
+
+
+def test_it_walks_as_a_controller() -> None:
+    """Steps are finite, no faster than people are, and those of the same scene are the same again."""
+    model = made("anchor_net", goal=True, goal_protocol="destination", map="rings", map_dim=4)
+    first, again = (
+        pedzoo.make_env("perpendicular:people=4", num_envs=2, physics="compiled", seed=0).rollout(
+            4, model.policy()
+        )["agents", "action"]
+        for _ in range(2)
+    )
+    assert first.isfinite().all() and first.norm(dim=-1).max() > 0
+    torch.testing.assert_close(first, again)

@@ -26,8 +26,8 @@ class Forecasting(Table1):
     title = "Forecasting with a floor: best of 20 on ETH/UCY, leave one scene out"
     stem = "FORECASTING"
     blocks: ClassVar[tuple[Block, ...]] = (
-        Block(12, "none", (FLOOR, *NETWORKS, "sgan", "sgan_pool"), "_pred12"),
-        Block(8, "none", (FLOOR, *NETWORKS, "sgan", "sgan_pool", "social_vrnn")),
+        Block(12, "none", (FLOOR, *NETWORKS, "sgan"), "_pred12"),
+        Block(8, "none", (FLOOR, *NETWORKS, "sgan")),
         Block(8, "destination", (FLOOR, "anchor_net_goal", "sgan_goal"), "_destination"),
         Block(8, "window_end", (FLOOR, "anchor_net_goal", "sgan_goal")),
     )

@@ -244,7 +244,7 @@ class AnchorForecaster(Forecaster):
         return self._world(seen, mixture.mean_of(chosen).unsqueeze(0), steps)[:, 0]
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
-        """Return the loss, a mean over people times the number of scenes.
+        """Return the loss, summed over people.
 
         The best average and final errors of the modes, the error of the best guess, the cross-entropy of the
         mode that was best, and the likelihood of the truth, which moves nothing but the widths.
@@ -272,7 +272,7 @@ class AnchorForecaster(Forecaster):
         nats = (0.5 * (wrong / scale).square() + scale.log()).sum(-1) * moves
         nats = nats.sum(-1) / moves.sum(-1).clamp_min(1)
         cost = (cost + own.choice_weight * choice + nats) * known.any(-1)
-        return cost.sum() * (len(batch) / max(len(cost), 1))
+        return cost.sum()
 
     @torch.no_grad()
     def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
