@@ -9,7 +9,8 @@ from torch import nn
 from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, PRED_LEN
 from pedzoo.models.base import Walking
-from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster, AnchorLosses, Seen, Written
+from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
+from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
 
 
 @dataclass(frozen=True)

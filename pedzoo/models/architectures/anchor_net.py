@@ -18,7 +18,8 @@ from pedzoo.core.geometry import unrotate
 from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, PRED_LEN, GoalProtocol
 from pedzoo.models.base import Walking
-from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster, AnchorLosses, Seen, Written
+from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
+from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
 

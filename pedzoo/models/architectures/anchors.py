@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from pedzoo.core.spec import flat
 from pedzoo.core.types import PRED_LEN
-from pedzoo.models.blocks.anchored.forecaster import AnchorForecaster, AnchorLosses
+from pedzoo.models.blocks.anchored.forecaster import AnchorForecaster
+from pedzoo.models.blocks.anchored.parts import AnchorLosses
 
 
 @dataclass(frozen=True)
