@@ -8,8 +8,7 @@ from torch import Tensor, nn
 from torchmetrics import Metric, MetricCollection
 
 from pedzoo.metrics import displacement as d
-from pedzoo.metrics.calibration import CalibrationError
-from pedzoo.metrics.likelihood import NegativeLogLikelihood
+from pedzoo.metrics.likelihood import CalibrationError, NegativeLogLikelihood
 from pedzoo.models.base import Forecaster, known_displacements
 
 
