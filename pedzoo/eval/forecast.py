@@ -56,7 +56,7 @@ def forecast(
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}
     if samples > 1 and FLOOR not in models:
-        models = {wanted[0]: models.pop(wanted[0]), FLOOR: floor(data, samples), **models}
+        models[FLOOR] = floor(data, samples)
     rows = [forecast_row(name, model, data, samples, seed, split, progress) for name, model in models.items()]
     return {"protocol": data.protocol | {"split": split, "samples": samples}, "seeds": [seed], "rows": rows}
 
