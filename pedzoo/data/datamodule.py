@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Recording, Split, open_fold
+from pedzoo.data.recordings import Recording, Split, find_fold, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
@@ -87,6 +87,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         clock: TimeBase = "benchmark",
         keep_people: KeptPeople = "complete",
         min_people: int = 2,
+        hold_out: str | None = None,
         loading: Loading = Loading(),
         imitated: Imitated = Imitated(),
     ) -> None:
@@ -106,6 +107,9 @@ class TrajectoryDataModule(L.LightningDataModule):
             clock: ``benchmark`` takes every annotated step as 0.4 s, ``true`` resamples to real 0.4 s.
             keep_people: ``complete``: people seen in the whole window; ``present``: also partly seen ones.
             min_people: Windows with fewer people are dropped.
+            hold_out: A second scene that training leaves out, by the name of its fold, and that validation is
+                on; None for the later minutes of the training scenes. For choices such as the length of
+                training, without a look at the test scene.
             loading: How batches are made.
             imitated: Further training windows.
         """
@@ -161,7 +165,7 @@ class TrajectoryDataModule(L.LightningDataModule):
             "fit": ("train", "val"), "validate": ("val",), "test": ("test",), None: ("train", "val", "test")
         }  # fmt: skip
         missing: list[Split] = [split for split in wanted[stage] if split not in self.sets]
-        recordings: dict[Split, list[Recording]] = {s: self.source.recordings(s) for s in missing}
+        recordings = {split: self._recordings(split) for split in missing}
         steps = self.imitated.steps if "train" in missing else 0
         real: list[Recording] = []
         if steps:
@@ -179,6 +183,22 @@ class TrajectoryDataModule(L.LightningDataModule):
         if steps:
             self.unrolled = self._scenes(real, steps, "present", 1)
             _print_counts(f"{self.fold} train, unrolled for {steps} steps", self.unrolled)
+
+    def _recordings(self, split: Split) -> list[Recording]:
+        """Return the recordings of a split, with a scene held out where one is."""
+        scene = self.hparams["hold_out"]
+        if scene is None or split == "test":
+            return self.source.recordings(split)
+        fold = None if self.hparams["files"] else find_fold(scene)
+        if fold is None or not fold.tested or fold.name == self.fold:
+            raise UserError(
+                f"--data.hold_out {scene}: expected another scene of the recordings of {self.fold!r}"
+            )
+        parts: tuple[Split, ...] = ("train",) if split == "train" else ("train", "val")
+        every = [one for part in parts for one in self.source.recordings(part)]
+        # a part of a recording begins with the name of the whole
+        tested = tuple(fold.tested)
+        return [one for one in every if one.tracks.name.startswith(tested) == (split == "val")]
 
     def crowds(self, split: Split) -> list[tuple[Tracks, int]]:
         """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan."""
@@ -201,6 +221,10 @@ class TrajectoryDataModule(L.LightningDataModule):
         groups = self.unrolled.recording if self.imitated.one_recording_per_batch else None
         unrolled = self._batches(self.unrolled, "destination", self.imitated.batch_size, True, groups)
         return {"forecast": forecast, "unrolled": unrolled}
+
+    def recorded(self, split: Split) -> DataLoader:
+        """Return all windows of a split in order, as they were recorded."""
+        return self._loader(split)
 
     def val_dataloader(self) -> DataLoader:
         """Return all validation windows in order."""

@@ -6,6 +6,7 @@ from typing import Any, cast
 import torch
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.registry import MODELS
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import Split
@@ -15,6 +16,10 @@ from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 
 BASELINES = ("constant_velocity", "straight_line", "bent_line")
+"""Predictors that know nothing but where people are and, the lines, where they go."""
+
+FLOOR = "anchors"
+"""What stands beside them where the best of several is reported: centroids of the fold's training futures."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -50,8 +55,20 @@ def forecast(
     data.setup(STAGES[split])
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}
+    if samples > 1 and FLOOR not in models:
+        models[FLOOR] = floor(data, samples)
     rows = [forecast_row(name, model, data, samples, seed, split, progress) for name, model in models.items()]
     return {"protocol": data.protocol | {"split": split, "samples": samples}, "seeds": [seed], "rows": rows}
+
+
+def floor(data: TrajectoryDataModule, modes: int) -> Forecaster:
+    """Return centroids of the training futures of some data, as many as samples are compared.
+
+    They are of the training windows alone, with the seed 0, and no part of a validation or test is looked at.
+    """
+    model = MODELS.get(FLOOR, Forecaster).of(steps=data.pred_len, modes=modes).eval()
+    model.prepare(data.recorded("train"))
+    return model
 
 
 def forecast_row(

@@ -10,6 +10,9 @@ from torch import Tensor
 
 from pedzoo.metrics.sums.scene_mean import SceneMean
 
+MISS = 2.0
+"""Metres: a forecast that ends farther off has missed."""
+
 
 def positions(prediction: Tensor, history: Tensor) -> Tensor:
     """Return where displacements (B, K, A, T, 2) lead from the last observed positions: (B, K, A, T, 2)."""
@@ -110,6 +113,25 @@ class MinFDEAgent(FDE):
     """FDE of each person's own best sample."""
 
     over_samples = staticmethod(min_per_agent)
+
+
+class FinalOfBestADE(AgentMean):
+    """FDE of the sample that is best by ADE: what minima taken apart leave out."""
+
+    def update(self, error: Tensor, valid: Tensor) -> None:
+        """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
+        last, there = final(error, valid)
+        best = average(error, valid)[0].argmin(1, keepdim=True)
+        self.add(last.gather(1, best).squeeze(1).where(there, 0), there.sum(1))
+
+
+class MissRate(AgentMean):
+    """Share of people of whom no sample ends within `MISS` metres of the truth."""
+
+    def update(self, error: Tensor, valid: Tensor) -> None:
+        """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
+        last, there = final(error, valid)
+        self.add((last.amin(1) > MISS).where(there, False).to(error.dtype), there.sum(1))
 
 
 class SampleDistance(SceneMean):

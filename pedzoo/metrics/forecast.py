@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torchmetrics import Metric, MetricCollection
 
 from pedzoo.metrics import displacement as d
-from pedzoo.metrics.likelihood import NegativeLogLikelihood
+from pedzoo.metrics.likelihood import CalibrationError, NegativeLogLikelihood
 from pedzoo.models.base import Forecaster, known_displacements
 
 
@@ -16,7 +16,10 @@ class ForecastScore(nn.Module):
     """ADE, FDE and next-step error of a model's one best guess, and of K random samples.
 
     ``ade_m``, ``fde_m`` and ``next_step_m`` judge the mode (for SGAN: noise zero); ``ade_sampled_m`` and
-    ``fde_sampled_m`` are what one random sample costs on average; ``min_*`` take the best of K.
+    ``fde_sampled_m`` are what one random sample costs on average. ``min_*`` take the best of K, ADE and FDE
+    each of a sample of its own; ``fde_of_min_ade_*`` is the FDE of the sample that is best by ADE.
+    ``miss_rate_*`` is the share of people of whom all K end more than 2 m off. ``calibration_error``: see
+    `CalibrationError`.
     ``nll_nats_per_step`` is there for models with a density, see `Forecaster.log_likelihood`.
     """
 
@@ -25,15 +28,18 @@ class ForecastScore(nn.Module):
         super().__init__()
         self.samples = samples
         self.of_mode = _collection({"ade_m": d.ADE(), "fde_m": d.FDE(), "next_step_m": d.NextStepError()})
-        of_samples = {
-            "ade_sampled_m": d.ADE(),
-            "fde_sampled_m": d.FDE(),
+        of_samples = {"ade_sampled_m": d.ADE(), "fde_sampled_m": d.FDE()}
+        self.of_samples = _collection(of_samples if samples else {})
+        of_candidates = {
             f"min_ade_{samples}_scene_m": d.MinADEScene(),
             f"min_fde_{samples}_scene_m": d.MinFDEScene(),
             f"min_ade_{samples}_agent_m": d.MinADEAgent(),
             f"min_fde_{samples}_agent_m": d.MinFDEAgent(),
+            f"fde_of_min_ade_{samples}_agent_m": d.FinalOfBestADE(),
+            f"miss_rate_{samples}": d.MissRate(),
         }
-        self.of_samples = _collection(of_samples if samples else {})
+        self.of_candidates = _collection(of_candidates if samples else {})
+        self.calibration = CalibrationError() if samples > 1 else None
         self.spread = d.SampleDistance() if samples > 1 and spread else None
         self.likelihood = NegativeLogLikelihood()
 
@@ -56,6 +62,11 @@ class ForecastScore(nn.Module):
         prediction = model.sample(batch, samples, steps, generator) if model.stochastic else mode
         error = d.displacement_error(prediction, history, future)
         self.of_samples.update(error, valid)
+        if self.calibration is not None:
+            self.calibration.update(d.positions(prediction, history)[..., -1, :], history, future, valid)
+        if type(model).candidates is not Forecaster.candidates:
+            error = d.displacement_error(model.candidates(batch, samples, steps, generator), history, future)
+        self.of_candidates.update(error, valid)
         if self.spread is not None:
             self.spread.update(prediction, agents["mask"])
 
@@ -63,18 +74,20 @@ class ForecastScore(nn.Module):
         """Return all metrics by name; a deterministic model has sample distance 0."""
         result = {
             name: float(value)
-            for of in (self.of_mode, self.of_samples)
+            for of in (self.of_mode, self.of_samples, self.of_candidates)
             for name, value in of.compute().items()
         }
         if self.spread is not None:
             result["sample_distance_m"] = float(self.spread.compute())
+        if self.calibration is not None:
+            result["calibration_error"] = float(self.calibration.compute())
         if self.likelihood.update_called:
             result["nll_nats_per_step"] = float(self.likelihood.compute())
         return result
 
     def latest(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Return sums and counts (B,) of every mean, for each scene of the last batch."""
-        items = (item for of in (self.of_mode, self.of_samples) for item in of.items())
+        items = (item for of in (self.of_mode, self.of_samples, self.of_candidates) for item in of.items())
         result = {name: metric.latest for name, metric in items if isinstance(metric, d.AgentMean)}
         if self.likelihood.update_called:
             result["nll_nats_per_step"] = self.likelihood.latest
@@ -82,7 +95,10 @@ class ForecastScore(nn.Module):
 
     def reset(self) -> None:
         """Forget all batches."""
-        for metric in (self.of_mode, self.of_samples, self.spread, self.likelihood):
+        for metric in (
+            *(self.of_mode, self.of_samples, self.of_candidates),
+            *(self.spread, self.calibration, self.likelihood),
+        ):
             if metric is not None:
                 metric.reset()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
@@ -88,6 +89,15 @@ class Forecaster(nn.Module):
         """Return ``samples`` random futures (B, K, A, T, 2): displacements, metres; zero for padding."""
         raise NotImplementedError
 
+    def candidates(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the futures (B, K, A, T, 2) of which a best of K takes the best.
+
+        These are random ones, unless a model has a set of futures that stand for all.
+        """
+        return self.sample(batch, samples, steps, generator)
+
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the one most likely future (B, 1, A, T, 2)."""
         return self.sample(batch, 1, steps)
@@ -121,6 +131,12 @@ class Forecaster(nn.Module):
         """
         controller = _above("pedzoo.policies.stepping.controller").Controller
         return controller(self.policy(noise), map, **settings)
+
+    def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:
+        """Take from the training batches what is computed from them and not trained: nothing by default.
+
+        A training calls it once before its first step, with batches as recorded.
+        """
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""

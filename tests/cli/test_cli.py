@@ -231,7 +231,13 @@ def test_fit_resume_test_and_forecast(capsys, elsewhere):
     capsys.readouterr()
     assert main(["forecast", str(best), "--samples", "2", "--json", "-"]) == 0
     rows = json.loads("{" + capsys.readouterr().out.partition("\n{")[2])["rows"]
-    assert [row["name"] for row in rows] == ["constant_velocity", str(best), "straight_line", "bent_line"]
+    assert [row["name"] for row in rows] == [
+        "constant_velocity",
+        str(best),
+        "straight_line",
+        "bent_line",
+        "anchors",
+    ]
     assert {row["metrics"]["ade_m"] > 0 for row in rows} == {True}
 
 

@@ -294,3 +294,16 @@ def test_every_process_evaluates_all_windows() -> None:
     second.trainer = cast("Any", Second())
     assert len(list(second.val_dataloader())) == len(list(alone.val_dataloader()))
     assert len(list(second.train_dataloader())) == -(-len(list(alone.train_dataloader())) // 2)
+
+
+def test_a_scene_that_is_held_out_is_what_validation_is_on(shared: Path) -> None:
+    data = TrajectoryDataModule("zara1", str(shared / "data"), hold_out="hotel")
+    data.setup("fit")
+    names = {split: {name for name, _ in data.sets[split].counts} for split in ("train", "val")}
+    assert names["val"] == {"biwi_hotel_train", "biwi_hotel_val"}
+    assert {name.removesuffix("_train") for name in names["train"]} == {
+        *("biwi_eth", "crowds_zara02", "crowds_zara03", "students001", "students003", "uni_examples")
+    }
+    for scene in ("zara1", "eth_ucy", "mall"):
+        with pytest.raises(UserError, match=f"hold_out {scene}: expected another scene"):
+            TrajectoryDataModule("zara1", str(shared / "data"), hold_out=scene).setup("fit")

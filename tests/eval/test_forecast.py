@@ -19,9 +19,14 @@ from pedzoo.metrics.displacement import displacement_error
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
 
-SAMPLED = {"ade_sampled_m", "fde_sampled_m", "sample_distance_m"} | {
-    f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")
-}
+SAMPLED = (
+    {"ade_sampled_m", "fde_sampled_m", "sample_distance_m", "calibration_error"}
+    | {
+        "fde_of_min_ade_3_agent_m",
+        "miss_rate_3",
+    }
+    | {f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")}
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +54,13 @@ def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str
     names = [weights["plain"], weights["goal"]]
     report = forecast(names, data, samples=3, seed=5, progress=lambda *step: seen.append(step))
     rows = report["rows"]
-    assert [row["name"] for row in rows] == ["constant_velocity", *names, "straight_line", "bent_line"]
+    assert [row["name"] for row in rows] == [
+        "constant_velocity",
+        *names,
+        "straight_line",
+        "bent_line",
+        "anchors",
+    ]
     assert report["protocol"] == data.protocol | {"split": "test", "samples": 3}
     assert report["protocol"]["goal"] == "destination" and report["protocol"]["fold"] == "embedded"
     assert report["seeds"] == [5]
@@ -57,8 +68,9 @@ def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str
     assert seen == [(row["name"], i + 1, batches) for row in rows for i in range(batches)]
     for row in rows:
         assert row["n"] == len(data.sets["test"].rows)
-        assert set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} | SAMPLED
-        assert all(0 <= value < 100 for value in row["metrics"].values()), row
+        nats = {"nll_nats_per_step"} if row["name"] == "anchors" else set()
+        assert set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} | SAMPLED | nats
+        assert all(0 <= value < 100 for key, value in row["metrics"].items() if key not in nats), row
         assert row["case"] == {}
     json.dumps(report, allow_nan=False)
 
@@ -102,7 +114,7 @@ def test_samples_count_and_repeat_with_their_seed(weights: dict[str, str]) -> No
     assert first == again
     for key in ("ade_m", "fde_m", "next_step_m"):  # of the mode, which has no noise
         assert first[key] == other[key]
-    for key in SAMPLED:
+    for key in SAMPLED - {"miss_rate_3"}:
         assert first[key] != other[key]
     assert first["sample_distance_m"] > 1e-3
     assert first["min_ade_3_agent_m"] < first["min_ade_3_scene_m"] < first["ade_sampled_m"]
@@ -159,7 +171,7 @@ def test_unknown_positions_do_not_count(weights: dict[str, str]) -> None:
     complete = forecast([weights["plain"]], make_data(), 3)["rows"]
     for some, all_ in zip(partly, complete, strict=True):
         assert some["n"] > all_["n"]
-        assert all(0 <= value < 100 for value in some["metrics"].values())
+        assert all(0 <= value < 100 for key, value in some["metrics"].items() if "nats" not in key)
 
 
 def test_what_cannot_be_forecast_is_refused(weights: dict[str, str]) -> None:
@@ -200,3 +212,27 @@ def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_
     written = json.loads(out.read_text())
     assert written["protocol"]["goal"] == "destination"
     assert all(row["case"] == {} for row in written["rows"])
+
+
+def test_one_command_trains_and_tests_on_files_of_ones_own(tmp_path: Path) -> None:
+    """The table has the baselines, the centroids of these files, and the two models that were trained."""
+    lines = ["frame,agent,x,y"]
+    random = torch.Generator().manual_seed(0)
+    for agent in range(24):
+        start, speed = 12 * agent // 2, 0.3 + 0.3 * float(torch.rand((), generator=random))
+        for step in range(30):
+            wobble = float(torch.randn((), generator=random)) * 0.02
+            lines.append(f"{start + step},{agent},{speed * step:.3f},{agent % 5 + wobble:.3f}")
+    (tmp_path / "mine.csv").write_text("\n".join(lines))
+    out = tmp_path / "out.json"
+    argv = ["forecast", "--train", "anchor_mlp,anchor_net", "--data.files", str(tmp_path / "mine.csv")]
+    argv += ["--data.dt", "0.4", "--data.split", "0.6,0.2,0.2", "--data.pred_len=12", "--samples", "20"]
+    assert main([*argv, "--runs", str(tmp_path / "runs"), "--json", str(out)]) == 0
+    report = json.loads(out.read_text())
+    names = [row["name"] for row in report["rows"]]
+    assert (names[0], names[3]) == ("constant_velocity", "anchors") and len(names) == 4
+    assert "anchor_mlp" in names[1] and "anchor_net" in names[2]
+    assert report["protocol"]["fold"] == "files" and report["protocol"]["pred_len"] == 12
+    for row in report["rows"][1:]:
+        assert row["metrics"]["min_ade_20_agent_m"] < 1.0
+        assert {"miss_rate_20", "calibration_error", "nll_nats_per_step"} <= set(row["metrics"])

@@ -12,9 +12,11 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchmetrics import Metric
 
+from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.metrics import displacement as d
 from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.metrics.likelihood import CalibrationError
 from pedzoo.models.architectures.bent_line import BentLine
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.straight_line import StraightLine
@@ -167,9 +169,13 @@ def test_score_keeps_mode_samples_and_best_apart() -> None:
         "min_fde_2_scene_m": 0.0,
         "min_ade_2_agent_m": 0.0,
         "min_fde_2_agent_m": 0.0,
+        "fde_of_min_ade_2_agent_m": 0.0,
+        "miss_rate_2": 0.0,
         "sample_distance_m": 1.5,
     }
-    assert score.compute() == pytest.approx(expected)
+    result = score.compute()
+    assert 0 <= result.pop("calibration_error") <= 0.5
+    assert result == pytest.approx(expected)
     score.reset()
     score.update(ConstantVelocity(), scene([(0.0, 1.0), (0.0, 2.0)]))
     result = score.compute()
@@ -223,3 +229,40 @@ def test_baselines_equal_the_published_tables(shared: Path, fold: str, pred_len:
         if abs(here - there) > 0.00051
     ]
     assert not wrong
+
+
+def test_the_final_error_of_the_best_by_ade_and_misses_by_hand() -> None:
+    """Person 0: ADE 2 and 3, so the FDE of sample 0, 3. Person 1: 5 and 1, so that of sample 1, 1.5."""
+    assert value(d.FinalOfBestADE, (ERROR, KNOWN)) == pytest.approx((3 + 1.5) / 2)
+    assert value(d.MissRate, (ERROR, KNOWN)) == pytest.approx(0.5)  # 3 and 1.5 m at best, against 2 m
+    valid = torch.tensor([[[True, True], [True, False]]])
+    assert value(d.MissRate, (ERROR, valid)) == pytest.approx(1.0)
+    assert value(d.FinalOfBestADE, (ERROR, valid)) == pytest.approx(3.0)
+
+
+def test_calibration_by_hand() -> None:
+    """Samples behind the truth, before it, and on both sides of it; a person walks along x."""
+    history = torch.stack((torch.arange(8.0), torch.zeros(8)), -1).view(1, 1, 8, 2)
+    known = torch.ones(1, 1, 1, dtype=torch.bool)
+
+    def error(*truths: tuple[float, float], turn: float = 0.0) -> float:
+        frame = torch.tensor([math.cos(turn), math.sin(turn)])
+        metric = CalibrationError()
+        ends = torch.stack((torch.arange(20.0), torch.arange(20.0)), -1).view(1, 20, 1, 2)
+        for truth in truths:
+            place = torch.tensor(truth).view(1, 1, 1, 2)
+            turned = [rotate(one, frame) for one in (ends, history, place)]
+            metric.update(turned[0], turned[1], turned[2], known)
+        return float(metric.compute())
+
+    # all samples behind: the distribution function is 0 up to the last class, 1 / 20, 2 / 20, ... too low
+    behind = sum(k / 20 for k in range(1, 20)) / 19
+    assert error((30.0, 30.0)) == pytest.approx(behind)
+    assert error((-5.0, -5.0)) == pytest.approx(behind)
+    assert error((30.0, 30.0), turn=1.0) == pytest.approx(behind)
+    # one truth between each pair of neighbours is as calibrated as can be
+    assert error(*((k + 0.5, k + 0.5) for k in range(-1, 20))) < 0.03
+    # a single guess: half are ahead, half behind
+    assert error((30.0, 30.0), (-5.0, -5.0)) == pytest.approx(
+        sum(abs(0.5 - k / 20) for k in range(1, 20)) / 19
+    )

@@ -21,6 +21,8 @@ from tools.paper.crowdnav_published import ORCA_LOG, SOCIAL_FORCE_LOG
 from tools.paper.crowdnav_tables import TABLES, agreement_page
 from tools.paper.figure4 import Figure4, outcome
 from tools.paper.folds import mean_errors, means
+from tools.paper.forecasting_pages import forecasting_pages
+from tools.paper.forecasting_published import PEERS
 from tools.paper.line_density import NATS
 from tools.paper.outcome import OUTCOMES
 from tools.paper.paper import FOLDS, RELEASED, Errors
@@ -161,7 +163,7 @@ def test_models_that_are_there_are_scored_and_kept_and_the_rest_is_named(
         assert row["blocks"] == row["windows"] // (8 + int(row["case"]["pred_len"]))
         assert row["n"] == 3 * row["windows"] == 3 * (60 - 8 - int(row["case"]["pred_len"]) + 1)
     assert set(report["missing"]) >= {"sgan.zara1", "sgan_goal.zara1_destination", "sgan_pool.zara1_pred12"}
-    assert "not here, no such weights: sgan.zara1, sgan_pool.zara1" in report["notes"][-1]
+    assert "not here, no such weights: anchors.zara1, sgan.zara1, sgan_pool.zara1" in report["notes"][-1]
 
     monkeypatch.setattr(module, "work", None)  # nothing is left to be done
     again = Table1(["zara1"], root=recordings, journal=journal)
@@ -185,6 +187,50 @@ def test_what_cannot_be_loaded_says_why_and_is_tried_again(
     report = table.report()
     assert report["rows"] == [] and report["missing"]["bent_line"] == "bent_line: no convolutions"
     assert Table1(["zara1"], root=recordings, journal=tmp_path / "journal").parts[0] == 0
+
+
+# Forecasts with a floor
+
+
+def test_forecasts_stand_beside_published_rows_and_targets() -> None:
+    """Four folds at .1/.2 and eth at .5/.9: means of .18/.34, without eth .1/.2; two seeds differ by .02."""
+
+    def metrics(fold: str, more: float = 0.0) -> dict[str, float]:
+        ade, fde = (0.5, 0.9) if fold == "eth" else (0.1, 0.2)
+        return {"min_ade_20_agent_m": ade + more, "min_fde_20_agent_m": fde + more, "miss_rate_20": 0.25}
+
+    case = {"pred_len": "12", "goal": "none"}
+    rows = [
+        {"name": "anchor_net", "case": case | {"fold": fold}, "n": 1, "blocks": 1, "ci95": {}}
+        | {"metrics": metrics(fold)}
+        for fold in FOLDS
+    ]
+    training = [
+        {"name": "anchor_net", "case": case | {"fold": fold}, "seeds": [metrics(fold), metrics(fold, 0.02)]}
+        for fold in FOLDS
+    ]
+    mean = {"min_ade_20_agent_m": 0.18, "min_fde_20_agent_m": 0.34, "miss_rate_20": 0.25}
+    training.append({"name": "anchor_net", "case": case | {"fold": "mean"}, "seeds": [mean, mean]})
+    report = {
+        "protocol": {"folds": list(FOLDS)},
+        "rows": rows,
+        "means": means(rows, FOLDS),
+        "blocks": [case | {"rows": ["constant_velocity", "anchor_net"]}],
+        "training": training,
+        "published": [peer.plain() for peer in PEERS],
+    }
+    targets, published, columns, seeds = forecasting_pages(report)
+    said = {(row[0], row[2]): row[-2:] for row in targets.rows if row[1] == "8 -> 12, none"}
+    assert said["anchor_net", "mean"] == ["0.180 / 0.340 (2 seeds)", "short by 0.005"]
+    assert said["anchor_net", "without eth"] == ["0.110 / 0.210 (2 seeds)", "met"]
+    assert said["anchors", "mean"] == ["-", "not measured"]
+    ours, *others = published.rows
+    assert ours[:3] == ["anchor_net", "0.500 / 0.900", "0.100 / 0.200"]
+    assert ours[-3:] == ["0.180 / 0.340", "0.100 / 0.200", "none"]
+    tutr = next(row for row in others if "TUTR" in row[0])
+    assert tutr[1] == "0.40 / 0.61" and "test set" in tutr[-1]
+    assert columns.rows == [["anchor_net", "-", "-", "0.180 / 0.340", "-", "0.250", "-", "-"]]
+    assert seeds.rows[0][3] == "0.510 ± 0.014 / 0.910 ± 0.014"
 
 
 # Table II and Figure 4
@@ -304,7 +350,7 @@ def test_what_was_interrupted_goes_on(
         (["table1", "--seeds", "0,1"], "table1 has one seed"),
         (["table1", "--maps", "flat"], "--map"),
         (["table1", "--map", "flat"], "--map: no use for it in table1; table2, loop would have"),
-        (["table2", "--folds", "eth"], "--folds: no use for it in table2; table1 would have"),
+        (["table2", "--folds", "eth"], "--folds: no use for it in table2; table1, forecasting would have"),
         (["table2", "--models", "orka"], "unknown policy 'orka': did you mean 'orca'?"),
         (["table2", "--map", "apartmint.1"], "did you mean 'apartment.1'?"),
         (["figure4", "--seeds", "one"], "--seeds one: expected whole numbers"),

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from tools.paper.base import Reproduction
 
 ONLY = {
-    "folds": ("table1",),
-    "data_root": ("table1", "loop", "robots"),
+    "folds": ("table1", "forecasting"),
+    "data_root": ("table1", "forecasting", "loop", "robots"),
     "maps": ("table2", "loop"),
     "models": ("table2", "figure4", "loop", "crowdnav", "robots"),
     "episodes": ("table2", "figure4", "loop", "crowdnav", "robots"),
@@ -29,24 +29,28 @@ def run(argv: list[str]) -> int:
     about = f"""{HELP}
 
 table1   forecasts on ETH/UCY: five folds, 8 and 12 steps, every protocol, released Social GANs
+forecasting  a best of 20 with a floor: centroids, networks on them, published rows and their leaks
 table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
 figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
 loop     what controllers trained in the loop have to show: doors, buildings, crowds, noise, recorded people
 crowdnav robots among CrowdNav's 5 and CrowdNav++'s 20 people; --models names robots, or FILE.py:Class
 robots   robots trained among each kind of people, tested among all others and in a recorded crowd
 
-Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, CROWDNAV, ROBOTS. What was interrupted goes on."""
+Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, FORECASTING, CROWDNAV, ROBOTS.
+What was interrupted goes on."""
     parser = Arguments("reproduce", about, EXAMPLE)
     parser.add_argument(
-        "what", choices=("table1", "table2", "figure4", "loop", "crowdnav", "robots"), help="what is made"
+        "what",
+        choices=("table1", "forecasting", "table2", "figure4", "loop", "crowdnav", "robots"),
+        help="what is made",
     )
     parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
     parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
-    parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (table1: one)")
+    parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (forecasts: one)")
     parser.add_argument("--workers", type=int, default=1, help="processes; the numbers stay the same")
-    parser.add_argument("--folds", metavar="FOLD,...", help="table1: test scenes (default: all five)")
+    parser.add_argument("--folds", metavar="FOLD,...", help="forecasts: test scenes (default: all five)")
     parser.add_argument(
-        "--data.root", dest="data_root", metavar="FOLDER", help="table1, loop, robots: the recordings"
+        "--data.root", dest="data_root", metavar="FOLDER", help="forecasts, loop, robots: the recordings"
     )
     parser.add_argument("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
     parser.add_argument("--episodes", type=int, help="not table1: of every case and seed")
@@ -110,16 +114,18 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
     from pedzoo.eval.suite import EvaluationOptions
     from tools.paper.paper import FOLDS
 
-    if options.what == "table1":
+    if options.what in ("table1", "forecasting"):
+        from tools.paper.forecasting import Forecasting
         from tools.paper.table1 import Table1
 
         if len(seeds) != 1:
-            raise UserError(f"--seeds {options.seeds}: table1 has one seed of its samples")
+            raise UserError(f"--seeds {options.seeds}: {options.what} has one seed of its samples")
         folds = options.folds.split(",") if options.folds else ["zara1"] if options.quick else list(FOLDS)
         for fold in folds:
             if fold not in FOLDS:
                 raise unknown("fold", fold, FOLDS)
-        return Table1(folds, seeds[0], options.data_root, journal)
+        made = Table1 if options.what == "table1" else Forecasting
+        return made(folds, seeds[0], options.data_root, journal)
     if options.what == "crowdnav":
         from tools.paper.crowdnav import CASES, Crowdnav
 

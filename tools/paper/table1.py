@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.forecast import BASELINES, forecast_row
+from pedzoo.eval.forecast import BASELINES, FLOOR, forecast_row
 from pedzoo.eval.results import Page
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.time_blocks import BlockSums
@@ -51,10 +51,10 @@ class Block(NamedTuple):
 
 
 BLOCKS = (
-    Block(8, "none", ("sgan", "sgan_pool", "social_vrnn")),
-    Block(8, "window_end", ("sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet")),
-    Block(8, "destination", ("sgan_goal",), "_destination"),
-    Block(12, "none", ("sgan", "sgan_pool"), "_pred12"),
+    Block(8, "none", (FLOOR, "sgan", "sgan_pool", "social_vrnn")),
+    Block(8, "window_end", (FLOOR, "sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet")),
+    Block(8, "destination", (FLOOR, "sgan_goal"), "_destination"),
+    Block(12, "none", (FLOOR, "sgan", "sgan_pool"), "_pred12"),
 )
 """12 steps are for the comparison with the released models, which have no goal."""
 
@@ -93,6 +93,7 @@ class Table1(Jobs):
 
     title = "Table I: forecasts on ETH/UCY, leave one scene out"
     stem = "TABLE1"
+    blocks: ClassVar[tuple[Block, ...]] = BLOCKS
 
     def __init__(
         self,
@@ -118,7 +119,7 @@ class Table1(Jobs):
         digests: list[str] = []
         recordings = {fold: digest_of(fold, root) for fold in self.folds}
         for fold in self.folds:
-            for block in BLOCKS:
+            for block in self.blocks:
                 for row, weights, digest in self._rows(block, fold):
                     job = Job(row, weights, fold, block.goal, block.pred_len, SAMPLES, seed, root)
                     jobs.append(job)
@@ -129,7 +130,9 @@ class Table1(Jobs):
         """Return name, weights and their sum of all rows of a block that can be made."""
         rows = [(name, name, "") for name in block.lines]
         for architecture in block.models:
-            weights = f"{architecture}.{fold}{block.tag}"
+            # the floor sees no goal: it is the same for all protocols
+            tag = block.tag.removesuffix("_destination") if architecture == FLOOR else block.tag
+            weights = f"{architecture}.{fold}{tag}"
             if entry := find(weights):
                 rows.append((architecture, weights, entry.card.sha256))
             else:
@@ -150,7 +153,7 @@ class Table1(Jobs):
             "blocks": [
                 {"pred_len": str(block.pred_len), "goal": block.goal, "tag": block.tag,
                  "rows": [*block.lines, *block.models]}
-                for block in BLOCKS
+                for block in self.blocks
             ],
             "rows": rows,
             "means": means(rows, self.folds),

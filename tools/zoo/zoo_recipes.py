@@ -20,6 +20,8 @@ EVERYTHING = "eth_ucy"
 GOALS: dict[str, GoalProtocol] = {
     "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination",
     "closed_loop/social_walker": "destination",
+    "anchors": "none", "anchor_mlp": "none", "anchor_net": "none",
+    "anchor_net_goal_destination": "destination",
 }  # fmt: skip
 """Goal protocols of the configs that are not trained for ``window_end``."""
 
@@ -60,6 +62,8 @@ class Recipe:
             return "val/unlike"
         if self.folder == "closed_loop":
             return "rollout/stl"
+        if self.config in ANCHORED:
+            return "val/min_ade_20_agent"
         return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_pool") else "val/ade"
 
     @property
@@ -102,8 +106,13 @@ class Recipe:
         else:
             # these weights are chosen open loop, and evaluated in closed loop afterwards
             options["rollout.scenarios"] = "null"
+            if self.config.startswith(("anchor_mlp", "anchor_net")) and self.fold == "univ":
+                # a third of the others' windows: as many steps as they have
+                options["trainer.max_epochs"] = "36"
         if self.pred_len != PRED_LEN:
             options["data.pred_len"] = str(self.pred_len)
+            if self.config in ANCHORED:
+                options["model.generator.architecture.steps"] = str(self.pred_len)
         if self.clock != "benchmark":
             options["data.clock"] = self.clock
         return options
@@ -124,6 +133,9 @@ class Recipe:
 
 CONFIGS = ("sgan_goal_map", "sgan_goal", "sgan", "social_vrnn", "sgan_goal_map_alexnet", "sgan_pool")
 
+ANCHORED = ("anchors", "anchor_mlp", "anchor_net")
+"""Those whose modes are futures of a fixed length; a best of 20 is what they are made for."""
+
 CONTROLLER = ("open_loop", "closed_loop")
 """The halves of a controller's training, each with its weights."""
 
@@ -132,6 +144,12 @@ RECIPES = [
     *(Recipe(config, fold) for config in CONFIGS for fold in SCENES),
     Recipe("sgan_goal_destination"),
     *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan_pool") for fold in SCENES),
+    *(Recipe(config, fold, pred_len) for pred_len in (12, 8) for config in ANCHORED for fold in SCENES),
+    *(
+        Recipe(config, fold)
+        for config in ("anchor_net_goal_destination", "anchor_net_goal")
+        for fold in SCENES
+    ),
     *(Recipe(f"{half}/sgan_goal", EVERYTHING) for half in CONTROLLER),
     *(Recipe(f"{half}/sgan_goal_map", EVERYTHING) for half in CONTROLLER),
     *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),

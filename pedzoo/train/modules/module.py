@@ -67,6 +67,12 @@ class ForecastModule(L.LightningModule):
                 f"set both, --data.goal {asked} --model.generator.{group}goal_protocol {asked}"
             )
 
+    def on_fit_start(self) -> None:
+        """Let the model take from the data what is not trained."""
+        data: Any = getattr(self.trainer, "datamodule", None)
+        if data is not None and not int(self.iteration):
+            self.generator.prepare((batch.to(self.device) for batch in data.recorded("train")), self.seed)
+
     def random(self) -> torch.Generator:
         """Return the source of everything random in this iteration."""
         return torch.Generator().manual_seed(self._seed_of_iteration())

@@ -1,0 +1,73 @@
+"""Anchors moved by a small network that sees nothing but a person's own track."""
+
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict
+from torch import nn
+
+from pedzoo.core.spec import flat
+from pedzoo.core.types import OBS_LEN, PRED_LEN
+from pedzoo.models.base import Walking
+from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
+from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """The network's architecture; it belongs to the weights.
+
+    Attributes:
+        steps: Predicted steps of 0.4 s.
+        modes: Modes, each of which begins as an anchor.
+        hidden_dim: Width of the two hidden layers.
+    """
+
+    steps: int = PRED_LEN
+    modes: int = 20
+    hidden_dim: int = 256
+
+
+class AnchorMLP(AnchorForecaster):
+    """One network writes the corrections of all anchors at once; others are not seen."""
+
+    def __init__(
+        self,
+        architecture: Architecture = Architecture(),
+        losses: AnchorLosses = AnchorLosses(),
+        walking: Walking = Walking(),
+    ) -> None:
+        """Create the parameters.
+
+        Args:
+            architecture: The network's architecture.
+            losses: Its losses.
+            walking: How it walks.
+        """
+        a = architecture
+        super().__init__(a.steps, a.modes, None, losses)
+        self.config = flat(architecture, losses, walking)
+        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
+        width = a.hidden_dim
+        self.body = nn.Sequential(
+            nn.Linear(2 * OBS_LEN, width), nn.GELU(), nn.Linear(width, width), nn.GELU()
+        )
+        self.paths = nn.Linear(width, (a.modes + 1) * a.steps * 2)
+        self.choice = nn.Linear(width, a.modes)
+        self.widths = nn.Linear(width, a.steps * 2)
+        for layer in (self.paths, self.choice, self.widths):
+            # the untrained network leaves the anchors as they are
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+    def write(self, batch: TensorDict, seen: Seen) -> Written:
+        """Return the anchors with their corrections."""
+        anchors = self.anchors(seen)
+        moved = seen.history.diff(dim=1) / seen.unit.unsqueeze(-1)
+        speed = torch.stack((seen.speed, (seen.unit[:, 0] / UNIT).log()), -1)
+        hidden = self.body(torch.cat((moved.flatten(1), speed), -1))
+        return Written(
+            anchors.path + self.paths(hidden).view_as(anchors.path),
+            anchors.logits + self.choice(hidden),
+            anchors.log_scale + self.widths(hidden.detach()).view(-1, 1, self.steps, 2),
+        )

@@ -1,0 +1,1 @@
+"""Forecasts that begin with anchors: typical futures of the training data."""

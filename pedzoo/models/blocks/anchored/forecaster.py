@@ -1,0 +1,266 @@
+"""What all models with anchors share: people's frames, the mixture of futures, draws from it, and its loss.
+
+An anchor is a typical future in the frame of a walking person, in units of the person's speed. A model
+moves the anchors and says how likely each of the resulting modes is.
+"""
+
+from collections.abc import Iterable
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pedzoo.core.batch import agents_of, goals_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import BODY_RADIUS, GoalProtocol
+from pedzoo.data.goals import TIMED
+from pedzoo.models.base import Forecaster, known_displacements
+from pedzoo.models.blocks.anchored.clusters import FEW, clustered, fan
+from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
+from pedzoo.models.blocks.anchored.reversal import reversed_in_time
+from pedzoo.models.blocks.mixture import FutureMixture
+from pedzoo.models.blocks.people import frame as frames
+from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people.crowd import Crowd
+
+SPEEDS = (0.1, 0.338, 0.6)
+"""Metres per step of 0.4 s: bounds of the classes of speeds, each of which has anchors of its own."""
+
+UNIT = 0.338
+"""Metres per step: the futures of faster people are measured in their own speed."""
+
+LEAST = 0.02
+"""Metres per step: the smallest standard deviation, since standing people are recorded at one place."""
+
+
+class AnchorForecaster(Forecaster):
+    """A mixture of modes; subclasses move the anchors.
+
+    The noise of a walking person is one number, which chooses the mode from right to left.
+    """
+
+    mode_at_zero = True
+
+    def __init__(
+        self, steps: int, modes: int, goal_protocol: GoalProtocol | None, losses: AnchorLosses
+    ) -> None:
+        """Make room for anchors.
+
+        Args:
+            steps: Predicted steps T of 0.4 s.
+            modes: Modes M.
+            goal_protocol: The goal protocol of the training data; None for a model that sees no goal.
+            losses: The losses of its training.
+
+        Raises:
+            UserError: No step or fewer than two modes.
+        """
+        super().__init__()
+        if steps < 1 or modes < 2:
+            raise UserError(f"steps {steps}, modes {modes}: expected at least 1 step and 2 modes")
+        self.steps, self.modes, self.losses = steps, modes, losses
+        self.noise_dim, self.goal_protocol = 1, goal_protocol
+        classes = len(SPEEDS) + 1
+        self.register_buffer("centroids", fan(modes, steps).expand(classes, -1, -1, -1).clone())
+        self.register_buffer("fitted", torch.zeros((), dtype=torch.bool))
+        self.logits = nn.Parameter(torch.zeros(classes, modes))
+        self.log_scale = nn.Parameter(torch.full((classes, modes, steps, 2), -2.0))
+
+    def write(self, batch: TensorDict, seen: Seen) -> Written:
+        """Return what the model says; by default the anchors themselves."""
+        return self.anchors(seen)
+
+    def anchors(self, seen: Seen) -> Written:
+        """Return the anchors of people's speeds."""
+        which = torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))
+        return Written(self.get_buffer("centroids")[which], self.logits[which], self.log_scale[which])
+
+    @torch.no_grad()
+    def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:
+        """Cluster the futures of training batches; later calls change nothing."""
+        if self.get_buffer("fitted"):
+            return
+        parts: list[tuple[Tensor, Tensor]] = []
+        for batch in batches:
+            self.check(batch)
+            seen = self.see(batch)
+            known = seen.crowd.pack(agents_of(batch)["future_valid"]).all(-1)
+            offsets = (self.truth(batch, seen) - seen.base) / seen.unit.unsqueeze(-1)
+            parts.append((offsets[known], torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))[known]))
+        offsets, which = (torch.cat(part) for part in zip(*parts, strict=True))
+        if not len(offsets):
+            raise UserError(
+                "no person of the training data has a whole future: set --data.keep_people complete"
+            )
+        for number, centroids in enumerate(self.get_buffer("centroids")):
+            mine = offsets[which == number]
+            result = clustered(mine if len(mine) >= FEW * self.modes else offsets, self.modes, seed)
+            centroids.copy_(result.centroids)
+            self.logits[number] = result.logits
+            self.log_scale[number] = result.scale.clamp_min(1e-3).log()
+        self.get_buffer("fitted").fill_(True)
+
+    def check(self, batch: TensorDict) -> None:
+        """Check that training data have as many steps as the model. Raises UserError: they have not."""
+        steps = agents_of(batch)["future"].shape[2]
+        if steps != self.steps:
+            raise UserError(
+                f"the data predict {steps} steps and the model {self.steps}: set both, --data.pred_len and "
+                f"--model.generator.architecture.steps {steps}"
+            )
+
+    def see(self, batch: TensorDict) -> Seen:
+        """Return the people of a batch in their own frames."""
+        agents = agents_of(batch)
+        crowd = Crowd.of(agents["mask"])
+        history = crowd.pack(agents["history"])
+        moved = history.diff(dim=1)
+        goal = wanted = None
+        if "goal" in self.needs:
+            goal, wanted = (crowd.pack(value) for value in goals_of(batch, "this model"))
+            goal = goal - history[:, -1]
+        heading = frames.heading(moved, goal)
+        own = frames.into(heading, history - history[:, -1:])
+        last = frames.into(heading, moved[:, -1])
+        base = own.new_zeros(len(own), self.steps, 2)
+        if goal is not None and wanted is not None:
+            goal, wanted = frames.into(heading, goal), frames.into(heading, wanted)
+            base = lines.bent_line(last, goal, self.steps, self.goal_protocol in TIMED).cumsum(1)
+            goal = torch.cat((goal, wanted), -1)
+        speed = (last.square().sum(-1) + 1e-12).sqrt()
+        return Seen(own, goal, base, speed, speed.clamp_min(UNIT).unsqueeze(-1), heading, crowd)
+
+    def truth(self, batch: TensorDict, seen: Seen) -> Tensor:
+        """Return true positions (P, T, 2) from the last observed one, in each person's frame."""
+        agents = agents_of(batch)
+        return frames.into(seen.heading, seen.crowd.pack(agents["future"] - agents["history"][:, :, -1:]))
+
+    def placed(self, written: Written, seen: Seen) -> Tensor:
+        """Return positions (P, M + 1, T, 2), metres, of what was written in units of the anchors."""
+        return seen.base.unsqueeze(1) + written.path * seen.unit.view(-1, 1, 1, 1)
+
+    def mixture(self, written: Written, seen: Seen) -> FutureMixture:
+        """Return the density of displacements in each person's frame."""
+        path = self.placed(written, seen)[:, :-1]
+        mean = torch.cat((path[:, :, :1], path.diff(dim=2)), 2)
+        return FutureMixture(
+            written.logits, mean, written.log_scale.exp() * seen.unit.view(-1, 1, 1, 1) + LEAST
+        )
+
+    def sample(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return random futures (B, K, A, T, 2): modes by their probabilities.
+
+        A sample is one of all people of a scene: who would touch others draws once more.
+        """
+        seen = self.see(batch)
+        mixture = self.mixture(self.write(batch, seen), seen)
+        path = self._drawn(seen, mixture, samples, steps, generator)
+        again = self._drawn(seen, mixture, samples, steps, generator)
+        return torch.where(_touching(batch, path)[..., None, None], again, path)
+
+    def candidates(
+        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the ``samples`` likeliest modes of each person (B, K, A, T, 2), and draws beyond all."""
+        seen = self.see(batch)
+        mixture = self.mixture(self.write(batch, seen), seen)
+        order = mixture.logits.argsort(-1, descending=True).T[:samples]
+        path = self._world(seen, torch.stack([mixture.mean_of(one) for one in order]), steps)
+        if samples <= self.modes:
+            return path
+        more = self._drawn(seen, mixture, samples - self.modes, steps, generator)
+        return torch.cat((path, more), 1)
+
+    def mode(self, batch: TensorDict, steps: int) -> Tensor:
+        """Return the one best guess (B, 1, A, T, 2): of all futures the one that is least far off."""
+        seen = self.see(batch)
+        path = self.placed(self.write(batch, seen), seen)[:, -1]
+        return self._world(seen, torch.cat((path[:, :1], path.diff(dim=1)), 1).unsqueeze(0), steps)
+
+    def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
+        """Return the first steps of the best guess, or of the mode that the noise chooses."""
+        if noise is None:
+            return self.mode(batch, steps)[:, 0]
+        seen = self.see(batch)
+        mixture = self.mixture(self.write(batch, seen), seen)
+        chosen = mixture.at_quantile(torch.special.ndtr(seen.crowd.pack(noise)[:, 0]))
+        return self._world(seen, mixture.mean_of(chosen).unsqueeze(0), steps)[:, 0]
+
+    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+        """Return the loss, summed over people.
+
+        The best average and final errors of the modes, the error of the best guess, the cross-entropy of the
+        mode that was best, and the likelihood of the truth, which moves nothing but the widths.
+        """
+        self.check(batch)
+        if self.losses.reverse and torch.rand((), generator=generator) < 0.5:
+            batch = reversed_in_time(batch, self.goal_protocol)
+        seen = self.see(batch)
+        written, truth = self.write(batch, seen), self.truth(batch, seen)
+        known = seen.crowd.pack(agents_of(batch)["future_valid"])
+        path = self.placed(written, seen)
+        error = ((path - truth.unsqueeze(1)).square().sum(-1) + 1e-8).sqrt() * known.unsqueeze(1)
+        average = error.sum(-1) / known.sum(-1, keepdim=True).clamp_min(1)
+        best = average[:, :-1].min(1)
+        own = self.losses
+        cost = best.values + own.final_weight * error[:, :-1, -1].amin(1) + own.guess_weight * average[:, -1]
+        choice = functional.cross_entropy(written.logits, best.indices, reduction="none")
+        # the widths alone learn from the likelihood, of the mode that was best
+        person = torch.arange(len(best.indices), device=truth.device)
+        wrong = (path[person, best.indices].detach() - truth).diff(
+            dim=1, prepend=truth.new_zeros(len(truth), 1, 2)
+        )
+        scale = written.log_scale[person, best.indices].exp() * seen.unit.unsqueeze(-1) + LEAST
+        moves = seen.crowd.pack(known_displacements(batch))
+        nats = (0.5 * (wrong / scale).square() + scale.log()).sum(-1) * moves
+        nats = nats.sum(-1) / moves.sum(-1).clamp_min(1)
+        cost = (cost + own.choice_weight * choice + nats) * known.any(-1)
+        return cost.sum()
+
+    @torch.no_grad()
+    def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
+        """Return each person's log density (B, A), nats; None for other numbers of steps than trained."""
+        if agents_of(batch)["future"].shape[2] != self.steps:
+            return None
+        seen = self.see(batch)
+        truth = self.truth(batch, seen)
+        steps = torch.cat((truth[:, :1], truth.diff(dim=1)), 1)
+        known = seen.crowd.pack(known_displacements(batch))
+        return seen.crowd.unpack(self.mixture(self.write(batch, seen), seen).log_prob(steps, known))
+
+    def _drawn(
+        self,
+        seen: Seen,
+        mixture: FutureMixture,
+        samples: int,
+        steps: int,
+        generator: torch.Generator | None,
+    ) -> Tensor:
+        device = mixture.logits.device if generator is None else generator.device
+        share = torch.rand(samples, len(mixture.logits), generator=generator, device=device)
+        many = FutureMixture(*(value.expand(samples, *value.shape) for value in mixture))
+        return self._world(seen, many.mean_of(many.at_quantile(share.to(mixture.logits.device))), steps)
+
+    def _world(self, seen: Seen, path: Tensor, steps: int) -> Tensor:
+        """Return displacements (K, P, T, 2) in people's frames as (B, K, A, steps, 2) in the world.
+
+        Steps beyond those that the model was trained for repeat the last one.
+        """
+        more = path[:, :, -1:].expand(-1, -1, max(steps - self.steps, 0), -1)
+        path = frames.out_of(seen.heading, torch.cat((path, more), 2)[:, :, :steps])
+        return seen.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+
+
+def _touching(batch: TensorDict, path: Tensor) -> Tensor:
+    """Return who would touch another (B, K, A) bool on the paths (B, K, A, T, 2)."""
+    agents = agents_of(batch)
+    there = agents["mask"]
+    here = torch.where(there[..., None, None], agents["history"][:, :, -1:], 0.0)
+    place = (here.unsqueeze(1) + path.cumsum(3)).transpose(2, 3)
+    near = torch.cdist(place, place) < 2 * BODY_RADIUS
+    alone = torch.eye(there.shape[1], dtype=torch.bool, device=there.device)
+    others = (there.unsqueeze(1) & there.unsqueeze(2) & ~alone)[:, None, None]
+    return (near & others).any(-1).any(2)
