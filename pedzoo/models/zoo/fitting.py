@@ -37,8 +37,10 @@ def check_tensors(state: Mapping[str, Any], source: str) -> None:
     for key, value in state.items():
         if not isinstance(value, Tensor) or value.layout != torch.strided:
             raise UserError(f"{source!r}: {key:.80} is no dense tensor")
-        if not value.is_floating_point():
-            raise UserError(f"{source!r}: {key:.80} is of {value.dtype}, expected floating point numbers")
+        if not (value.is_floating_point() or value.dtype == torch.bool):
+            raise UserError(
+                f"{source!r}: {key:.80} is of {value.dtype}, expected floating point numbers or truth values"
+            )
         if not torch.isfinite(value).all():
             raise UserError(f"{source!r}: {key:.80} has NaN or infinite values: its training failed")
 
