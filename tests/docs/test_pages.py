@@ -42,6 +42,7 @@ ELSEWHERE += [
         "fit --config closed_loop/sgan_goal_map",  # tests/train/test_configs.py
         "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # train/test_in_the_loop.py
         "fit --config closed_loop/sgan_goal_map --weights sgan_goal.zara1 --model.walking.walls 30",
+        "fit --config closed_loop/social_walker --data.fold zara1",
         "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/train/test_ppo.py
         "fit --config robot/ppo",  # tests/train/test_configs.py
         "fit --config robot/ppo --model.robot diff_drive",

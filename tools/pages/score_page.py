@@ -1,0 +1,105 @@
+"""Writes checkpoints/results/SCORES.md and .json from reports of ``pedzoo score``, one of each recording.
+
+pedzoo score social_walker.eth social_force:preset=indoor --against eth --json score_eth.json
+python -m tools.pages.score_page score_*.json
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).parents[2] / "checkpoints" / "results"
+
+COLUMNS = {
+    "realism": "realism",
+    "coarse_realism": "realism, coarse",
+    "classifier_auc": "AUC",
+    "coarse_classifier_auc": "AUC, coarse",
+    "likelihood": "likelihood",
+    "min_ade_20_8s_m": "minADE_20, m",
+    "coarse_acceleration_p95_ratio": "acceleration p95, coarse",
+    "coarse_acceleration_p99_ratio": "p99",
+    "standing_share": "standing",
+    "agent_contacts_per_min": "touches/min",
+}
+"""Metrics of `docs/score.md`, and what they are called here."""
+
+INTRO = """All people are simulated at once, from the real entry to the real exit. Weights called `NAME.SCENE`
+did not see that scene. [docs/score.md](../../docs/score.md) has the formulas. In brackets: 95 % intervals
+over blocks of time. `real halves`: two halves of the real people, as near as people are to each other.
+`real others`: other people in similar situations. Less is better for realism, AUC (.5: a classifier cannot
+distinguish them) and minADE. More is better for likelihood. Ratios are best at 1, standing and touches as
+those of `real`."""
+
+
+def main() -> None:
+    """Read the reports and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("files", type=Path, nargs="+", help="Reports of pedzoo score --json.")
+    parser.add_argument("--out", type=Path, default=RESULTS / "SCORES.md")
+    given = parser.parse_args()
+    reports = {}
+    for file in given.files:
+        report = json.loads(file.read_text())
+        reports[report["protocol"]["against"]] = report
+    given.out.write_text("\n".join(page(reports)) + "\n")
+    given.out.with_suffix(".json").write_text(json.dumps(reports, indent=1) + "\n")
+
+
+def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the page."""
+    yield from ("# How near simulated crowds are to real ones", "", INTRO, "")
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for report in reports.values():
+        for row in report["rows"]:
+            kinds.setdefault(kind(row["name"], report["protocol"]["against"]), []).append(row)
+    complete = {name: rows for name, rows in kinds.items() if len(rows) == len(reports)}
+    yield from (f"## Mean of {', '.join(reports)}", "")
+    yield from head("crowd")
+    for name, rows in complete.items():
+        yield line(name, [mean([row["metrics"].get(key) for row in rows]) for key in COLUMNS])
+    for against, report in reports.items():
+        versions = report["versions"]
+        yield from ("", f"## {against}", "")
+        yield f"`pedzoo score` with pedzoo {versions['pedzoo']}, commit {versions['commit']}."
+        yield ""
+        yield from head("crowd")
+        for row in report["rows"]:
+            yield line(row["name"], [cell(row, key) for key in COLUMNS])
+
+
+def kind(name: str, against: str) -> str:
+    """Return what a row of one recording is called for all of them."""
+    return name.removesuffix(against) + "SCENE" if name.endswith(against) and name != against else name
+
+
+def head(first: str) -> tuple[str, str]:
+    """Return the first two lines of a table."""
+    return line(first, list(COLUMNS.values())), "|---|" + "---:|" * len(COLUMNS)
+
+
+def line(name: str, cells: list[str]) -> str:
+    """Return a line of a table."""
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def mean(values: list[float | None]) -> str:
+    """Return the mean, or - where a value lacks."""
+    known = [value for value in values if value is not None]
+    return f"{sum(known) / len(known):.3f}" if len(known) == len(values) else "-"
+
+
+def cell(row: dict[str, Any], key: str) -> str:
+    """Return a value with its interval."""
+    if (value := row["metrics"].get(key)) is None:
+        return "-"
+    interval = row["ci95"].get(key)
+    return f"{value:.3f}" + (f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "")
+
+
+if __name__ == "__main__":
+    main()
