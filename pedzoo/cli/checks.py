@@ -65,8 +65,13 @@ def check(command: str, argv: list[str]) -> None:
         elif command == "score" and Path(name).suffix in (".csv", ".txt"):
             _check_file("crowd", name)
     for option, look in _VALUES.items():
-        if (value := given(argv, option)) is not None and value not in ("", "null"):
-            for one in [value] if option in _SINGLE else split_names(value):
+        value = given(argv, option)
+        if value in (None, "", "null") or value.startswith("["):  # lists of YAML are read later
+            continue
+        if option == "--resume" and "--weights" in argv:  # one of both is too much
+            continue
+        for one in [value] if option in _SINGLE else split_names(value):
+            if one:
                 look(option, unquoted(one))
 
 

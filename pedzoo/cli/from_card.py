@@ -7,8 +7,8 @@ from typing import Any
 from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
 from pedzoo.core.machine import versions
-from pedzoo.eval.card_numbers import Again, Compared, again, compare
-from pedzoo.eval.card_reports import about
+from pedzoo.eval.cards.numbers import Again, Compared, again, compare
+from pedzoo.eval.cards.reports import about
 from pedzoo.eval.results import Page
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.store import find, no_model

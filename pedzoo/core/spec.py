@@ -64,9 +64,9 @@ def parse(text: str) -> Written:
                 before, value = settings.popitem()
                 value = quoted(f"{unquoted(value).lstrip(_QUOTES)},{part}")
                 expected += f"; a value with commas needs quotes: {before}={value}"
-            raise UserError(f"{text!r}: {part!r} is no setting: {expected}")
+            raise UserError(f"{text!r:.200}: {part!r:.200} is no setting: {expected}")
         if key.strip() in settings:
-            raise UserError(f"{text!r}: {key.strip()!r} is given twice")
+            raise UserError(f"{text!r:.200}: {key.strip()!r:.200} is given twice")
         settings[key.strip()] = value.strip()
     return Written(name, settings)
 
@@ -128,7 +128,9 @@ def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
     try:
         inspect.signature(cls).bind(**grouped(cls, arguments))
     except TypeError as error:
-        raise UserError(f"{kind} {name!r}: {error}; its settings: {', '.join(types) or 'none'}") from error
+        raise UserError(
+            f"{kind} {name!r:.200}: {error}; its settings: {', '.join(types) or 'none'}"
+        ) from error
     return made(cls, arguments)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,35 +28,11 @@ from pedzoo.sim.observation import action_spec, done_spec, observation_spec, obs
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.state_picture import picture_of
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
-from pedzoo.sim.state import TRACE_PER_STEP, State
+from pedzoo.sim.state import TRACE_PER_STEP, Scenes, State
 from pedzoo.sim.warm_start import WarmStart
 
 _MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
 """Most episodes, and agents, that are begun together once scenes end one by one, and episodes of one row."""
-
-
-class _Scenes(NamedTuple):
-    """Specs of B scenes, and the planner's answer for them."""
-
-    state: State
-    guidance: Guidance
-
-    def select(self, index: Tensor) -> _Scenes:
-        """Return some of the scenes."""
-        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
-        return _Scenes(self.state.select(index), guidance)
-
-    def replaced(self, index: Tensor, other: _Scenes) -> _Scenes:
-        """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
-        for mine, theirs in zip((*self.state, *self.guidance), (*other.state, *other.guidance), strict=True):
-            mine.index_copy_(0, index, theirs)
-        return self
-
-    def with_scenes(self, index: Tensor, other: _Scenes) -> _Scenes:
-        """Return the scenes with those at ``index`` replaced."""
-        pairs = zip(self.guidance, other.guidance, strict=True)
-        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
-        return _Scenes(self.state.with_scenes(index, other.state), guidance)
 
 
 class PedestrianEnv(EnvBase):
@@ -130,7 +106,7 @@ class PedestrianEnv(EnvBase):
         self.rules = kernel.rules_of(prepared, trace_points, fine, self.device)
         self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
-        self._scenes: _Scenes | None = None
+        self._scenes: Scenes | None = None
         self._set_seed(seed)
         self.observation_spec = observation_spec(num_envs, agents, trace_points, self.bank).to(self.device)
         self.action_spec = action_spec(num_envs, agents).to(self.device)
@@ -176,7 +152,7 @@ class PedestrianEnv(EnvBase):
         """
         guidance = self._scenes.guidance if self._scenes else ()
         state = State(*(value.detach() for value in self.state))
-        self._scenes = _Scenes(state, Guidance(*(value.detach() for value in guidance)))
+        self._scenes = Scenes(state, Guidance(*(value.detach() for value in guidance)))
         return self._observation(*self._scenes)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
@@ -241,7 +217,7 @@ class PedestrianEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self._seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
-        self._ahead: _Scenes | None = None
+        self._ahead: Scenes | None = None
         made = min(_MADE, _AGENTS_MADE // self.prepared.people)
         self._depth = min(max(1, made // self.batch_size[0]), _DEEPEST)
         self._taken = torch.full(self.batch_size, self._depth)
@@ -259,7 +235,7 @@ class PedestrianEnv(EnvBase):
         put(observation, dict(zip(("done", "terminated", "truncated"), never.unbind(), strict=True)))
         return observation
 
-    def _next(self, index: Tensor) -> _Scenes:
+    def _next(self, index: Tensor) -> Scenes:
         """Return the next episodes of some rows.
 
         A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
@@ -276,12 +252,12 @@ class PedestrianEnv(EnvBase):
         self._taken.index_add_(0, index, torch.ones_like(index))
         return self._ahead.select(place.to(self.device))
 
-    def _begin(self, index: Tensor, episodes: int) -> _Scenes:
+    def _begin(self, index: Tensor, episodes: int) -> Scenes:
         """Return the next ``episodes`` of some rows, those of a row one after the other."""
         number = self._number[index].unsqueeze(1) + self._stride * torch.arange(episodes)
         self._number = self._number.index_add(0, index, torch.full_like(index, episodes * self._stride))
         state = self._episodes.begin(Draws.for_episodes(self._seed, number.view(-1)))
-        return _Scenes(state, self.rules.guidance(state))
+        return Scenes(state, self.rules.guidance(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state
@@ -289,7 +265,7 @@ class PedestrianEnv(EnvBase):
         after, guidance, outcome = kernel.step(before, action, self.physics, self.rules)
         if bool((after.failed & ~before.failed).any()):
             self._warn(action, before, after)
-        self._scenes = _Scenes(after, guidance)
+        self._scenes = Scenes(after, guidance)
         result = self._observation(after, guidance, outcome)
         put(agents_of(result), {"reward": outcome.reward.unsqueeze(-1)})
         terminated, truncated = outcome.terminated.unsqueeze(1), outcome.truncated.unsqueeze(1)
@@ -315,10 +291,8 @@ class PedestrianEnv(EnvBase):
         else:
             happened = outcome[:4]
         names = ("trace", "agent_contact", "wall_contact", "reached")
-        info = dict(zip(names, happened, strict=True)) | {
-            "overdue": state.overdue,
-            "remaining_path": state.remaining_path,
-        }
+        info = dict(zip(names, happened, strict=True))
+        info |= {"overdue": state.overdue, "remaining_path": state.remaining_path}
         batch = observed(state, guidance, self.bank)
         put(agents_of(batch), {"info": tensordict_of(info, state.mask.shape, state.mask.device)})
         put(batch, {"failed": state.failed.unsqueeze(1)})

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.motion import CLOCK_ROUNDING
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
@@ -171,3 +172,27 @@ class State(NamedTuple):
         return (
             self if self.key.device == torch.device(device) else State(*(value.to(device) for value in self))
         )
+
+
+class Scenes(NamedTuple):
+    """B scenes, and the planner's answer for them."""
+
+    state: State
+    guidance: Guidance
+
+    def select(self, index: Tensor) -> Scenes:
+        """Return some of the scenes."""
+        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
+        return Scenes(self.state.select(index), guidance)
+
+    def replaced(self, index: Tensor, other: Scenes) -> Scenes:
+        """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
+        for mine, theirs in zip((*self.state, *self.guidance), (*other.state, *other.guidance), strict=True):
+            mine.index_copy_(0, index, theirs)
+        return self
+
+    def with_scenes(self, index: Tensor, other: Scenes) -> Scenes:
+        """Return the scenes with those at ``index`` replaced."""
+        pairs = zip(self.guidance, other.guidance, strict=True)
+        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
+        return Scenes(self.state.with_scenes(index, other.state), guidance)

@@ -28,7 +28,8 @@ LESS = {
 }
 """Options by which commands take less time."""
 
-ELSEWHERE = [shlex.split(command) for _, command in [*demo.steps(), demo.compared(TUNED)]]
+DEMO = [*demo.steps(), demo.compared(TUNED), demo.reported("demo")]
+ELSEWHERE = [shlex.split(command) for _, command in DEMO]
 """Commands that other tests run: here those of tests/cli/test_demo.py."""
 ELSEWHERE += [
     shlex.split(command)
@@ -48,6 +49,11 @@ ELSEWHERE += [
         "fit --config robot/ppo --model.robot diff_drive",
         "fit --config robot/crowd",
         "fit --config robot/rooms --model.people social_force:preset=indoor",
+        "evaluate orca:radius=0.3 sgan_goal_map.indoor --suite door,goals --keep_episodes 3 "
+        "--json results.json",  # tests/eval/test_episodes.py
+        "report results.json runs -o report.html",  # tests/viz/test_report.py
+        "view door sgan_goal_map.indoor",  # tests/viz/test_live.py
+        "view door sgan_goal_map.indoor --serve",
         "evaluate go_to_goal --suite replay --data.files a.csv --data.dt 0.1 --quick",  # test_evaluate.py
     )
 ]

@@ -15,9 +15,9 @@ import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval import card_numbers
-from pedzoo.eval.card_numbers import compare, measure
-from pedzoo.eval.card_reports import Job, report_of
+from pedzoo.eval.cards import numbers as card_numbers
+from pedzoo.eval.cards.numbers import compare, measure
+from pedzoo.eval.cards.reports import Job, report_of
 from pedzoo.eval.forecast import forecast
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.store import find, weights_of
@@ -119,7 +119,7 @@ def test_a_number_that_is_another_one_is_found(
     forecasts["rows"][0]["metrics"]["ade_m"] *= 1.01
     code, printed = again(capsys, card_with([forecasts]))
     (line,) = [line for line in printed.splitlines() if " NO " in line]
-    assert code == 1 and "ade_m" in line and "10 of 11 numbers" in printed
+    assert code == 1 and "ade_m" in line and "13 of 14 numbers" in printed
 
 
 def test_what_cannot_be_done_here_is_skipped_and_says_why(
@@ -128,7 +128,7 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(
     elsewhere = deepcopy(measured[0])
     elsewhere["protocol"]["fold"] = "zara1"
     code, printed = again(capsys, card_with([elsewhere, measured[0]]))
-    assert code == 0 and "zara1 test: skipped, no recordings" in printed and "11 of 11 numbers" in printed
+    assert code == 0 and "zara1 test: skipped, no recordings" in printed and "14 of 14 numbers" in printed
     assert "pedzoo download eth_ucy" in printed
     code, printed = again(capsys, card_with([elsewhere]))
     assert code == 1 and "nothing of its card could be done again" in printed

@@ -23,7 +23,6 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.stepping.called_with import number_of
 from pedzoo.policies.stepping.controller import Controller
-from pedzoo.policies.stepping.online_goals import OnlineGoals
 
 # two rooms of 5 x 6 m with a door of 1.2 m between, and a third behind a wall without one
 ROOMS = rectangles(
@@ -85,7 +84,8 @@ def test_it_walks_as_the_same_policy_does_in_the_environment(env, name: str, det
         deterministic=deterministic,
     )
     # the environment's fields of waypoints: paths of the online planner are a little shorter
-    controller._online_goals = OnlineGoals(Planner(controller._online_goals.planner.bank))  # type: ignore[arg-type]
+    online_goals = controller._online_goals
+    controller._online_goals = online_goals._replace(planner=Planner(online_goals.planner.bank))  # type: ignore[arg-type]
     goals, result = dict(enumerate(state.goal_point[0])), {}
     for moment in range(state.past.shape[2]):
         result = controller.step(dict(enumerate(state.past[0, :, moment])), goals)

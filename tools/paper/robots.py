@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from pedzoo.core.paths import write_whole
-from pedzoo.eval.card_reports import only
+from pedzoo.eval.cards.reports import only
 from pedzoo.eval.results import Page
 from tools.paper.suites.transfer import PLACES, REACTING, RECORDED, Transfer
 from tools.paper.walked import Walked

@@ -59,7 +59,10 @@ def origin_of(point: Any) -> NDArray[np.float64]:
 
     What is no point is refused by `as_points`.
     """
-    place: NDArray[np.float64] = np.array(point, dtype=np.float64) if _is_pair(point) else ZERO
+    if not _is_pair(point):
+        return ZERO
+    plain = point.detach().cpu().numpy() if isinstance(point, Tensor) else point
+    place: NDArray[np.float64] = np.asarray(plain, dtype=np.float64)
     return place if np.isfinite(place).all() else ZERO
 
 

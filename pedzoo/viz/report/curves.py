@@ -10,6 +10,9 @@ from typing import Any
 
 REAL = "real"
 
+FIRST = ("val/ade", "val/fde", "val/unlike", "rollout/success", "rollout/clean", "rollout/stl")
+"""Metrics that are shown before all others."""
+
 PANELS = 12
 """Metrics of trainings that are drawn."""
 
@@ -28,7 +31,7 @@ def training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
         name = f"{run.parent.name}/{run.name}"
         for metric, (epochs, values) in _logged(run / "metrics.csv").items():
             panels.setdefault(metric, []).append({"name": name, "x": epochs, "y": values})
-    shown = sorted(panels, key=lambda metric: (-len(panels[metric]), metric))[:PANELS]
+    shown = sorted(panels, key=lambda metric: (metric not in FIRST, -len(panels[metric]), metric))[:PANELS]
     charts = [
         {"title": metric, "x": "epoch", "y": "", "lines": panels[metric], "zero": False} for metric in shown
     ]

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[3]
 PAGES = ROOT / "build" / "site_pages"
 COPIED = (
     *("docs", "checkpoints/results", "examples"),
-    *("CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "tools/bench/README.md"),
+    *("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "CITATION.cff", "LICENSE", "tools/bench/README.md"),
     *("tools/pages/demo.png", "tools/pages/plans.png", "tools/pages/scenarios.png"),
 )
 """What the pages are, show or link to."""

@@ -10,7 +10,7 @@ from pedzoo.core.renamed import OLD_SUITES
 from pedzoo.core.types import OBS_LEN
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.data.recordings import find_fold
-from pedzoo.eval.card_reports import Job, Progress, Report, about, only, report_of
+from pedzoo.eval.cards.reports import Job, Progress, Report, about, only, report_of
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.saved import saved_config

@@ -22,7 +22,7 @@ Report = dict[str, Any]
 
 
 class Job(NamedTuple):
-    """What a report is made of and with; ``progress`` is called as in `pedzoo.eval.card_numbers.measure`."""
+    """What a report is made of and with; ``progress`` is called as in `pedzoo.eval.cards.numbers.measure`."""
 
     model: str
     protocol: Mapping[str, Any]

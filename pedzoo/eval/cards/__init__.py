@@ -1,0 +1,1 @@
+"""Numbers on model cards: measured, and measured again on request."""
