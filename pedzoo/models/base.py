@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import made
+from pedzoo.core.spec import flat, made
 from pedzoo.core.types import GoalProtocol
 
 if TYPE_CHECKING:
@@ -77,6 +77,13 @@ class Forecaster(nn.Module):
     walking_extend_goal: bool = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
+
+    def built_with(self, *groups: Any) -> None:
+        """Keep the settings that the model was built with; those of `Walking` say how it walks by default."""
+        self.config = flat(*groups)
+        for group in groups:
+            if isinstance(group, Walking):
+                self.walking_safety, self.walking_extend_goal = group.safety, group.extend_goal
 
     @classmethod
     def of(cls, **settings: Any) -> Self:

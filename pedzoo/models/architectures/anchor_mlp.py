@@ -6,11 +6,11 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
-from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, PRED_LEN
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
 from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
+from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,13 @@ class AnchorMLP(AnchorForecaster):
         """
         a = architecture
         super().__init__(a.steps, a.modes, None, losses)
-        self.config = flat(architecture, losses, walking)
-        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
+        self.built_with(architecture, losses, walking)
         width = a.hidden_dim
-        self.body = nn.Sequential(
-            nn.Linear(2 * OBS_LEN, width), nn.GELU(), nn.Linear(width, width), nn.GELU()
-        )
+        self.body = two_layers(2 * OBS_LEN, width)
         self.paths = nn.Linear(width, (a.modes + 1) * a.steps * 2)
         self.choice = nn.Linear(width, a.modes)
         self.widths = nn.Linear(width, a.steps * 2)
-        for layer in (self.paths, self.choice, self.widths):
-            # the untrained network leaves the anchors as they are
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
+        init_with_zeros(self.paths, self.choice, self.widths)  # untrained, it leaves the anchors as they are
 
     def write(self, batch: TensorDict, seen: Seen) -> Written:
         """Return the anchors with their corrections."""

@@ -15,13 +15,13 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import unrotate
-from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, PRED_LEN, GoalProtocol
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
 from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
+from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
 
 NEAR = 5.0
 """Metres: farther people are not seen."""
@@ -93,13 +93,12 @@ class AnchorNet(AnchorForecaster):
         """
         a = architecture
         super().__init__(a.steps, a.modes, a.goal_protocol if a.goal else None, losses)
-        self.config = flat(architecture, losses, walking)
-        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
+        self.built_with(architecture, losses, walking)
         self.architecture, width = a, a.width
         self.needs = frozenset(["goal"] * a.goal + ["map"] * (a.map is not None))
-        self.own = _two_layers(2 * OBS_LEN + 4 * a.goal + 2 * a.goal, a.own_dim)
+        self.own = two_layers(2 * OBS_LEN + 4 * a.goal + 2 * a.goal, a.own_dim)
         if a.neighbours:
-            self.other = _two_layers(2 * OBS_LEN + 3, width)
+            self.other = two_layers(2 * OBS_LEN + 3, width)
             self.ask, self.answer = nn.Linear(a.own_dim, width), nn.Linear(width, 2 * width)
             self.alone = nn.Parameter(torch.zeros(1, 1, 2 * width))
         encoders = {"patch": PatchEncoder, "rings": RingEncoder}
@@ -112,10 +111,8 @@ class AnchorNet(AnchorForecaster):
         self.paths = nn.Linear(width, 2 * a.steps)
         self.choice = nn.Linear(width, 1)
         self.widths = nn.Linear(width, 2 * a.steps)
-        for layer in (self.choice, self.widths, *([self.paths] if a.anchors else [])):
-            # the untrained network leaves the anchors as they are
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
+        # the untrained network leaves the anchors as they are
+        init_with_zeros(self.choice, self.widths, *([self.paths] if a.anchors else []))
 
     def write(self, batch: TensorDict, seen: Seen) -> Written:
         """Return the modes: anchors with what the decoder adds to them."""
@@ -180,7 +177,3 @@ class AnchorNet(AnchorForecaster):
         query = self.ask(own).view(-1, HEADS, 1, width // HEADS)
         read = functional.scaled_dot_product_attention(query, key, value, ~absent[:, None, None])
         return read.flatten(1)
-
-
-def _two_layers(inputs: int, width: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width), nn.GELU())

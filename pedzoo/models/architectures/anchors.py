@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from pedzoo.core.spec import flat
 from pedzoo.core.types import PRED_LEN
 from pedzoo.models.blocks.anchored.forecaster import AnchorForecaster
 from pedzoo.models.blocks.anchored.parts import AnchorLosses
@@ -27,4 +26,4 @@ class Anchors(AnchorForecaster):
     def __init__(self, architecture: Architecture = Architecture()) -> None:
         """Make room for the centroids; `prepare` finds them."""
         super().__init__(architecture.steps, architecture.modes, None, AnchorLosses())
-        self.config = flat(architecture)
+        self.built_with(architecture)

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import flat
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, Walking
@@ -22,7 +21,7 @@ from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
 from pedzoo.models.blocks.fused_weights import NOTHING, FusedWeights, fuse
-from pedzoo.models.blocks.mlp import init_like_sgan, mlp
+from pedzoo.models.blocks.mlp import init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.parameter_cache import ParameterCache
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people import lines
@@ -127,12 +126,11 @@ class SGAN(Forecaster):
             walking: How it walks.
         """
         super().__init__()
-        self.config = flat(architecture, losses, walking)
+        self.built_with(architecture, losses, walking)
         a = architecture
         self.goal_protocol = a.goal_protocol
         self.noise_dim, self.noise, self.frame, self.residual = a.noise_dim, a.noise, a.frame, a.residual
         self.walking_noise = "mixed" if a.noise == "mixed" else "episode"
-        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
         self.losses = losses
         map_dim = a.map_dim if a.map else 0
         self.needs = frozenset(["goal"] * (a.goal_dim > 0) + ["map"] * (a.map is not None))
@@ -159,8 +157,7 @@ class SGAN(Forecaster):
             self.trait.reset()
         if a.residual != "none":
             # the untrained network is the trivial continuation itself
-            nn.init.zeros_(self.decoder.output.weight)
-            nn.init.zeros_(self.decoder.output.bias)
+            init_with_zeros(self.decoder.output)
 
     def encode(self, batch: TensorDict, steps: int, fused: FusedWeights = NOTHING) -> Encoded:
         """Return all that does not depend on the noise; ``fused`` saves time, see `FusedWeights`."""

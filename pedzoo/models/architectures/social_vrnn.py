@@ -23,7 +23,6 @@ from torch.distributions import Normal, kl_divergence
 
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import flat
 from pedzoo.models.base import Forecaster, known_displacements, true_displacements
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.latent import LatentHead
@@ -116,7 +115,7 @@ class SocialVRNN(Forecaster):
             losses: Its losses.
         """
         super().__init__()
-        self.config = flat(architecture, losses)
+        self.built_with(architecture, losses)
         a = architecture
         self.latent_dim, self.noise_dim = a.latent_dim, a.latent_dim + 1
         self.losses = losses

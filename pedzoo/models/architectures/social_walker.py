@@ -16,7 +16,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pedzoo.core.geometry import rotate, unrotate
-from pedzoo.core.spec import flat
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
@@ -87,9 +86,8 @@ class SocialWalker(Forecaster):
             walking: How it walks.
         """
         super().__init__()
-        self.config = flat(architecture, walking)
+        self.built_with(architecture, walking)
         self.architecture = a = architecture
-        self.walking_safety, self.walking_extend_goal = walking.safety, walking.extend_goal
         self.needs = frozenset({"goal", "map"} if a.walls else {"goal"})
         self.near = nn.Sequential(
             nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()

@@ -35,6 +35,18 @@ def mlp(*dims: int) -> MLP:
     return MLP(*layers)
 
 
+def two_layers(inputs: int, width: int) -> nn.Sequential:
+    """Return two layers with GELU."""
+    return nn.Sequential(nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width), nn.GELU())
+
+
+def init_with_zeros(*layers: nn.Linear) -> None:
+    """Let layers return 0 before training: what they would change stays as it is."""
+    for layer in layers:
+        nn.init.zeros_(layer.weight)
+        nn.init.zeros_(layer.bias)
+
+
 def init_like_sgan(module: nn.Module) -> None:
     """Draw the weights of every ``nn.Linear`` in ``module`` from Kaiming's normal distribution.
 

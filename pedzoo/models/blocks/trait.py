@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor, nn
 
+from pedzoo.models.blocks.mlp import init_with_zeros
+
 
 class Trait(nn.Module):
     """Adds to a context the output of a small network for it and the noise together.
@@ -22,8 +24,7 @@ class Trait(nn.Module):
         """Forget: nothing is added."""
         last = self.net[-1]
         assert isinstance(last, nn.Linear)
-        nn.init.zeros_(last.weight)
-        nn.init.zeros_(last.bias)
+        init_with_zeros(last)
 
     def forward(self, context: Tensor, z: Tensor) -> Tensor:
         """Return the context (..., C) of people with the noise ``z`` (..., noise_dim)."""

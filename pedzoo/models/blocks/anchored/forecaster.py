@@ -73,7 +73,7 @@ class AnchorForecaster(Forecaster):
 
     def anchors(self, seen: Seen) -> Written:
         """Return the anchors of people's speeds."""
-        which = torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))
+        which = _speed_class(seen)
         return Written(self.get_buffer("centroids")[which], self.logits[which], self.log_scale[which])
 
     @torch.no_grad()
@@ -87,7 +87,7 @@ class AnchorForecaster(Forecaster):
             seen = self.see(batch)
             known = seen.crowd.pack(agents_of(batch)["future_valid"]).all(-1)
             offsets = (self.truth(batch, seen) - seen.base) / seen.unit.unsqueeze(-1)
-            parts.append((offsets[known], torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))[known]))
+            parts.append((offsets[known], _speed_class(seen)[known]))
         offsets, which = (torch.cat(part) for part in zip(*parts, strict=True))
         if not len(offsets):
             raise UserError(
@@ -143,10 +143,8 @@ class AnchorForecaster(Forecaster):
     def mixture(self, written: Written, seen: Seen) -> FutureMixture:
         """Return the density of displacements in each person's frame."""
         path = self.placed(written, seen)[:, :-1]
-        mean = torch.cat((path[:, :, :1], path.diff(dim=2)), 2)
-        return FutureMixture(
-            written.logits, mean, written.log_scale.exp() * seen.unit.view(-1, 1, 1, 1) + LEAST
-        )
+        scale = written.log_scale.exp() * seen.unit.view(-1, 1, 1, 1) + LEAST
+        return FutureMixture(written.logits, _displacements(path), scale)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
@@ -155,8 +153,7 @@ class AnchorForecaster(Forecaster):
 
         A sample is one of all people of a scene: who would touch others draws once more.
         """
-        seen = self.see(batch)
-        mixture = self.mixture(self.write(batch, seen), seen)
+        seen, mixture = self._futures(batch)
         path = self._drawn(seen, mixture, samples, steps, generator)
         again = self._drawn(seen, mixture, samples, steps, generator)
         return torch.where(_touching(batch, path)[..., None, None], again, path)
@@ -165,8 +162,7 @@ class AnchorForecaster(Forecaster):
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return the ``samples`` likeliest modes of each person (B, K, A, T, 2), and draws beyond all."""
-        seen = self.see(batch)
-        mixture = self.mixture(self.write(batch, seen), seen)
+        seen, mixture = self._futures(batch)
         order = mixture.logits.argsort(-1, descending=True).T[:samples]
         path = self._world(seen, torch.stack([mixture.mean_of(one) for one in order]), steps)
         if samples <= self.modes:
@@ -178,14 +174,13 @@ class AnchorForecaster(Forecaster):
         """Return the one best guess (B, 1, A, T, 2): of all futures the one that is least far off."""
         seen = self.see(batch)
         path = self.placed(self.write(batch, seen), seen)[:, -1]
-        return self._world(seen, torch.cat((path[:, :1], path.diff(dim=1)), 1).unsqueeze(0), steps)
+        return self._world(seen, _displacements(path).unsqueeze(0), steps)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of the best guess, or of the mode that the noise chooses."""
         if noise is None:
             return self.mode(batch, steps)[:, 0]
-        seen = self.see(batch)
-        mixture = self.mixture(self.write(batch, seen), seen)
+        seen, mixture = self._futures(batch)
         chosen = mixture.at_quantile(torch.special.ndtr(seen.crowd.pack(noise)[:, 0]))
         return self._world(seen, mixture.mean_of(chosen).unsqueeze(0), steps)[:, 0]
 
@@ -210,9 +205,7 @@ class AnchorForecaster(Forecaster):
         choice = functional.cross_entropy(written.logits, best.indices, reduction="none")
         # the widths alone learn from the likelihood, of the mode that was best
         person = torch.arange(len(best.indices), device=truth.device)
-        wrong = (path[person, best.indices].detach() - truth).diff(
-            dim=1, prepend=truth.new_zeros(len(truth), 1, 2)
-        )
+        wrong = _displacements(path[person, best.indices].detach() - truth)
         scale = written.log_scale[person, best.indices].exp() * seen.unit.unsqueeze(-1) + LEAST
         moves = seen.crowd.pack(known_displacements(batch))
         nats = (0.5 * (wrong / scale).square() + scale.log()).sum(-1) * moves
@@ -225,11 +218,14 @@ class AnchorForecaster(Forecaster):
         """Return each person's log density (B, A), nats; None for other numbers of steps than trained."""
         if agents_of(batch)["future"].shape[2] != self.steps:
             return None
-        seen = self.see(batch)
-        truth = self.truth(batch, seen)
-        steps = torch.cat((truth[:, :1], truth.diff(dim=1)), 1)
+        seen, mixture = self._futures(batch)
         known = seen.crowd.pack(known_displacements(batch))
-        return seen.crowd.unpack(self.mixture(self.write(batch, seen), seen).log_prob(steps, known))
+        return seen.crowd.unpack(mixture.log_prob(_displacements(self.truth(batch, seen)), known))
+
+    def _futures(self, batch: TensorDict) -> tuple[Seen, FutureMixture]:
+        """Return the people of a batch, and the density of their displacements."""
+        seen = self.see(batch)
+        return seen, self.mixture(self.write(batch, seen), seen)
 
     def _drawn(
         self,
@@ -252,6 +248,16 @@ class AnchorForecaster(Forecaster):
         more = path[:, :, -1:].expand(-1, -1, max(steps - self.steps, 0), -1)
         path = frames.out_of(seen.heading, torch.cat((path, more), 2)[:, :, :steps])
         return seen.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+
+
+def _speed_class(seen: Seen) -> Tensor:
+    """Return which of the classes of speeds people are in (P,) long."""
+    return torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))
+
+
+def _displacements(path: Tensor) -> Tensor:
+    """Return displacements of positions (..., T, 2) from the last observed one."""
+    return torch.cat((path[..., :1, :], path.diff(dim=-2)), -2)
 
 
 def _touching(batch: TensorDict, path: Tensor) -> Tensor:
