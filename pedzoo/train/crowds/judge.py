@@ -65,19 +65,14 @@ class Judge(nn.Module):
         rows = (rows - self.mean) / self.scale.clamp_min(0.02)
         return self.net(rows.clamp(-_LARGEST, _LARGEST))[:, 0]
 
-    def learning(self, made: Tensor, true: Tensor, random: torch.Generator, again: bool) -> Tensor:
-        """Return the cross entropy of the judge on clips of people who walk and of recorded ones.
-
-        Args:
-            made: What is `legible` of the clips of those who walk (W, N).
-            true: Of the recorded ones.
-            random: Draws earlier updates.
-            again: Whether the judge has seen these already.
-        """
+    def remember(self, made: Tensor, true: Tensor) -> None:
+        """Take what is `legible` of an update's clips (W, N): of people who walk, and of recorded ones."""
         if not self._past:
             self.mean, self.scale = true.mean(0), true.std(0)
-        if not again:
-            self._past.append((made.detach(), true.detach()))
+        self._past.append((made.detach(), true.detach()))
+
+    def learning(self, random: torch.Generator) -> Tensor:
+        """Return the cross entropy of the judge on the last clips, and on those of updates that are drawn."""
         picked = torch.randint(len(self._past), (self.drawn,), generator=random).tolist()
         pairs = [self._past[-1], *(self._past[number] for number in picked)]
         costs = [

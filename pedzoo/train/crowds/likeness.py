@@ -107,10 +107,10 @@ class CrowdLikeness(nn.Module):
                 judge = cast("Judge", self.judges[name])
                 looks = legible(made.clips, made.manner)
                 if optimizer is not None:
-                    true_looks = legible(true.clips, true.manner)
-                    for turn in range(self.judge_steps):
+                    judge.remember(looks, legible(true.clips, true.manner))
+                    for _ in range(self.judge_steps):
                         optimizer.zero_grad()
-                        judge.learning(looks.detach(), true_looks, random, turn > 0).backward()
+                        judge.learning(random).backward()
                         optimizer.step()
                 passing.append(judge.passing(looks))
         terms["distribution"] = torch.stack(apart).mean()

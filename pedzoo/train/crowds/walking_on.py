@@ -10,6 +10,8 @@ from torch import Tensor
 from pedzoo.core.batch import scene_batch
 from pedzoo.core.geometry import limit_speed, passes
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.train.crowds.excerpts import Excerpts
@@ -66,6 +68,12 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
     there = list(real.there[:, :, :OBS_LEN].unbind(2))
     scored = [torch.zeros_like(real.walks)] * OBS_LEN
     gone = real.last < OBS_LEN - 1
+    row, fastest = planner.map_rows(real.map_id), float(real.pref_speed.max())
+
+    def guide(here: Tensor, mine: Tensor) -> Guidance:
+        goal_id = torch.where(mine, real.goal_id, -1)
+        return planner.guidance(here, goal_id, row, real.pose, real.pref_speed, AHEAD_SECONDS, fastest)
+
     asked, walked = [], []
     for number in range(steps):
         frame = OBS_LEN - 1 + number
@@ -74,7 +82,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         mine = simulated & ~gone
         others = real.there[:, :, frame] & ~simulated
         with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
-            batch = _observed(real, planner, path, there, mine, mine | others, key, number)
+            batch = _observed(real, planner.bank, guide, path, there, mine, mine | others, key, number)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
             command = limit_speed(command, top_speed_of(real.pref_speed))
@@ -97,7 +105,8 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
 
 def _observed(
     real: Excerpts,
-    planner: Planner,
+    maps: MapBank,
+    guide: Callable[[Tensor, Tensor], Guidance],
     path: list[Tensor],
     there: list[Tensor],
     mine: Tensor,
@@ -110,14 +119,10 @@ def _observed(
     here, frame = history[:, :, -1], OBS_LEN - 1 + number
     # as in the environment: before their first row people are where they come
     history = torch.where(valid.unsqueeze(3), history, real.head[:, :, :1])
-    row = planner.map_rows(real.map_id)
-    goal_id = torch.where(mine, real.goal_id, -1)
-    guidance = planner.guidance(
-        here, goal_id, row, real.pose, real.pref_speed, AHEAD_SECONDS, float(real.pref_speed.max())
-    )
+    guidance = guide(here, mine)
     left = torch.where(guidance.distance.isfinite(), guidance.distance, real.path_length)
     batch = scene_batch(
-        maps=planner.bank,
+        maps=maps,
         map_id=real.map_id.unsqueeze(1),
         pose=real.pose,
         history=history,
