@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.planning.waypoint_table import WaypointTable
 
@@ -98,22 +97,12 @@ class OnlinePlanner(Planner):
         )
         return self._table
 
-    def guidance(
-        self,
-        points: Tensor,
-        goal_id: Tensor,
-        row: Tensor,
-        pose: Tensor,
-        pref_speed: Tensor,
-        look_ahead_seconds: float,
-        fastest: float,
-    ) -> Guidance:
-        """Return what `Planner.guidance` does; cells that people stand on get their paths first."""
+    def _visit(self, points: Tensor, goal_id: Tensor) -> None:
+        """Give the cells that people stand on their paths first."""
         self.prepare()
         if self.bank.grids:
             here, goals = points.view(-1, 2).double().numpy(), goal_id.view(-1).numpy()
             self._fill(here[goals >= 0], goals[goals >= 0])
-        return super().guidance(points, goal_id, row, pose, pref_speed, look_ahead_seconds, fastest)
 
     def _fill(self, points: NDArray[np.float64], goals: NDArray[np.int64]) -> None:
         """Write the paths from the open cells nearest to points (P, 2) to their goals (P,)."""

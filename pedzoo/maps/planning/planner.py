@@ -239,6 +239,7 @@ class Planner:
             look_ahead_seconds: How far ahead the carrot is.
             fastest: No ``pref_speed`` is above it, m/s.
         """
+        self._visit(points, goal_id)
         if self.compiled and points.device.type == "cpu":
             table = self._on(points.device)
             return guidance_compiled(
@@ -264,6 +265,9 @@ class Planner:
         unit, distance = heading(points, waypoint, frame, length, beyond)
         goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
         return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + waypoints.onward)
+
+    def _visit(self, points: Tensor, goal_id: Tensor) -> None:
+        """Take note of where agents with goals ask for their ways: fields have all cells already."""
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest path in the map's frame: the goal is the last.
