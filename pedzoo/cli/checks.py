@@ -18,7 +18,6 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import find_config
 from pedzoo.core.registry import (
-    DATASETS,
     MODELS,
     PHYSICS,
     POLICIES,
@@ -26,6 +25,7 @@ from pedzoo.core.registry import (
     SCENARIOS,
     SUITES,
     Registry,
+    datasets_of_folds,
     names_code,
 )
 from pedzoo.core.spec import name_of, parse, unquoted
@@ -116,17 +116,17 @@ def _check_policy(text: str, command: str = "rollout") -> None:
     """Refuse the name of a policy, or of one of a crowd, and its settings."""
     for one in [part.policy for part in members(text)] if len(parts(text)) > 1 else [text]:
         spec = parse(one)
+        settings = {key: value for key, value in spec.settings.items() if key != "share"}
         if names_code(spec.name):
             _check_file("policy", spec.name.rpartition(":")[0])
         elif spec.name in POLICIES.names():
-            _check_settings(POLICIES, spec.name, {key: "" for key in spec.settings if key != "share"})
+            _check_settings(POLICIES, spec.name, settings)
         elif command == "evaluate" and (spec.name in ROBOT_POLICIES.names() or spec.name.startswith(ROBOTS)):
             continue
         else:
             others = (*POLICIES.names(), *known()["baselines"], *_people())
             check_model(spec.name, "policy", others)
-            settings = renamed.new_settings({k: v for k, v in spec.settings.items() if k != "share"})
-            _check_known("walker", "", spec.name, settings)
+            _check_known("walker", "", spec.name, renamed.new_settings(settings))
 
 
 def check_model(name: str, kind: str = "model", others: tuple[str, ...] = ()) -> None:
@@ -173,7 +173,7 @@ def _check_suite(option: str, text: str) -> None:
 
 
 def _check_fold(option: str, text: str) -> None:
-    folds = [fold for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()]
+    folds = datasets_of_folds()
     if text not in folds and not names_code(text):
         raise unknown("fold", text, folds)
 

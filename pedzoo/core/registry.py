@@ -264,3 +264,8 @@ SENSORS = Registry("sensor", "pedzoo.sim.sensors")
 ROBOT_REWARDS = Registry("robot reward", "pedzoo.sim.robot_rewards")
 ROBOT_POLICIES = Registry("robot policy", "pedzoo.policies.robots")
 METRICS = FunctionRegistry("metric", "pedzoo.metrics")
+
+
+def datasets_of_folds() -> dict[str, str]:
+    """Return the dataset of each fold that is known by its name alone; nothing is imported."""
+    return {fold: name for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()}

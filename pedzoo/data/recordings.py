@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 from pedzoo.core.errors import unknown
-from pedzoo.core.registry import DATASETS, names_code
+from pedzoo.core.registry import DATASETS, datasets_of_folds, names_code
 from pedzoo.core.spec import name_of
 from pedzoo.core.types import TimeBase
 from pedzoo.data.tracks import Tracks
@@ -90,7 +90,7 @@ def find_fold(text: str | None) -> Fold | None:
     if text is None:
         return None
     if not names_code(text):
-        known = {fold: name for name in DATASETS.names() for fold in DATASETS.constant(name, "FOLDS") or ()}
+        known = datasets_of_folds()
         return Fold(known[text], text) if text in known else None
     dataset = name_of(text)
     folds = list(DATASETS.constant(dataset, "FOLDS") or [dataset.rpartition(":")[2]])

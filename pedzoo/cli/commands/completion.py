@@ -38,7 +38,7 @@ def _following(words: list[str]) -> list[str]:
     from pedzoo.cli.checks import known
     from pedzoo.cli.main import COMMANDS
     from pedzoo.core.paths import config_names
-    from pedzoo.core.registry import DATASETS, PHYSICS, POLICIES, SCENARIOS, SUITES
+    from pedzoo.core.registry import PHYSICS, POLICIES, SCENARIOS, SUITES, datasets_of_folds
     from pedzoo.models.zoo.store import names
 
     if not words:
@@ -49,7 +49,7 @@ def _following(words: list[str]) -> list[str]:
         "--suite": SUITES.names,
         "--physics": PHYSICS.names,
         "--weights": names,
-        "--data.fold": lambda: [one for name in DATASETS.names() for one in DATASETS.constant(name, "FOLDS")],
+        "--data.fold": lambda: [*datasets_of_folds()],
     }
     if words[-1] in values:
         return values[words[-1]]()
