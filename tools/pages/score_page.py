@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from tools.pages.tables import table
+
 RESULTS = Path(__file__).parents[2] / "checkpoints" / "results"
 
 COLUMNS = {
@@ -59,32 +61,23 @@ def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
             kinds.setdefault(kind(row["name"], report["protocol"]["against"]), []).append(row)
     complete = {name: rows for name, rows in kinds.items() if len(rows) == len(reports)}
     yield from (f"## Mean of {', '.join(reports)}", "")
-    yield from head("crowd")
-    for name, rows in complete.items():
-        yield line(name, [mean([row["metrics"].get(key) for row in rows]) for key in COLUMNS])
+    means = [
+        [name, *(mean([row["metrics"].get(key) for row in rows]) for key in COLUMNS)]
+        for name, rows in complete.items()
+    ]
+    yield table(["crowd", *COLUMNS.values()], means)
     for against, report in reports.items():
         versions = report["versions"]
-        yield from ("", f"## {against}", "")
+        yield from (f"## {against}", "")
         yield f"`pedzoo score` with pedzoo {versions['pedzoo']}, commit {versions['commit']}."
         yield ""
-        yield from head("crowd")
-        for row in report["rows"]:
-            yield line(row["name"], [cell(row, key) for key in COLUMNS])
+        rows = [[row["name"], *(cell(row, key) for key in COLUMNS)] for row in report["rows"]]
+        yield table(["crowd", *COLUMNS.values()], rows)
 
 
 def kind(name: str, against: str) -> str:
     """Return what a row of one recording is called for all of them."""
     return name.removesuffix(against) + "SCENE" if name.endswith(against) and name != against else name
-
-
-def head(first: str) -> tuple[str, str]:
-    """Return the first two lines of a table."""
-    return line(first, list(COLUMNS.values())), "|---|" + "---:|" * len(COLUMNS)
-
-
-def line(name: str, cells: list[str]) -> str:
-    """Return a line of a table."""
-    return f"| {name} | {' | '.join(cells)} |"
 
 
 def mean(values: list[float | None]) -> str:

@@ -109,7 +109,7 @@ def results() -> str:
         ours, theirs = cells[LEARNED[0]].get(key), cells[best].get(key)
         if ours is not None and theirs is not None and theirs < ours:
             better.append(f"{what} (`{best}` {theirs:.2f}, ours {ours:.2f})")
-    lines = "".join(f"- {line}\n" for line in better) or "- nothing of this table and its pages\n"
+    lines = "".join(f"- {line}.\n" for line in better) or "- nothing of this table and its pages\n"
     return (
         f"{text}\n- The first two policies are learned, the others are rules. "
         "The second was only trained to forecast.\n"
