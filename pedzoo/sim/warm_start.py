@@ -40,7 +40,6 @@ def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegme
         rules: Of the scenes.
         walls: Walls for ORCA.
     """
-    waits = rules.waits is not None
     rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None, waits=None)
     agents = state.mask.shape[1]
     controlled, stands = state.controlled, state.stands
@@ -49,9 +48,10 @@ def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegme
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
     guidance = rules.guidance(state)
     # people are on their way already
-    state = state._replace(velocity=torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0))
-    if waits:  # in other scenes people begin with their second goal: the first counts as reached at the start
-        state = state._replace(goal_point=guidance.goal_point)
+    state = state._replace(
+        velocity=torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0),
+        goal_point=guidance.goal_point,
+    )
     top_speed = state.top_speed
     radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
     for _ in range(OBS_LEN - 1):

@@ -266,6 +266,19 @@ class Recorded(Door):
         return layout._replace(history=layout.start.unsqueeze(2) + steps * towards.unsqueeze(2))
 
 
+def test_the_warm_start_leads_to_the_first_goal() -> None:
+    """People who begin to walk have their first goal, not the second, unless they come to it on these steps."""
+    scenes = "goals:map=apartment.7,people=4,goals=2,pool=8"
+    still, rolled = (make_env(scenes, num_envs=50, seed=5, warm_start=kind) for kind in ("static", "orca"))
+    for env in (still, rolled):
+        env.reset()
+    same = rolled.state.goal_id == still.state.goal_id
+    assert same.float().mean() > 0.9
+    assert torch.equal(rolled.state.drawn > 0, ~same)
+    came = rolled.state.past[~same][:, -1] - still.state.goal_point[~same]
+    assert (came.norm(dim=-1) < 2).all()
+
+
 def test_recorded_warm_start() -> None:
     env = make_env(Recorded(), num_envs=2, warm_start="recorded")
     now = env.reset()
