@@ -267,7 +267,7 @@ class Recorded(Door):
 
 
 def test_the_warm_start_leads_to_the_first_goal() -> None:
-    """People who begin to walk have their first goal, not the second, unless they come to it on these steps."""
+    """People who begin to walk keep their first goal, unless they reach it on these steps."""
     scenes = "goals:map=apartment.7,people=4,goals=2,pool=8"
     still, rolled = (make_env(scenes, num_envs=50, seed=5, warm_start=kind) for kind in ("static", "orca"))
     for env in (still, rolled):
