@@ -68,7 +68,8 @@ def check(command: str, argv: list[str]) -> None:
         value = given(argv, option)
         if value in (None, "", "null") or value.startswith("["):  # lists of YAML are read later
             continue
-        if option == "--resume" and "--weights" in argv:  # one of both is too much
+        # elsewhere it names a file; with --weights, one of both is too much
+        if option == "--resume" and (command != "fit" or "--weights" in argv):
             continue
         for one in [value] if option in _SINGLE else split_names(value):
             if one:

@@ -70,6 +70,7 @@ def test_mistakes_are_refused_without_heavy_imports(line, message):
         "rollout orca:radius=0.3 file.py:Mine --scenario door:width=0.9,people=4 --video-view top",
         "rollout go_to_goal --scenario file.py:Mine:anything=1 --metrics spl,file.py:f",
         "evaluate sgan_goal_map.indoor:safety=false,noise=step orca:share=0.5+go_to_goal --suite cards",
+        "evaluate orca --resume parts.journal",
         "evaluate robot_ppo.circle stop --suite robots --people orca,replay:fold=zara1",
         "forecast hf://OWNER/REPO bent_line --data.people present",
         "fit --config sgan_goal --data.files file.py --model.generator.noise_dim 4 --trainer.max_epochs=2",

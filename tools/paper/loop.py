@@ -90,7 +90,7 @@ class Loop(Walked):
     suites = ("loop_doors", "loop_buildings", "loop_noise", "loop_replay")
     # three seeds of training each, the best one in validation first
     models = tuple(
-        f"{name}.indoor{seed}" for name in ("sgan_goal_map", "sgan_goal") for seed in ("", "_b", "_c")
+        f"{name}.indoor{seed}" for name in ("sgan_goal_map", "sgan_goal") for seed in ("", "-seed1", "-seed2")
     )
     baselines = (*APART, *OPEN_LOOP, *BASELINES)
 
