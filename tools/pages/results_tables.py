@@ -6,7 +6,6 @@ import json
 import re
 from pathlib import Path
 
-from pedzoo.core.renamed import OLD_WEIGHTS
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.forecast import BASELINES
 
@@ -39,6 +38,7 @@ SEEDS = "", "-seed1", "-seed2"
 COLUMNS = {
     "sgan_goal_map.indoor": [f"sgan_goal_map.indoor{seed}" for seed in SEEDS],
     "sgan_goal.indoor": [f"sgan_goal.indoor{seed}" for seed in SEEDS],
+    "social_walker.eth_ucy": ["social_walker.eth_ucy"],
     "sgan_goal_map.controller_open": ["sgan_goal_map.controller_open"],
     "go_to_goal:safety=true": ["go_to_goal:safety=true"],
     "orca:radius=0.2": ["orca:radius=0.2"],
@@ -81,12 +81,10 @@ def in_the_loop() -> str:
     page = (ROOT / "checkpoints" / "results" / "LOOP.md").read_text()
     lines = page.partition("## Targets\n")[2].partition("\n## ")[0].strip().splitlines()
     head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
-    head = [OLD_WEIGHTS.get(name, name) for name in head]  # of a page that was made before
     columns = {column: [name for name in names if name in head] for column, names in COLUMNS.items()}
     columns = {column: names for column, names in columns.items() if names}
     cells_of = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
-    result = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
-    seen = [OLD_WEIGHTS.get(name, name) for name in result]
+    seen = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
     text = f"\n| | {' | '.join(f'`{name}`' for name in columns)} |\n|---|{'---|' * len(columns)}\n"
     for key, label in SHOWN.items():
         recorded = key[0].startswith("replay")
