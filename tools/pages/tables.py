@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from pedzoo.core.paths import CARD
+from pedzoo.eval.unseen import for_fold
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.library import load_plan
 from pedzoo.models.zoo.card import ModelCard, read_card
@@ -30,7 +31,7 @@ STEP_MS = RESULTS / "STEP_MS.json"
 CHOICE = {
     "sgan_goal_map.indoor": "people walk around your robot: the default",
     "social_walker.eth_ucy": "people move most like recorded ones: they also stand and halt, and take longer",
-    "sgan_goal_map.controller_open": "you go on training it in simulation: not yet good at walking",
+    "social_walker.indoor": "the same with walks in buildings in its training: it loses less time there",
     "sgan_goal_map.zara1": "you forecast with goals and floor plans, as the iGibson paper",
     "sgan.zara1": "you forecast without goals: Social GAN",
     "robot_ppo.mix": "you want a robot with a lidar to compare with",
@@ -201,7 +202,7 @@ def realism(name: str, cells: dict[str, dict[tuple[str, str], float]]) -> float 
 def scored(name: str) -> list[float]:
     """Return the realism on each recording of SCORES.json, of the weights that did not see it."""
     reports = json.loads((RESULTS / "SCORES.json").read_text())
-    names = {fold: f"{name.partition('.')[0]}.{fold}" for fold in reports}
+    names = {fold: for_fold(name, fold) for fold in reports}
     rows = ((row, names[fold]) for fold, report in reports.items() for row in report["rows"])
     return [row["metrics"]["realism"] for row, wanted in rows if row["name"] == wanted]
 

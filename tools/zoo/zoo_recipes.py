@@ -20,6 +20,7 @@ EVERYTHING = "eth_ucy"
 GOALS: dict[str, GoalProtocol] = {
     "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination",
     "closed_loop/social_walker": "destination",
+    "closed_loop/social_walker_indoor": "destination",
     "anchors": "none", "anchor_mlp": "none", "anchor_net": "none",
     "anchor_net_goal_destination": "destination",
 }  # fmt: skip
@@ -154,5 +155,9 @@ RECIPES = [
     *(Recipe(f"{half}/sgan_goal_map", EVERYTHING) for half in CONTROLLER),
     *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/sgan_goal_map", fold, seeds=1) for fold in SCENES),
-    *(Recipe("closed_loop/social_walker", fold) for fold in (EVERYTHING, *SCENES)),
+    *(
+        Recipe(f"closed_loop/{config}", fold)
+        for config in ("social_walker", "social_walker_indoor")
+        for fold in (EVERYTHING, *SCENES)
+    ),
 ]
