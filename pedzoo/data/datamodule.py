@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Recording, Split, find_fold, open_fold
+from pedzoo.data.recordings import Recording, Scene, Split, find_fold, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
@@ -174,7 +174,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         if new := sorted(plan for plan in plans if plan and plan not in self._grids):
             self._grids |= {plan: load_plan(plan) for plan in new}
             # recorded people walk where the camera did not see the floor: unknown cells are free here
-            self.bank = MapBank(list(self._grids.values()), unknown="free")
+            self.bank = MapBank([grid.at_home() for grid in self._grids.values()], unknown="free")
         for split in missing:
             self.sets[split] = self._scenes(
                 recordings[split], self.pred_len, self.keep_people, self.min_people
@@ -201,17 +201,24 @@ class TrajectoryDataModule(L.LightningDataModule):
         return [one for one in every if one.tracks.name.startswith(tested) == (split == "val")]
 
     def crowds(self, split: Split) -> list[tuple[Tracks, int]]:
-        """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan."""
+        """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan.
+
+        Their frame is that of the floor plan in the bank, see `pedzoo.data.recordings.Scene`.
+        """
         true = self.hparams["files"] or self.hparams["clock"] == "true"
         source = self.source if true else open_fold(self.fold, self.hparams["root"], "true")
-        recordings = source.recordings(split)
-        return [(one.tracks, self._grids[one.plan].map_id if one.plan else -1) for one in recordings]
+        scenes = [self._scene(one) for one in source.recordings(split)]
+        return [(one.tracks, one.grid.map_id if one.grid else -1) for one in scenes]
+
+    def _scene(self, recording: Recording) -> Scene:
+        return Scene.of(recording.tracks, self._grids[recording.plan] if recording.plan else None)
 
     def _scenes(
         self, recordings: list[Recording], steps: int, people: KeptPeople, min_people: int
     ) -> SceneSet:
-        ids = [self._grids[r.plan].map_id if r.plan else -1 for r in recordings]
-        return SceneSet(recordings, ids, self.bank, self.obs_len, steps, people, min_people)
+        scenes = [self._scene(one) for one in recordings]
+        ids = [one.grid.map_id if one.grid else -1 for one in scenes]
+        return SceneSet(scenes, ids, self.bank, self.obs_len, steps, people, min_people)
 
     def train_dataloader(self) -> Any:
         """Return shuffled, augmented batches; with windows to imitate two loaders, which Lightning joins."""

@@ -12,8 +12,8 @@ from pedzoo.core.limits import LARGEST_CARD, read_text
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 
-FARTHEST = 20_000.0
-"""Metres from the origin at which float32 still tells 2 mm apart; map projections count in 100 km."""
+LARGEST = 20_000.0
+"""Metres that a recording may extend; those that are larger are in pixels or in degrees times something."""
 
 
 class OwnFiles:
@@ -60,10 +60,10 @@ class OwnFiles:
         tracks = Tracks.read(file)
         if self.homography is not None:
             tracks = tracks.through(self.homography)
-        if np.abs(tracks.xy).max() > FARTHEST:
+        if np.ptp(tracks.xy, axis=0).max() > LARGEST:
             raise UserError(
-                f"recording {file!r} has coordinates up to {np.abs(tracks.xy).max():g}, expected metres to "
-                f"{FARTHEST:g}: subtract an offset from x and y (and from the floor plan's origin)"
+                f"recording {file!r} extends over {np.ptp(tracks.xy, axis=0).max():g}, expected metres, at "
+                f"most {LARGEST:g}: give positions in metres, or a homography to metres"
             )
         resampled = tracks.resampled(self.dt)
         if np.ptp(resampled.frame) == 0:

@@ -1,15 +1,18 @@
 """The contents of a dataset file: recordings of a split, each with its floor plan, and its description."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
 
 from pedzoo.core.errors import unknown
 from pedzoo.core.registry import DATASETS, datasets_of_folds, names_code
 from pedzoo.core.spec import name_of
 from pedzoo.core.types import TimeBase
 from pedzoo.data.tracks import Tracks
+from pedzoo.maps.grid import OccupancyGrid, home_of
 
 Split = Literal["train", "val", "test"]
 
@@ -20,6 +23,33 @@ class Recording:
 
     tracks: Tracks
     plan: Path | None = None
+
+
+class Scene(NamedTuple):
+    """The tracks of a recording and its floor plan, both in a frame that has them near its origin.
+
+    Attributes:
+        tracks: The tracks.
+        grid: The floor plan, None where there is none.
+        home: Where that origin is in the recording's own frame (2,), metres.
+    """
+
+    tracks: Tracks
+    grid: OccupancyGrid | None
+    home: np.ndarray
+
+    @classmethod
+    def of(cls, tracks: Tracks, grid: OccupancyGrid | None) -> "Scene":
+        """Return the scene of tracks and a floor plan: from here on single precision is enough.
+
+        A model or a walk then does not depend on where the scene is in the world.
+        """
+        if grid is not None:
+            home = grid.home
+        else:
+            home = home_of((tracks.xy.min(0) + tracks.xy.max(0)) / 2) if len(tracks) else np.zeros(2)
+        moved = replace(tracks, xy=tracks.xy - home) if home.any() else tracks
+        return cls(moved, grid and grid.at_home(), home)
 
 
 class Dataset(Protocol):

@@ -11,7 +11,7 @@ from pedzoo.core import geometry
 from pedzoo.core.batch import scene_batch
 from pedzoo.core.types import STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import recorded_goals
-from pedzoo.data.recordings import Recording
+from pedzoo.data.recordings import Recording, Scene
 from pedzoo.data.windows import KeptPeople, cut_windows, why_empty
 from pedzoo.maps.bank import MapBank
 
@@ -35,7 +35,7 @@ class SceneSet:
 
     def __init__(
         self,
-        recordings: Sequence[Recording],
+        recordings: Sequence[Recording | Scene],
         map_ids: Sequence[int],
         maps: MapBank,
         obs_len: int,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -23,8 +23,19 @@ FINEST, COARSEST = 1e-4, 1e3
 FARTHEST = 1e8
 """Limit of an origin in metres; map projections count to 10,000 km."""
 
+AWAY = 100.0
+"""Metres from the origin: float32 tells 0.01 mm apart up to here, and a tenth of that ten times farther."""
+
 Unknown = Literal["wall", "free"]
 """Meaning of unknown cells: walls indoors, free in recorded scenes (outside the camera's image)."""
+
+
+def home_of(middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the origin (2,) of a frame that has the middle (2,) of a scene near its own, whole metres.
+
+    It is 0 for scenes that are near already: they stay as they are.
+    """
+    return np.round(middle) if np.abs(middle).max() > AWAY else np.zeros(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +89,19 @@ class OccupancyGrid:
     def map_id(self) -> int:
         """The id in scene batches: the first 62 bits of the content hash, the same in every bank."""
         return int(self.digest[:16], 16) >> 2
+
+    @property
+    def home(self) -> NDArray[np.float64]:
+        """The origin (2,) of a frame that has the floor plan near its own; see `home_of`."""
+        height, width = self.cells.shape
+        return home_of(self.cells_to_map(np.array([[width - 1, height - 1]]) / 2)[0])
+
+    def at_home(self) -> OccupancyGrid:
+        """Return the floor plan in the frame of its `home`: itself where that is its own."""
+        x, y = self.home.tolist()
+        if x == y == 0:
+            return self
+        return replace(self, origin=(self.origin[0] - x, self.origin[1] - y, self.origin[2]))
 
     def occupied(self, unknown: Unknown) -> NDArray[np.bool_]:
         """Return which cells are walls (H, W), with unknown cells counted as walls or as free."""

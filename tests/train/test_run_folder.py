@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.bat
 FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
 FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
 RUN = Path("runs/sgan/embedded-seed0")
+ROOT = Path(__file__).parents[2]
 LAST = RUN / "checkpoints" / "last.ckpt"
 
 pytestmark = [
@@ -237,3 +239,44 @@ def test_a_requeued_job_goes_on_where_slurm_stopped_it(slurm: pytest.MonkeyPatch
     slurm.setenv("SLURM_JOB_ID", "8")
     assert main(FIT) == 0
     assert torch.load(f"{RUN}-2/checkpoints/last.ckpt")["epoch"] == 0
+
+
+def distributed(*words: str) -> subprocess.Popen[str]:
+    """Start a command line whose processes are a group of their own."""
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    env = {key: value for key, value in os.environ.items() if key not in ("LOCAL_RANK", "PEDZOO_RUN")}
+    return subprocess.Popen(
+        [sys.executable, "-m", "pedzoo.cli.main", *words],
+        env=env | {"PYTHONPATH": paths},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.slow
+def test_two_processes_that_were_killed_go_on_as_if_they_had_not_been() -> None:
+    words = [*FIT, "--trainer.max_epochs", "8", "--trainer.accelerator", "cpu", "--trainer.devices", "2"]
+    words += ["--trainer.strategy", "ddp_find_unused_parameters_true"]
+    with distributed(*words) as killed:
+        try:
+            while not LAST.is_file() and killed.poll() is None:
+                time.sleep(0.01)
+        finally:
+            os.killpg(killed.pid, signal.SIGKILL)
+        said, _ = killed.communicate(timeout=200)
+    assert killed.returncode != 0, said
+    assert torch.load(LAST)["epoch"] < 7
+    with distributed("fit", "--resume", str(RUN)) as resumed:
+        said, _ = resumed.communicate(timeout=400)
+    assert resumed.returncode == 0, said
+    with distributed(*words, "--runs", "whole") as whole:
+        said, _ = whole.communicate(timeout=400)
+    assert whole.returncode == 0, said
+    one, two = (
+        torch.load(run / "checkpoints" / "last.ckpt")
+        for run in (RUN, Path("whole") / RUN.relative_to("runs"))
+    )
+    assert one["epoch"] == two["epoch"] == 7
+    assert all(torch.equal(one["state_dict"][key], two["state_dict"][key]) for key in two["state_dict"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -56,7 +57,9 @@ def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
     people, xy = without_goals([tracks])
     recorded, scenario = real.persons, cast(Replay, real.scenario)
     assert real.script is not None
-    twin, recording = twins(people, _begin(people, xy), recorded, _begin(recorded, real.script.xy))
+    there = _begin(recorded, real.script.xy) + real.home[recorded.recording]
+    twin, recording = twins(people, _begin(people, xy), recorded, there)
+    people, xy = without_goals([replace(tracks, xy=tracks.xy - real.home[recording].numpy())])
     known, short = twin >= 0, people.last - people.first < OBS_LEN
     role = torch.where(known, recorded.what[twin], CONTROLLED)
     role = torch.where(short & (role == CONTROLLED), SHORT, role)
@@ -66,7 +69,12 @@ def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
     never = torch.where(known.unsqueeze(1), goal, torch.inf)  # strangers have arrived when they leave
     name = Path(path).name
     made = scenario.with_slots(
-        real.planner, real.tables[recording : recording + 1], people._replace(what=role, goal=never), xy, name
+        real.planner,
+        real.tables[recording : recording + 1],
+        real.home[recording : recording + 1],
+        people._replace(what=role, goal=never),
+        xy,
+        name,
     )
     return side(name, made.real_parts(), made, people.start, goal, twin=twin)
 

@@ -89,7 +89,10 @@ def windows_of(real: PreparedReplay) -> Windows:
     parts = _with_roles(parts, people)
     script = Script(parts, places, *_scenes(parts, len(windows)))
     tables = real.tables[windows[:, 0]]
-    scenario = PreparedReplay(scenario=real.scenario, planner=real.planner, tables=tables, script=script)
+    home = real.home[windows[:, 0]]
+    scenario = PreparedReplay(
+        scenario=real.scenario, planner=real.planner, tables=tables, script=script, home=home
+    )
     who = script.people_in_slots(torch.arange(len(windows)), torch.full((len(windows),), OBS_LEN - 1))
     who = torch.where((who >= 0) & parts.controlled[who], who, -1)
     return Windows(scenario, windows[:, 1], windows[:, 0], who, parts.goal[who].float())

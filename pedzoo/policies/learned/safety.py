@@ -64,13 +64,13 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
         cast("Tensor", agents["radius"])[..., 0],
         agents["kind"] == ROBOT,
         torch.where(there, velocity, 0.0),
-        randomness.uniform(randomness.join(_scene_keys(batch), "rank", ids_of(batch))),
+        randomness.uniform(randomness.join(scene_keys(batch), "rank", ids_of(batch))),
     )
     walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
 
 
-def _scene_keys(batch: TensorDictBase) -> Tensor:
+def scene_keys(batch: TensorDictBase) -> Tensor:
     """Return what names the scenes (B, 1) long; 0 where nothing does."""
     keys = batch.get("scene_key", None)
     return torch.zeros_like(batch["map_id"]) if keys is None else cast("Tensor", keys)

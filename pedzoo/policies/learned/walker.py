@@ -16,7 +16,8 @@ from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.learned.extended_goals import extend_goals
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
-from pedzoo.policies.learned.safety import safe
+from pedzoo.policies.learned.safety import safe, scene_keys
+from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.named import NamedPolicy
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
@@ -99,6 +100,7 @@ class Walker(NamedPolicy):
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
             step = self._planned(tensordict)
+        step = step + led_apart(tensordict, scene_keys(tensordict))
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
             step = safe(tensordict, step)

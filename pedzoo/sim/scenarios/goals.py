@@ -75,8 +75,8 @@ class Goals(Scenario):
         self.later = goals + MORE
 
     def plans(self) -> list[OccupancyGrid]:
-        """Return the floor plans."""
-        return [load_plan(name) for name in self.files]
+        """Return the floor plans, each in a frame that has it near the origin: see `OccupancyGrid.home`."""
+        return [load_plan(name).at_home() for name in self.files]
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
         """Return places and paths of the same floor plans, for any number of people and of goals.

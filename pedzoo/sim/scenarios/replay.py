@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,7 +14,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Dataset, Recording, find_fold, open_fold
+from pedzoo.data.recordings import Dataset, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
@@ -103,7 +104,13 @@ class Replay(Scenario):
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the floor plans of the recordings."""
-        return [grid for grid in _plans_of(self._source.recordings("test")) if grid is not None]
+        return [scene.grid for scene in self._scenes() if scene.grid is not None]
+
+    def _scenes(self) -> list[Scene]:
+        """Return the recordings with their floor plans, every file of which is read once."""
+        recordings = self._source.recordings("test")
+        read = {one.plan: load_plan(one.plan) for one in recordings if one.plan}
+        return [Scene.of(one.tracks, read[one.plan] if one.plan else None) for one in recordings]
 
     def prepare(self, clearance: float) -> PreparedReplay:
         """Read the recordings, find people's paths to their exits, and give them slots.
@@ -113,32 +120,44 @@ class Replay(Scenario):
         Raises:
             UserError: A recording is refused, or no person can be simulated.
         """
-        recordings = self._source.recordings("test")
+        recorded = self._scenes()
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
-        tracks = [recording.tracks.resampled(STEP_SECONDS) for recording in recordings]
-        grids = _plans_of(recordings)
+        tracks = [scene.tracks.resampled(STEP_SECONDS) for scene in recorded]
+        grids = [scene.grid for scene in recorded]
         bank = MapBank([grid for grid in grids if grid is not None], self.unknown)
         planner = Planner(bank, clearance, cell=CELL, share=SHARE)
         map_id = torch.tensor([grid.map_id if grid else -1 for grid in grids])
         people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, self.share, self.speed_of)
         if not people.controlled.any():
             raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
-        return self.with_slots(planner, map_id, people, xy)
+        home = torch.from_numpy(np.stack([scene.home for scene in recorded]))
+        return self.with_slots(planner, map_id, home, people, xy)
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
         """Return people and their ways of the same recordings, whether all are simulated there or one."""
-        if not isinstance(other.scenario, Replay) or other.scenario._data != self._data or not other.script:
+        theirs = other.scenario
+        if not (
+            isinstance(other, PreparedReplay) and isinstance(theirs, Replay) and theirs._data == self._data
+        ):
             return None
-        return self.with_slots(other.planner, other.tables, other.script.people, other.script.xy)
+        script = other._recorded
+        return self.with_slots(other.planner, other.tables, other.home, script.people, script.xy)
 
     def with_slots(
-        self, planner: Planner, map_id: Tensor, people: RecordedPeople, xy: Tensor, name: str = ""
+        self,
+        planner: Planner,
+        map_id: Tensor,
+        home: Tensor,
+        people: RecordedPeople,
+        xy: Tensor,
+        name: str = "",
     ) -> PreparedReplay:
         """Give people slots, and print how many are simulated and played back.
 
         Args:
             planner: Their paths.
             map_id: Floor plan of each recording, -1 for none.
+            home: See `PreparedReplay`.
             people: Row p is person p.
             xy: Rows of their tracks (N, 2), person after person.
             name: What the line calls them; empty for the scenario's name.
@@ -148,7 +167,7 @@ class Replay(Scenario):
         else:
             occupants, scenes = _one_simulated(people, len(map_id), self.simulated == "around")
         script = Script(people, xy, occupants, scenes)
-        result = PreparedReplay(scenario=self, planner=planner, tables=map_id, script=script)
+        result = PreparedReplay(scenario=self, planner=planner, tables=map_id, script=script, home=home)
         kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
         print(
             f"replay {name or self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
@@ -179,7 +198,14 @@ class Replay(Scenario):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedReplay(PreparedScenario):
-    """A replay with its people, and the recorded crowd itself."""
+    """A replay with its people, and the recorded crowd itself.
+
+    Attributes:
+        home: Where the origin of each recording's scenes is in the recording (R, 2), float64: not 0 for
+            recordings that are far from their own; see `pedzoo.data.recordings.Scene`.
+    """
+
+    home: Tensor
 
     @property
     def persons(self) -> RecordedPeople:
@@ -207,12 +233,6 @@ class PreparedReplay(PreparedScenario):
     def real_parts(self) -> Iterator[Rollout]:
         """Yield `real` in parts of some scenes, each only as long as these take."""
         return real_parts(self, self.scenes)
-
-
-def _plans_of(recordings: Sequence[Recording]) -> list[OccupancyGrid | None]:
-    """Return the floor plan of each recording, every file read once; None where there is none."""
-    read = {recording.plan: load_plan(recording.plan) for recording in recordings if recording.plan}
-    return [read[recording.plan] if recording.plan else None for recording in recordings]
 
 
 def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scenes]:

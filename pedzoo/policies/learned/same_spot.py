@@ -1,0 +1,37 @@
+"""People on the very spot of another: no model sees a direction in which one of them could go aside."""
+
+import math
+from typing import cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torch.nn import functional
+
+from pedzoo.core import randomness
+from pedzoo.core.batch import agents_of, ids_of
+
+PUSH = 0.05
+"""Metres that such people are led apart in a step, each in a direction of their own."""
+
+
+@torch.no_grad()
+def led_apart(batch: TensorDictBase, key: Tensor) -> Tensor:
+    """Return what is added to next steps (B, A, 2), metres: 0 for people with a spot of their own.
+
+    Args:
+        batch: The scenes.
+        key: Names them (B, 1) long: directions are drawn by it and the agents' numbers.
+    """
+    agents = agents_of(batch)
+    here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
+    # one whole number for each spot, 0 and -0 being the same; absent agents have numbers that no spot has
+    bits = (here.float() + 0.0).contiguous().view(torch.int32).long()
+    absent = torch.iinfo(torch.int64).min + torch.arange(mask.shape[1], device=mask.device)
+    spot, order = torch.where(mask, (bits[..., 0] << 32) | (bits[..., 1] & 0xFFFFFFFF), absent).sort(dim=1)
+    pairs = spot[:, 1:] == spot[:, :-1]
+    shared = functional.pad(pairs, (1, 0)) | functional.pad(pairs, (0, 1))
+    shared = torch.zeros_like(mask).scatter(1, order, shared) & cast("Tensor", agents["controlled"])
+    angle = 2 * math.pi * randomness.uniform(randomness.join(key, "same spot", ids_of(batch)))
+    away = PUSH * torch.stack((angle.cos(), angle.sin()), -1).to(here)
+    return torch.where(shared.unsqueeze(-1), away, 0.0)
