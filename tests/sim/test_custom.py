@@ -13,6 +13,7 @@ import pedzoo
 from pedzoo.cli.checks import check
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec, setting_types
+from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.plain import rectangles, room, wall
@@ -64,6 +65,11 @@ def test_everybody_arrives_through_the_door_of_the_map_beside_the_file(tmp_path:
     assert bool((make_env(file).reset()["agents", "velocity"] == 0).all())
     walked, _ = rollout("go_to_goal", file, "compiled", 2)
     assert bool((walked.reached[:, :, -1] == 1).all())
+
+
+def test_a_table_says_that_no_warm_start_moved_people() -> None:
+    with Comparison(["go_to_goal"], "custom", "compiled", 1) as comparison:
+        assert comparison.report()["protocol"]["warm_start"] == "recorded"
 
 
 def test_a_robot_takes_the_place_of_the_last_person(tmp_path: Path) -> None:

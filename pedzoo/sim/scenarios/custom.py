@@ -40,6 +40,8 @@ class Custom(Scenario):
     place where paths may lead, by half a metre at most.
     """
 
+    begun = True
+
     def __init__(
         self,
         people: list[dict[str, Any]] = SWAP,
