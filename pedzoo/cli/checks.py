@@ -31,6 +31,7 @@ from pedzoo.core.registry import (
 from pedzoo.core.spec import name_of, parse, unquoted
 from pedzoo.models.zoo.store import ROBOTS, find, is_file, names, no_model
 from pedzoo.policies.crowd_names import members, parts
+from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 
 ROBOT_MODULES = "pedzoo.train.robots."
 """Where the classes are that train robots."""
@@ -158,7 +159,7 @@ def _check_known(kind: str, name: str, said: str, settings: dict[str, str]) -> N
 
 
 def _check_scenario(option: str, text: str) -> None:
-    spec = parse(text)
+    spec = scenario_spec(text)
     _check_settings(SCENARIOS, spec.name, dict(spec.settings))
 
 

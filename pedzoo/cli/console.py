@@ -3,7 +3,7 @@
 from rich.console import Console
 
 
-def plain_console(stderr: bool = False, width: int = 200) -> Console:
+def plain_console(stderr: bool = False, width: int = 120) -> Console:
     """Return a console on which a text means nothing but itself.
 
     Rich would read brackets as styles and ``:door:`` as a picture: names, paths and settings have both.

@@ -14,6 +14,7 @@ from pedzoo.core.paths import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from pedzoo.eval.results import Page, Shown
 
@@ -101,7 +102,7 @@ def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> N
 
 
 def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
-    """Print the tables of an evaluation under its protocol, in as many parts as the terminal's width needs.
+    """Print the tables of an evaluation under its protocol, as `print_tables` does.
 
     Where the terminal is narrow an interval is written below its number.
     """
@@ -115,7 +116,7 @@ def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
 
 
 def print_tables(pages: Iterable[Page]) -> None:
-    """Print tables, in as many parts as the terminal's width needs."""
+    """Print tables: transposed where that needs fewer parts of the terminal's width than columns do."""
     from pedzoo.cli.console import plain_console
 
     console = plain_console()
@@ -128,27 +129,46 @@ _NARROW = 120
 
 
 def _print_page(console: Console, page: Page) -> None:
-    from rich.table import Table
-
-    narrow = console.width < _NARROW
-    rows = [[cell.replace(" [", "\n[") for cell in row] if narrow else row for row in page.rows]
-    names, columns = range(page.names), range(page.names, len(page.head))
-    cells = [max(_width(row[i]) for row in rows) for i in range(len(page.head))]
-    heads = [_head(head, cell) for head, cell in zip(page.head, cells, strict=True)]
-    widths = [max(_width(head), cell) + 3 for head, cell in zip(heads, cells, strict=True)]
     if page.title:
         console.print(f"\n{page.title}", style="bold")
-    for part in _parted(list(columns), widths, console.width - sum(widths[i] for i in names) - 1):
+    tables = _tables(page, console.width)
+    if len(tables) > 1:
+        tables = min(tables, _tables(_transposed(page), console.width, 24), key=len)
+    for table in tables:
+        console.print(table)
+
+
+def _tables(page: Page, width: int, least: int = 9) -> list[Table]:
+    """Return a page in as many parts as ``width`` characters need, names in each of them.
+
+    Heads are broken at spaces, and at underscores where they are wider than ``least`` and their cells.
+    """
+    from rich.table import Table
+
+    rows = [[cell.replace(" [", "\n[") for cell in row] if width < _NARROW else row for row in page.rows]
+    names, columns = range(page.names), range(page.names, len(page.head))
+    cells = [max(_width(row[i]) for row in rows) for i in range(len(page.head))]
+    heads = [_head(head, max(cell, least)) for head, cell in zip(page.head, cells, strict=True)]
+    widths = [max(_width(head), cell) + 3 for head, cell in zip(heads, cells, strict=True)]
+    result = []
+    for part in _parted(list(columns), widths, width - sum(widths[i] for i in names) - 1):
         table = Table(show_lines=any("\n" in cell for row in rows for cell in row))
         for i in (*names, *part):
             table.add_column(heads[i], justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
         for row in rows:
             table.add_row(*(row[i] for i in (*names, *part)))
-        console.print(table)
+        result.append(table)
+    return result
+
+
+def _transposed(page: Page) -> Page:
+    """Return a page with its columns as rows, and its first names as columns."""
+    head, *rows = map(list, zip(page.head, *page.rows, strict=True))
+    return page._replace(head=head, rows=rows, names=1)
 
 
 def _head(name: str, width: int) -> str:
-    return "\n".join(_broken(part, max(width, 9)) for part in name.split(" "))
+    return "\n".join(_broken(part, width) for part in name.split(" "))
 
 
 def _width(text: str) -> int:
@@ -170,7 +190,7 @@ def _label(row: dict[str, Any]) -> str:
     return f"{row['name']} ({note})" if note else row["name"]
 
 
-def _broken(name: str, width: int = 9) -> str:
+def _broken(name: str, width: int) -> str:
     """Break a metric's name at underscores into lines of about ``width`` characters."""
     lines = [""]
     for part in name.split("_"):

@@ -1,13 +1,15 @@
 """The contents of a dataset file: recordings of a split, each with its floor plan, and its description."""
 
+import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from pedzoo.core.errors import unknown
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import DATASETS, datasets_of_folds, names_code
 from pedzoo.core.spec import name_of
 from pedzoo.core.types import TimeBase
@@ -52,8 +54,10 @@ class Scene(NamedTuple):
         return cls(moved, grid and grid.at_home(), home)
 
 
-class Dataset(Protocol):
-    """Attributes of a dataset's class. Its constants are read without importing it: they must be literals.
+class Dataset(ABC):
+    """What a dataset's class has. Its constants are read without importing it: they must be literals.
+
+    A class with the same methods need not inherit from this.
 
     Attributes:
         FOLDS: Names of folds, each with its tested recordings, which its training leaves out. With none of
@@ -70,12 +74,60 @@ class Dataset(Protocol):
     FOLDS: ClassVar[Mapping[str, Sequence[str]]]
 
     def __init__(self, fold: str, root: str | None, clock: TimeBase) -> None:
-        """Find the fold's files below ``root``. Raises UserError: there are none."""
-        ...
+        """Take the fold; a dataset of files looks for them here. Raises UserError: there are none.
+
+        Args:
+            fold: One of ``FOLDS``.
+            root: Folder of all recordings, as given by ``--data.root``.
+            clock: Whether annotated steps count as 0.4 s, or positions are resampled to a real 0.4 s.
+        """
+        self.fold, self.root, self.clock = fold, root, clock
+
+    @abstractmethod
+    def recordings(self, split: Split) -> Sequence[Recording]:
+        """Return the recordings of a split."""
+
+
+class OpenFold:
+    """A fold of a dataset whose class may be a user's: what it returns is checked."""
+
+    def __init__(self, cls: type, fold: str, root: str | None, clock: TimeBase) -> None:
+        """Open the fold ``fold`` of a dataset's class.
+
+        Raises:
+            UserError: The class has no method `recordings` or takes other arguments, or there are no files.
+        """
+        self._name = cls.__name__
+        method = getattr(cls, "recordings", None)
+        if method is None or getattr(method, "__isabstractmethod__", False):
+            raise UserError(
+                f"dataset {self._name} has no method recordings(self, split), with split 'train', 'val' or "
+                f"'test': {_EXPECTED}"
+            )
+        for call, given in ((cls, (fold, root, clock)), (method, (self, "test"))):
+            try:
+                inspect.signature(call).bind(*given)
+            except TypeError as error:
+                means = f"{self._name}(fold, root, clock)" if call is cls else "recordings(self, split)"
+                raise UserError(f"dataset {self._name}: expected {means}: {error}") from error
+        self._dataset = cls(fold, root, clock)
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the recordings of a split."""
-        ...
+        """Return the recordings of a split.
+
+        Raises:
+            UserError: The dataset returns something else.
+        """
+        result = self._dataset.recordings(split)
+        right = isinstance(result, list | tuple) and all(
+            isinstance(one, Recording) and isinstance(one.tracks, Tracks) for one in result
+        )
+        if not right:
+            raise UserError(f"{self._name}.recordings({split!r}) returned {result!r:.60}: {_EXPECTED}")
+        return list(result)
+
+
+_EXPECTED = "it has to return a list of pedzoo.data.recordings.Recording(Tracks.read(file), plan=None)"
 
 
 class Fold(NamedTuple):
@@ -128,14 +180,14 @@ def find_fold(text: str | None) -> Fold | None:
     return Fold(dataset, name) if name in folds else None
 
 
-def open_fold(fold: str, root: str | None, clock: TimeBase) -> Dataset:
-    """Return the dataset that has a fold, as `find_fold` takes it.
+def open_fold(fold: str, root: str | None, clock: TimeBase) -> OpenFold:
+    """Return a fold, as `find_fold` takes it.
 
     Raises:
-        UserError: No dataset has it, or the dataset does not find its files.
+        UserError: No dataset has it, or the dataset's class lacks something or does not find its files.
     """
     if result := find_fold(fold):
-        return DATASETS.get(result.dataset)(result.name, root, clock)
+        return OpenFold(DATASETS.get(result.dataset), result.name, root, clock)
     dataset = name_of(fold) if names_code(fold) else ""
     datasets, kind = ([dataset], f"fold of {dataset}") if dataset else (DATASETS.names(), "fold")
     known = [name for one in datasets for name in DATASETS.constant(one, "FOLDS") or ()]

@@ -91,7 +91,7 @@ class Comparison:
         for name in dict.fromkeys(policies):
             policy, env = prepare(name, made, physics, episodes, seed, **settings)
             self._prepared[name], made = (policy, env), env.prepared  # planned once
-            recorded = env.prepared.script is not None
+            recorded = env.prepared.script is not None or env.prepared.scenario.begun
         self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
         self._protocol = {
             "scenario": scenario,

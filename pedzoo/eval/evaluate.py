@@ -25,7 +25,7 @@ from pedzoo.sim.make import physics_class
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
 
-_IF_GIVEN = ("people", "robot", "own", "keep_episodes")
+_IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance")
 """Options that a protocol names only where they are given."""
 
 
@@ -48,6 +48,7 @@ def evaluate(
     robot: str | None = None,
     own: OwnRecordings | None = None,
     keep_episodes: int = 0,
+    clearance: float | None = None,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -76,6 +77,7 @@ def evaluate(
         robot: The body of robots, ``diff_drive:radius=0.35``.
         own: Recordings of one's own, which ``replay`` walks instead of folds.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
+        clearance: Metres that planned ways keep from walls; None for the suites' own. Not of robots.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -95,7 +97,7 @@ def evaluate(
         (one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds, people)
     )
     given = episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device
-    options = EvaluationOptions(*given, columns, recorded, walkers, robot, own, keep_episodes)
+    options = EvaluationOptions(*given, columns, recorded, walkers, robot, own, keep_episodes, clearance)
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -153,6 +155,8 @@ class Evaluation:
         for suite in self._suites:
             for case in suite.cases(self.options):
                 physics_class(case.physics).check()
+                if self.options.clearance is not None:
+                    case = case._replace(clearance=self.options.clearance)
                 units = suite.units(case, self._policies, self._seeds, deterministic)
                 self.units += [unit._replace(**given) for unit in units]
         self._digests = [digest(unit) for unit in self.units]
@@ -227,6 +231,11 @@ def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
 
 
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
+    if options.clearance is not None:
+        if any("robot" in suite.accepted_options for suite in suites):
+            raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
+        if options.clearance < 0:
+            raise UserError(f"clearance {options.clearance}: expected at least 0 m")
     for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [

@@ -59,6 +59,7 @@ class EvaluationOptions(NamedTuple):
         robot: The body of robots, with settings; None for the suite's own.
         own: Recordings of one's own instead of folds.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
+        clearance: Metres that planned ways keep from walls; None for the suites' own.
     """
 
     episodes: int | None = None
@@ -74,6 +75,7 @@ class EvaluationOptions(NamedTuple):
     robot: str | None = None
     own: OwnRecordings | None = None
     keep_episodes: int = 0
+    clearance: float | None = None
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""

@@ -12,6 +12,7 @@ from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.warm_start import WarmStart
 
@@ -36,9 +37,9 @@ def make_env(
     """Return the environment of a scenario.
 
     Args:
-        scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``file.py:Class``
-            with settings, ``Spec("goals", {"map": path})``, an instance, or what its `prepare` returned,
-            which environments of the same clearance may share.
+        scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``mine.yaml``,
+            ``file.py:Class`` with settings, ``Spec("goals", {"map": path})``, an instance, or what
+            its `prepare` returned, which environments of the same clearance may share.
         num_envs: Scenes that are run at once.
         physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
             ``file.py:Class``, with settings. Called ``world`` before, and ``compiled`` ``grid``.
@@ -63,7 +64,9 @@ def make_env(
 
 def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
     """Return the scenario of a name with settings; errors as of `pedzoo.core.spec.build`."""
-    return scenario if isinstance(scenario, Scenario) else build(SCENARIOS, scenario, Scenario)
+    if isinstance(scenario, Scenario):
+        return scenario
+    return build(SCENARIOS, scenario_spec(scenario), Scenario)
 
 
 def prepare_scenario(

@@ -101,3 +101,19 @@ def test_a_report_for_the_terminal_comes_last(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.startswith("table\n{")
     write_and_print({"a": 1}, None, lambda: print("table"))
     assert capsys.readouterr().out == "table\n" and output.check_outputs() is None
+
+
+def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    """Twenty metrics of two policies become one table in a log; three of sixty models stay as they are."""
+    metrics = {f"metric_{number}_per_min": float(number) for number in range(20)}
+    rows = [{"name": name, "case": {}, "n": 5, "metrics": metrics} for name in ("orca", "go_to_goal")]
+    print_report({"protocol": {"scenario": "door"}, "rows": rows})
+    lines = capsys.readouterr().out.splitlines()
+    cells = [line.strip("│").replace("│", " ").split() for line in lines if line.startswith("│")]
+    assert cells == [["n", "5", "5"], *([name, *[f"{value:.3f}"] * 2] for name, value in metrics.items())]
+    assert max(map(len, lines)) <= 120 and any("orca" in line and "go_to_goal" in line for line in lines)
+
+    print_tables([Page("", ["name", "x", "y"], [[f"model_{i}", "1", "2"] for i in range(60)], 1)])
+    assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 60
+    print_tables([Page("", ["name", *"ab" * 40], [[f"model_{i}", *"12" * 40] for i in range(2)], 1)])
+    assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 80

@@ -77,6 +77,27 @@ def test_wrong_folds_are_refused(malls: str, tmp_path: Path) -> None:
         find_fold(f"{tmp_path / 'computed.py'}:Mine")
 
 
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("pass", r"Mine has no method recordings\(self, split\), .* return a list of pedzoo.*Recording"),
+        ("recordings = lambda self: []", r"expected recordings\(self, split\): too many positional"),
+        ("recordings = lambda self, split: None", r"Mine.recordings\('test'\) returned None: it has to"),
+        ("recordings = lambda self, split: ['a.csv']", r"returned \['a.csv'\]: it has to return a list"),
+        ("recordings = lambda self, split: [Recording('a.csv')]", "it has to return a list"),
+        ("def __init__(self): ...\n    recordings = print", r"expected Mine\(fold, root, clock\): too many"),
+    ],
+)
+@pytest.mark.parametrize("base", ["", "(Dataset)"])
+def test_what_a_class_lacks_is_said_in_one_line(body: str, message: str, base: str, tmp_path: Path) -> None:
+    code = f"from pedzoo.data.recordings import Dataset, Recording\n\nclass Mine{base}:\n    "
+    code += "" if base or "__init__" in body else "def __init__(self, fold, root, clock): ...\n    "
+    (tmp_path / "mine.py").write_text(f"{code}{body}\n")
+    with pytest.raises(UserError, match=message) as error:
+        open_fold(f"{tmp_path}/mine.py:Mine", None, "true").recordings("test")
+    assert "\n" not in str(error.value)
+
+
 def test_forecasts_and_replays(malls: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["forecast", "sgan_goal.zara1", "--data.fold", f"{malls}:north", "--data.goal", "window_end"]
     assert main([*words, "--samples", "2", "--json", str(tmp_path / "out.json")]) == 0

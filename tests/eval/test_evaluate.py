@@ -534,3 +534,16 @@ def test_density_and_speed_are_drawn_where_there_is_a_replay(
     assert file.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(UserError, match="evaluate the suite replay"):
         plot_density_speed([{"name": "a", "case": case}], file)
+
+
+def test_the_clearance_is_that_of_all_cases_but_those_of_robots() -> None:
+    usual, narrow = (
+        Evaluation(["go_to_goal"], ["door", "queues"], EvaluationOptions(clearance=metres)).units
+        for metres in (None, 0.2)
+    )
+    assert {unit.case.clearance for unit in narrow} == {0.2}
+    assert 0.2 not in {unit.case.clearance for unit in usual}
+    with pytest.raises(UserError, match="clearance: ways beside robots keep that of the bodies"):
+        Evaluation(["straight"], ["robots"], EvaluationOptions(clearance=0.2))
+    with pytest.raises(UserError, match="clearance -1: expected at least 0 m"):
+        Evaluation(["go_to_goal"], ["door"], EvaluationOptions(clearance=-1))

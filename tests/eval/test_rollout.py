@@ -226,10 +226,9 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
         "clearance": 0.25,
     }
     assert [result["name"] for result in report["rows"]] == policies
+    shown = [cell.strip() for line in printed.splitlines() for cell in line.split("│")]
     for result in report["rows"]:
         assert result["n"] == 3 and len(result["per_agent"]) == 6
-        lines = [line for line in printed.splitlines() if result["name"] in line]
-        shown = [cell.strip() for line in lines for cell in line.split("│")]
         for value in result["metrics"].values():
             assert f"{value:.3f}" in shown
         for key, (low, high) in result["ci95"].items():

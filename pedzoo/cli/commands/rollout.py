@@ -36,9 +36,9 @@ def run(argv: list[str]) -> int:
         "--scenario",
         type=str,
         default="door",
-        help=f"{', '.join(SCENARIOS.names())}, or file.py:Class, with settings: door:width=0.9,people=4, "
-        "hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file; if its path has commas, "
-        "in quotes: \"goals:map='/a,b/plan.yaml'\").",
+        help=f"{', '.join(SCENARIOS.names())}, mine.yaml or file.py:Class, with settings: "
+        "door:width=0.9,people=4, hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a "
+        "file; if its path has commas, in quotes: \"goals:map='/a,b/plan.yaml'\").",
     )
     walking = parser.add_class_arguments(Comparison, as_group=False, skip={"policies", "scenario", "metrics"})
     parser.add_argument(

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import ClassVar
 
 from pedzoo.core.types import TimeBase
-from pedzoo.data.recordings import Recording, Split
+from pedzoo.data.recordings import Dataset, Recording, Split
 from pedzoo.data.tracks import Tracks
 
 
-class Embedded:
+class Embedded(Dataset):
     """The recordings of the plaza: one for each split, all on the same floor plan."""
 
     FOLDS: ClassVar = {"embedded": ["plaza_test"]}
@@ -22,6 +22,7 @@ class Embedded:
         self, fold: str = "embedded", root: str | None = None, clock: TimeBase = "benchmark"
     ) -> None:
         """Find the shipped files; only ``fold`` matters: they lie in the package, and a step is 0.4 s."""
+        super().__init__(fold, root, clock)
         self.folder = Path(str(files("pedzoo.data") / "embedded"))
 
     def recordings(self, split: Split) -> list[Recording]:

@@ -13,7 +13,7 @@ from typing import ClassVar
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import data_root
 from pedzoo.core.types import STEP_SECONDS, TimeBase
-from pedzoo.data.recordings import Recording, Split
+from pedzoo.data.recordings import Dataset, Recording, Split
 from pedzoo.data.tracks import Tracks
 
 FRAMES_PER_STEP = 10
@@ -25,7 +25,7 @@ TRUE_SECONDS = {"biwi_eth": 2 / 3}
 HOW_TO_GET = "`pedzoo download eth_ucy` gets those of ETH/UCY, to where they are found"
 
 
-class EthUcy:
+class EthUcy(Dataset):
     """The recordings of one fold."""
 
     FOLDS: ClassVar = {
@@ -64,10 +64,10 @@ class EthUcy:
             base = data_root(root)
         except UserError as error:
             raise UserError(f"{error}; {HOW_TO_GET}") from error
-        self.clock, self.fold = clock, fold
+        super().__init__(fold, root, clock)
         self.scenes = [fold] if self.FOLDS[fold] else SCENES
         for folder in (base, base / "eth_ucy", base / "datasets"):
-            self.root, lists = folder, folder / "splits.json"
+            self._folder, lists = folder, folder / "splits.json"
             if lists.is_file():
                 splits = json.loads(lists.read_text())
                 self.lists: dict[str, dict[Split, list[str]]] = splits["folds"]
@@ -98,16 +98,16 @@ class EthUcy:
                 f"--data.fold {' or '.join(SCENES)}"
             )
         # by name: the folds share recordings
-        files = [self.root / file for scene in self.scenes for file in self.lists[scene][split]]
+        files = [self._folder / file for scene in self.scenes for file in self.lists[scene][split]]
         return list({file.name: file for file in files}.values())
 
     def _below(self, scene: str) -> dict[Split, list[str]]:
         paths_by_split: dict[Split, list[str]] = {}
         for split in ("train", "val", "test"):
-            folder = self.root / scene / split
+            folder = self._folder / scene / split
             if not (files := sorted(folder.glob("*.txt"))):
                 raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
-            paths_by_split[split] = [str(path.relative_to(self.root)) for path in files]
+            paths_by_split[split] = [str(path.relative_to(self._folder)) for path in files]
         return paths_by_split
 
     def _recording(self, path: Path) -> Recording:
@@ -116,7 +116,7 @@ class EthUcy:
         if self.clock == "true":
             tracks = tracks.resampled(self.seconds.get(name, STEP_SECONDS) / FRAMES_PER_STEP)
         plan = self.plans.get(name)
-        return Recording(tracks, self.root / "maps" / f"{plan}.yaml" if plan else None)
+        return Recording(tracks, self._folder / "maps" / f"{plan}.yaml" if plan else None)
 
 
 SCENES = [fold for fold, tested in EthUcy.FOLDS.items() if tested]

@@ -173,7 +173,8 @@ class Replay(Suite):
 
     def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
         """Walk one unit; policies without noise walk once."""
-        case, scenario = unit.case, cast(PreparedReplay, prepared(unit.case.scenario, unit.case.inputs))
+        case = unit.case
+        scenario = cast(PreparedReplay, prepared(case.scenario, case.inputs, case.clearance))
         if unit.walks == REAL:
             real, halves = reference_rows(scenario, unit.metrics)
             if unit.keep_episodes:

@@ -19,9 +19,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
-from pedzoo.core.spec import Spec, build, homes, parse, setting_groups, setting_types
+from pedzoo.core.spec import Spec, build, homes, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
 
 
@@ -131,6 +132,9 @@ class RobotScenes(Scenario):
             kind=joined(filled(layout.kind, whole), torch.tensor(ROBOT)),
             group=joined(filled(layout.group, whole - 1), torch.tensor(-1)),
         )
+        if layout.history is not None and prepared.script is None:  # robots stand in the warm start
+            standing = layout.start.unsqueeze(2).expand_as(layout.history)
+            layout = layout._replace(history=torch.cat((layout.history[:, :people], standing[:, people:]), 1))
         if not self.wheels:
             return layout
         return layout._replace(
@@ -180,7 +184,7 @@ def with_robots(
     Raises:
         UserError: An unknown name or setting, or a scenario without places for so many robots.
     """
-    spec = parse(scenario) if isinstance(scenario, str) else scenario
+    spec = scenario_spec(scenario)
     cls = SCENARIOS.get(spec.name, Scenario)
     places = cls.place_of_robot
     settings = {key: values[0] for key, values in places.items()} | dict(spec.settings)
@@ -205,6 +209,11 @@ def with_robots(
         usual = usual if isinstance(spec, Spec) else str(usual)
         settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
+    if inner.people < len(bodies):
+        raise UserError(
+            f"{inner.people} people and {len(bodies)} robots: robots take the places of the last people of "
+            f"{spec.name}: expected at least as many people"
+        )
     return RobotScenes(inner, bodies, robot_goals, present, body_radius)
 
 
@@ -213,6 +222,8 @@ def _more(people: Any, robots: int) -> Any:
     if isinstance(people, str):
         value = yaml.safe_load(people)
         return people if not _counts(value) else str(_more(value, robots))
+    if not _counts(people):  # written one by one: robots take the places of the last
+        return people
     return people + robots if isinstance(people, int) else [one + robots for one in people]
 
 

@@ -109,6 +109,7 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
+        begun: People begin on their way, where layouts have an `Opening`; no warm start moves them.
         waits: Some people wait at places: see `Layout.hold` and `pauses`.
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
@@ -121,6 +122,7 @@ class Scenario(ABC):
     unknown: Unknown = "wall"
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False
+    begun: bool = False
     waits: bool = False
     smallest_radius: float | None = None
     meet: float | None = None

@@ -14,7 +14,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Dataset, Scene, find_fold, open_fold
+from pedzoo.data.recordings import OpenFold, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
@@ -97,7 +97,7 @@ class Replay(Scenario):
         self.simulated: Simulated = simulated
         self.share = share
         self.speed_of: SpeedOf = speed
-        self._source: Dataset | OwnFiles = (
+        self._source: OpenFold | OwnFiles = (
             OwnFiles(files, dt, "0,0,1", map, homography) if files else open_fold(fold, root, "true")
         )
         self._data = (fold, root, files, dt, map, homography, share, speed)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Set
-from typing import Any
+from typing import Any, ClassVar
 
 import lightning as L
 import torch
@@ -12,10 +12,11 @@ from torch.optim import Optimizer
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import setting_groups
+from pedzoo.core.spec import setting_groups, setting_types
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import architecture_in, config_of
+from pedzoo.train.modules.contract import check_model, is_own
 
 
 class ForecastModule(L.LightningModule):
@@ -24,8 +25,12 @@ class ForecastModule(L.LightningModule):
     All random numbers of a step are drawn from a generator seeded by the run's seed and the step's number,
     and the learning rate is a function of that number. So a resumed run ends where an uninterrupted one
     does. The command line's learning rate wins over a checkpoint's.
+
+    Attributes:
+        by_loss: The model's own loss is what trains it.
     """
 
+    by_loss: ClassVar[bool] = False
     iteration: Tensor
 
     def __init__(
@@ -59,19 +64,35 @@ class ForecastModule(L.LightningModule):
         data: Any = getattr(self.trainer, "datamodule", None)
         if data is None:
             return
-        asked, own = data.goal, self.generator.goal_protocol
-        if stage == "fit" and "goal" in self.generator.needs and asked not in (own, "random_future"):
-            group = "architecture." * ("architecture" in setting_groups(type(self.generator)))
+        asked, own, cls = data.goal, self.generator.goal_protocol, type(self.generator)
+        if stage != "fit" or "goal" not in self.generator.needs or asked in (own, "random_future"):
+            return
+        if own is None and asked != "none":  # any will do
+            return
+        if "goal_protocol" not in setting_types(cls):
             raise UserError(
-                f"the data give goals by {asked!r}, but the model is built for {own!r}: "
-                f"set both, --data.goal {asked} --model.generator.{group}goal_protocol {asked}"
+                f"the data give goals by {asked!r}, and {cls.__name__} needs them by {own or 'any'!r}: set "
+                f"--data.goal {own or 'window_end'}, or goal_protocol in the class"
             )
+        group = "architecture." * ("architecture" in setting_groups(cls))
+        raise UserError(
+            f"the data give goals by {asked!r}, but the model is built for {own!r}: "
+            f"set both, --data.goal {asked} --model.generator.{group}goal_protocol {asked}"
+        )
 
     def on_fit_start(self) -> None:
-        """Let the model take from the data what is not trained."""
+        """Let the model take from the data what is not trained; try a model of the user's on one batch.
+
+        Raises:
+            UserError: As of `pedzoo.train.modules.contract.check_model`.
+        """
         data: Any = getattr(self.trainer, "datamodule", None)
-        if data is not None and not int(self.iteration):
-            self.generator.prepare((batch.to(self.device) for batch in data.recorded("train")), self.seed)
+        if data is None or int(self.iteration):
+            return
+        self.generator.prepare((batch.to(self.device) for batch in data.recorded("train")), self.seed)
+        if is_own(self.generator):
+            config_of(self.generator)  # it can be saved
+            check_model(self.generator, next(iter(data.recorded("train"))).to(self.device), self.by_loss)
 
     def random(self) -> torch.Generator:
         """Return the source of everything random in this iteration."""

@@ -12,6 +12,8 @@ from pedzoo.train.modules.module import ForecastModule
 class PlainModule(ForecastModule):
     """Minimises ``generator.loss(batch)``."""
 
+    by_loss = True
+
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam; `set_lr` sets its learning rate at every iteration."""
         return torch.optim.Adam(self.generator.parameters(), self.lr)
