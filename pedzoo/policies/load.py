@@ -95,7 +95,8 @@ def load_policy(name: str) -> Policy | Walker:
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message; impossible shares.
     """
-    result = Teams(crowd_of(name)) if is_crowd(name) else _one_policy(name)
+    joined = ("+" in name or "share" in name) and is_crowd(name)
+    result = Teams(crowd_of(name)) if joined else _one_policy(name)
     result.name = name
     return result
 
