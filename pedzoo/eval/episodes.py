@@ -96,12 +96,6 @@ def without_plans(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any
     return [{key: value for key, value in row.items() if key != "plans"} for row in rows], plans
 
 
-def unpacked_tracks(packed: Mapping[str, Any]) -> list[NDArray[np.float64]]:
-    """Return the positions (N, 2) of every entry of ``people``, metres."""
-    numbers = np.split(_numbers(packed["xy"]), 2 * np.cumsum(packed["counts"])[:-1])
-    return [part.reshape(-1, 2).cumsum(0).cumsum(0) / _MM for part in numbers]
-
-
 def packed_plan(grid: OccupancyGrid) -> dict[str, Any]:
     """Return a floor plan: cells row by row as runs, each its length times 4 plus the kind of cell."""
     side = grid.resolution * max(1, -(-max(grid.cells.shape) // CELLS))
@@ -117,14 +111,6 @@ def packed_plan(grid: OccupancyGrid) -> dict[str, Any]:
         "columns": grid.cells.shape[1],
         "runs": _text(4 * lengths + cells[starts]),
     }
-
-
-def unpacked_plan(packed: Mapping[str, Any]) -> OccupancyGrid:
-    """Return the floor plan that was packed."""
-    runs = _numbers(packed["runs"])
-    cells = np.repeat(runs % 4, runs // 4).reshape(packed["rows"], packed["columns"])
-    x, y, yaw = packed["origin"]
-    return OccupancyGrid(cells.astype(np.uint8), packed["cell"], (x, y, yaw), name=packed["name"])
 
 
 def _values(one: Rollout) -> dict[str, float]:
@@ -151,18 +137,6 @@ def _text(numbers: NDArray[np.int64]) -> str:
     written = (parts > 0) | (np.arange(_BYTES) == 0)
     more = np.concatenate((written[:, 1:], np.zeros((len(numbers), 1), dtype=bool)), axis=1)
     return base64.b64encode(((parts & 127) | (more << 7))[written].astype(np.uint8).tobytes()).decode()
-
-
-def _numbers(text: str) -> NDArray[np.int64]:
-    """Return the numbers of `_text`."""
-    data = np.frombuffer(base64.b64decode(text), dtype=np.uint8).astype(np.int64)
-    if not len(data):
-        return data
-    ends = np.flatnonzero(data < 128)
-    starts = np.concatenate(([0], ends[:-1] + 1))
-    place = np.arange(len(data)) - np.repeat(starts, ends - starts + 1)
-    signed = np.add.reduceat((data & 127) << (7 * place), starts)
-    return (signed >> 1) ^ -(signed & 1)
 
 
 def _changes(values: Tensor, first: int) -> list[list[float]]:

@@ -72,7 +72,7 @@ def evaluate(
         metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
         folds: Of recordings that ``replay`` walks, as ``zara1`` or ``file.py:Class:fold``; none for all that
             are found.
-        people: Who walks beside robots: policies with settings, and ``replay``, with settings of the
+        people: Policies of the people beside robots, with settings, and ``replay``, with settings of the
             scenario, for recorded people who do not react.
         robot: The body of robots, ``diff_drive:radius=0.35``.
         own: Recordings of one's own, which ``replay`` walks instead of folds.

@@ -49,7 +49,7 @@ def robot_rollout(
         robot_policy: Its name with settings, as of `pedzoo.policies.load.load_robot_policy`.
         scenario: Its name with settings.
         robot: The body's name with settings, ``diff_drive:radius=0.35``; a list for several robots.
-        people: Who walks: a policy's name with settings, or a mixed crowd.
+        people: Their policy's name with settings, or a mixed crowd.
         physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
         episodes: E.
         seed: Of the scenes.

@@ -55,7 +55,7 @@ class EvaluationOptions(NamedTuple):
         device: Where scenes and policies are.
         metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
         folds: Of recordings; none for all that leave recordings out and are found.
-        people: Who walks beside robots: policies with settings, and ``replay``; empty for the suite's own.
+        people: Policies of people beside robots, with settings, and ``replay``; empty for the suite's own.
         robot: The body of robots, with settings; None for the suite's own.
         own: Recordings of one's own instead of folds.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
@@ -96,7 +96,7 @@ class EvaluationCase(NamedTuple):
         effort: What an episode costs beside those of other cases: people times goals, about.
         table: Which table its rows stand in, with those of which a mean says something; empty: the suite's.
         shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
-        people: Who walks beside a robot; empty where there is none, or where people are played back.
+        people: Policy of people beside a robot; empty where there is none, or people are played back.
         robot: The robot's body; empty where there is none.
         clearance: Metres that planned ways keep from walls.
     """

@@ -38,7 +38,7 @@ def headways(seconds: Tensor, at: float) -> Tensor:
 
 
 def wall_drift(path: Tensor, scored: Tensor, gate: Tensor, seconds: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far people go along the wall while they wait before a door (E, A), metres, and who waits.
+    """Return how far people go along the wall while they wait before a door (E, A), metres, and which wait.
 
     People wait before they pass, within 1.5 m of the wall, while they come nearer to it by less than 0.2 m/s.
     ``seconds`` (E, A) is when they pass.

@@ -35,7 +35,7 @@ class Walking:
 
     Attributes:
         safety: Keep clear of others and walls, see `pedzoo.policies.learned.safety`.
-        extend_goal: Do not slow down round corners, see `pedzoo.policies.learned.extended_goals`.
+        extend_goal: Do not slow down round corners, see `pedzoo.policies.learned.walker.extend_goals`.
     """
 
     safety: bool = False
@@ -58,7 +58,7 @@ class Forecaster(nn.Module):
         walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
             see `pedzoo.policies.learned.safety`.
         walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
-            `pedzoo.policies.learned.extended_goals`.
+            `pedzoo.policies.learned.walker.extend_goals`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The settings that it was built with, as plain values without groups: with the weights, all
             of the model.

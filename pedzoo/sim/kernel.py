@@ -196,7 +196,7 @@ def _arrived(
         trace: Positions every 0.1 s (B, A, S, 2), metres.
         failed: Scenes whose policy returned NaN or infinity (B,) bool.
         rules: Of the scenes.
-        waited: Who stops to wait and who moves on; None where no people wait.
+        waited: Which people stop to wait and which move on; None where no people wait.
     """
     hit = hits[..., -1]
     clock = state.clock + rules.ticks * TRACE_SECONDS

@@ -31,7 +31,7 @@ class Waited(NamedTuple):
 
 
 def waited(scenario: Scenario, state: State, near: Tensor, clock: Tensor) -> Waited:
-    """Return who stops to wait and who moves on.
+    """Return which people stop to wait and which move on.
 
     Args:
         scenario: Says for how long people wait where: see `Scenario.pauses`.

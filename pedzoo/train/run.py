@@ -134,7 +134,7 @@ class RunFolder:
 
     @property
     def _holder(self) -> Path:
-        """Says who has the lock: the file of the lock itself is emptied by whoever asks for it."""
+        """A file beside the lock that names its holder: asking for the lock empties the lock's own file."""
         return self.path / ".in-use"
 
     def _keep_earlier(self) -> None:

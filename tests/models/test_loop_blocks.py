@@ -17,10 +17,10 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.floor_plan.map_rings import CLIP, RADII, RAYS, RingEncoder
+from pedzoo.models.blocks.mlp import Trait
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.models.blocks.trait import Trait
 
 GOAL: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end", "noise": "agent"}
 NEW: dict[str, Any] = {"map": "rings", "map_dim": 5, "approach_dim": 6, "trait_dim": 7}

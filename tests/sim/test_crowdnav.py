@@ -16,8 +16,8 @@ from pedzoo.policies.robots.straight import Straight
 from pedzoo.sim.crowdnav.cases import TEST, Cases, cases
 from pedzoo.sim.crowdnav.draws import Draws
 from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, GOES_ON, SUCCESS, TIMEOUT, State, begin, step
-from pedzoo.sim.crowdnav.run import Runs, run
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, TIME_STEP, Setting
+from tools.paper.crowdnav_runs import Runs, run
 
 NAMES = {SUCCESS: "success", COLLISION: "collision", TIMEOUT: "timeout", FAILED: "failed"}
 

@@ -29,7 +29,6 @@ from pedzoo.policies.robot_weights import load_planner
 from pedzoo.policies.robots.attention import Attention, as_action, as_decision, frame_of
 from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.rules import COLLISION, SUCCESS, TIMEOUT
-from pedzoo.sim.crowdnav.run import run
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.robots.crossing import CrossingEnv
@@ -37,6 +36,7 @@ from pedzoo.train.robots.crowds import Crowds
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of
+from tools.paper.crowdnav_runs import run
 
 pytestmark = [
     *LIGHTNING_MARKS,

@@ -15,9 +15,8 @@ import pytest
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
-from pedzoo.viz.report.content import content_of, shorten
+from pedzoo.viz.report.content import better, content_of, shorten
 from pedzoo.viz.report.episode import Replay
-from pedzoo.viz.report.metrics import better
 from pedzoo.viz.report.page import framed, page
 
 NAUGHTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028&amp;"

@@ -15,10 +15,10 @@ from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
 from pedzoo.policies.robot_weights import load_planner
 from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, SUCCESS, TIMEOUT
-from pedzoo.sim.crowdnav.run import Runs, run
 from pedzoo.sim.crowdnav.settings import TIME_STEP
 from tools.paper.base import Jobs
 from tools.paper.crowdnav_published import PUBLISHED
+from tools.paper.crowdnav_runs import Runs, run
 from tools.paper.crowdnav_tables import LEGEND, NOTES, TABLES, agreement_page, table_page
 
 CASES = 500

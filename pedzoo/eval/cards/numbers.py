@@ -114,7 +114,7 @@ def measure_robot(name: str, people: str, robot: str) -> Report:
 
     Args:
         name: The weights.
-        people: Among whom it learned.
+        people: Policy of the people in its training.
         robot: Its body.
     """
     protocol = {"suites": ["robots"], "episodes": ROBOT_EPISODES, "people": [people], "robot": robot}

@@ -11,6 +11,7 @@ from torch import Tensor
 from pedzoo.eval.scoring.sides import Side
 from pedzoo.metrics.realism.crowdes import Walks
 from pedzoo.metrics.realism.paths import closed_loop_error, padded
+from pedzoo.metrics.realism.walks import person_mean
 from pedzoo.sim.replay.companions import NEAR, TOGETHER
 
 
@@ -33,11 +34,11 @@ def same_people(side: Side, real: Side, weights: Tensor) -> dict[str, Tensor]:
     shared = torch.minimum(points, length[twin])
     error = closed_loop_error(xy, true[twin], shared).view(rounds, -1)
     error[:, ~known] = torch.nan
-    result = {"closed_loop_ade_m": _mean(error.nanmean(0), weights)}
+    result = {"closed_loop_ade_m": person_mean(error.nanmean(0), weights)}
     if rounds > 1:
         best = error.nan_to_num(torch.inf).amin(0)
         best = best.where(best.isfinite(), torch.nan)
-        result[f"closed_loop_min_ade_{rounds}_m"] = _mean(best, weights)
+        result[f"closed_loop_min_ade_{rounds}_m"] = person_mean(best, weights)
     if len(pairs := companions(real.walks)):
         result["companions_near_share"] = _near(side, pairs, weights)
     return result
@@ -91,8 +92,3 @@ def _near(side: Side, pairs: Tensor, weights: Tensor) -> Tensor:
             above.index_add_(0, pair[chosen, end], near[chosen])
             below.index_add_(0, pair[chosen, end], count[chosen].double())
     return weights @ above / (weights @ below)
-
-
-def _mean(value: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted mean (R,) of the values (P,) that are not NaN."""
-    return weights @ value.nan_to_num() / (weights @ (~value.isnan()).double())

@@ -49,8 +49,8 @@ class Side(NamedTuple):
         coarse: Over coarse positions.
         sums: Of `pedzoo.metrics.realism.company`.
         walks: Their scored steps; frames count from the recording's first row, recordings one after another.
-        people: Who they are.
-        twin: Who each of them is in the recording (P,) long, -1 for strangers.
+        people: Its people.
+        twin: The recorded person that each of them is (P,) long, -1 for strangers.
         rounds: How often they walked.
     """
 
@@ -86,7 +86,7 @@ def side(
         scenario: Where they walked.
         start: Where the lines of people begin (P, 2), metres.
         goal: Their exits (P, 2), metres.
-        twin: Who they are in the recording; None for the recorded people themselves.
+        twin: The recorded people that they are; None for the recorded people themselves.
         rounds: How often the scenes are walked.
     """
     people, first = scenario.persons, 0

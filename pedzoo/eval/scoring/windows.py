@@ -35,7 +35,7 @@ class Windows(NamedTuple):
         scenario: One scene each, all equally long.
         begin: The recording's frame at which each is simulated from (W,) long.
         recording: Which recording each is of (W,) long.
-        person: Who is simulated in each slot (W, A) long, -1 for none.
+        person: Simulated person in each slot (W, A) long, -1 for none.
         goal: Their exits (W, A, 2), metres.
     """
 
@@ -54,7 +54,7 @@ class Walked(NamedTuple):
         contacts: Of `CONTACTS` (K, W, A) bool.
         xy: Positions (K, W, A, S, 2), metres; the exit once a person has left.
         scored: Which steps count (K, W, A, S) bool.
-        people: Who was simulated (W, A) bool.
+        people: Which people were simulated (W, A) bool.
     """
 
     values: dict[str, Tensor]

@@ -20,7 +20,7 @@ ROBOT = "disc"
 """The body where nothing else is said."""
 
 PEOPLE = ("orca", "social_force:preset=indoor", "sgan_goal_map.indoor", "replay")
-"""Who walks where nothing else is said."""
+"""Policies of the people by default."""
 
 REPLAY = "replay"
 """Recorded people, as settings of the scenario of that name; a robot takes the place of one of them."""

@@ -42,7 +42,7 @@ class OnlinePlanner(Planner):
         self._clear()
 
     def _clear(self) -> None:
-        """Begin a table without goals: what no one asked for is a page of zeros that takes no memory."""
+        """Begin a table without goals: what is never asked for is a page of zeros that takes no memory."""
         self._ids, self._goals, self._from_corners = {}, [], []
         self._asked: set[tuple[int, int]] = set()
         maps = [self.graph(0)] if self.bank.grids else []

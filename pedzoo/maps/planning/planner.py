@@ -9,12 +9,11 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planning.carrot import seen_beyond
 from pedzoo.maps.planning.compiled_guidance import guidance_compiled
 from pedzoo.maps.planning.corners import CornerGraph
 from pedzoo.maps.planning.fields import Fields, build_fields
 from pedzoo.maps.planning.graph import OpenGraph, as_points, format_point
-from pedzoo.maps.planning.guidance import Guidance, NextWaypoints, heading, segments
+from pedzoo.maps.planning.guidance import Guidance, NextWaypoints, heading, seen_beyond, segments
 from pedzoo.maps.planning.planar import Frame
 from pedzoo.maps.planning.waypoint_table import Goal, WaypointLookup, WaypointTable
 

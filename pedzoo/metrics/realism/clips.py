@@ -30,7 +30,7 @@ CHANNELS = (
 """The numbers of a step, m, m/s, m/s^2 and s."""
 
 FAR = 20.0
-"""Metres ahead: where people are who are not there."""
+"""Metres ahead: the place of people who are missing."""
 
 _AT_ONCE = 250_000
 """Pairs of people that are looked at at once."""

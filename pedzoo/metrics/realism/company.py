@@ -87,7 +87,7 @@ def _measured(steps: Steps, people: int, axis: Tensor) -> dict[str, PersonSums]:
 
 
 def _accompanied(steps: Steps, apart: Tensor, distance: Tensor) -> Tensor:
-    """Return who has a companion (E, S, A) bool."""
+    """Return which people have a companion (E, S, A) bool."""
     result = torch.zeros(distance.shape[:3], dtype=torch.bool)
     if distance.shape[1] < TOGETHER:
         return result
@@ -112,7 +112,7 @@ def lane_order(steps: Steps, pairs: Tensor, axis: Tensor, people: int) -> Person
 
     Args:
         steps: Every 0.4 s.
-        pairs: Who is there together at each moment (E, S, A, A) bool.
+        pairs: Which two people are there at each moment (E, S, A, A) bool.
         axis: Unit vector along which most people walk (2,).
         people: P.
     """

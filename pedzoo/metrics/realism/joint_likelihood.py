@@ -120,7 +120,7 @@ def contact_likelihood(simulated: Tensor, true: Tensor, people: Tensor) -> LogSu
     Args:
         simulated: Whether they do in each rollout (K, W, A) bool.
         true: Whether they did (W, A) bool.
-        people: Who counts (W, A) bool.
+        people: Which people count (W, A) bool.
     """
     touches = simulated.double().mean(0) * ROLLOUTS + PSEUDO_COUNT
     share = touches / (ROLLOUTS + 2 * PSEUDO_COUNT)

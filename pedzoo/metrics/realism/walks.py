@@ -140,12 +140,14 @@ def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
         "success": weights @ tables.success.nansum(0) / walks,
         "deadlock": weights @ tables.deadlock.nansum(0) / walks,
         "time_ratio_median": _median(ratio, weights),
-        "closed_loop_ade_m": _mean(tables.ade.nanmean(0), weights),
-        "dtw_m": _mean(tables.dtw.nanmean(0), weights),
+        "closed_loop_ade_m": person_mean(tables.ade.nanmean(0), weights),
+        "dtw_m": person_mean(tables.dtw.nanmean(0), weights),
     }
     if rounds > 1:
         best = tables.ade.nan_to_num(torch.inf).amin(0)
-        result[f"closed_loop_min_ade_{rounds}_m"] = _mean(best.where(best.isfinite(), torch.nan), weights)
+        result[f"closed_loop_min_ade_{rounds}_m"] = person_mean(
+            best.where(best.isfinite(), torch.nan), weights
+        )
     return result
 
 
@@ -163,7 +165,7 @@ def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
     return (first[1] - first[0] + 1) * TRACE_SECONDS
 
 
-def _mean(value: Tensor, weights: Tensor) -> Tensor:
+def person_mean(value: Tensor, weights: Tensor) -> Tensor:
     """Return the weighted mean (R,) of the values (P,) that are not NaN."""
     return weights @ value.nan_to_num() / (weights @ (~value.isnan()).double())
 

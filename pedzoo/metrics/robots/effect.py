@@ -31,7 +31,7 @@ class Walk(NamedTuple):
     Attributes:
         arrived: They had reached all their goals, bool.
         seconds: When they had, infinite for others.
-        covered: Metres of the planner's ways that they had covered; all of them for who arrived.
+        covered: Metres of the planner's ways that they had covered; all of them for people who arrived.
         walked: Metres that they walked until then.
     """
 
@@ -48,8 +48,8 @@ def delay(joined: Walk, alone: Walk, pref_speed: Tensor, ended: Tensor) -> Tenso
     end plus what was left of their planned way at the speed that they like. Their delay is the difference
     of the two times, with the robot less without. So it is
 
-    * of who arrived in both: the difference of both times;
-    * of who arrived in neither: the planned way that they covered less, by their preferred speed.
+    * of people who arrived in both: the difference of both times;
+    * of people who arrived in neither: the planned way that they covered less, by their preferred speed.
 
     Args:
         joined: With the robot.
@@ -79,7 +79,7 @@ def detour(joined: Walk, alone: Walk) -> Tensor:
 
 
 def _whole(joined: Walk, alone: Walk) -> Tensor:
-    """Return the length of whole planned ways (E, N), metres: of who arrived; for others it cancels."""
+    """Return the length of whole planned ways (E, N), metres: of those who arrived; for others it cancels."""
     return torch.where(joined.arrived, joined.covered, alone.covered)
 
 
@@ -108,7 +108,7 @@ class Encounters(NamedTuple):
 
 
 def encounters(robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, reach: Tensor) -> Encounters:
-    """Return who met, and which of the two changed its velocity more.
+    """Return which pairs met, and which of the two changed its velocity more.
 
     An encounter of a pair begins where the time after which they would touch, if both kept their velocities,
     first falls below 3 s, but not in the first second, in which robots set out. It ends at the closest

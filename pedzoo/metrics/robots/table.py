@@ -88,7 +88,7 @@ def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
 
 
 def _touches(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
-    """Return who brings about the first touch of a person."""
+    """Return whether the robot or the person causes the first touch of a person."""
     contact = rollout.person_contact
     point = contact.long().argmax(-1)
     place, there = point[:, :, None, None], agents.present.unsqueeze(1)
@@ -156,7 +156,7 @@ def _near(agents: _Agents) -> dict[str, Ratio]:
 
 
 def _encounters(agents: _Agents) -> dict[str, Ratio]:
-    """Return who yields."""
+    """Return how often the robot and the person yield."""
     met = effect.encounters(agents.robots, agents.people, agents.there, agents.moved, agents.reach)
     return {
         "encounters_per_min": ratio(met.met.sum(2), safety.person_minutes(agents.there)),

@@ -20,16 +20,14 @@ from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
-from pedzoo.models.blocks.fused_weights import NOTHING, FusedWeights, fuse
-from pedzoo.models.blocks.mlp import init_like_sgan, init_with_zeros, mlp
-from pedzoo.models.blocks.parameter_cache import ParameterCache
+from pedzoo.models.blocks.mlp import Trait, init_like_sgan, init_with_zeros, mlp
+from pedzoo.models.blocks.parameter_cache import NOTHING, FusedWeights, ParameterCache, fuse
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people import lines
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
-from pedzoo.models.blocks.trait import Trait
 from pedzoo.models.blocks.variety import VarietyLoss
 
 

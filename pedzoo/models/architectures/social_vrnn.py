@@ -25,8 +25,8 @@ from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster, known_displacements, true_displacements
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
-from pedzoo.models.blocks.latent import LatentHead
 from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
+from pedzoo.models.blocks.mlp import LatentHead
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people import lines
 from pedzoo.models.blocks.people.crowd import Crowd

@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import chain
 from operator import is_
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from pedzoo.core.adapters import parameters_of, submodules_of, tensor_version
+from pedzoo.models.blocks.mlp import MLP, Layers
+from pedzoo.models.blocks.people.pooling import PoolingWeights, SocialPooling
+from pedzoo.models.blocks.recurrent import (
+    DecoderWeights,
+    DisplacementDecoder,
+    DisplacementEncoder,
+    EncoderWeights,
+    FirstWeights,
+)
 
 M = TypeVar("M", bound=nn.Module)
 T = TypeVar("T")
@@ -90,3 +99,24 @@ def _values(parts: list[dict[str, Any]]) -> list[Any]:
 
 def _state(parameters: list[Tensor]) -> list[int]:
     return [*map(tensor_version, parameters), *map(Tensor.data_ptr, parameters)]
+
+
+class FusedWeights(NamedTuple):
+    """Results of the parts' ``fuse``, from parameters alone; None where each call computes them."""
+
+    encoder: EncoderWeights | None = None
+    pooling: PoolingWeights | None = None
+    to_decoder: Layers | None = None
+    first: FirstWeights | None = None
+    decoder: DecoderWeights | None = None
+
+
+NOTHING = FusedWeights()
+
+
+def fuse(
+    encoder: DisplacementEncoder, pooling: SocialPooling | None, to_decoder: MLP, decoder: DisplacementDecoder
+) -> FusedWeights:
+    """Return all of it."""
+    pooled = None if pooling is None else pooling.fuse()
+    return FusedWeights(encoder.fuse(), pooled, to_decoder.fuse(), decoder.fuse_first(), decoder.fuse())

@@ -1,20 +1,21 @@
 """Any forecaster as a policy: asked for one next move at a time, it walks."""
 
-from typing import Any, ClassVar, NamedTuple, get_args
+from typing import Any, ClassVar, NamedTuple, cast, get_args
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn.probabilistic import InteractionType as ExplorationType
 from tensordict.nn.probabilistic import interaction_type as exploration_type
 from torch import Tensor
+from torch.nn import functional
 
 from pedzoo.core import randomness
-from pedzoo.core.batch import ids_of
+from pedzoo.core.adapters import copied
+from pedzoo.core.batch import agents_of, ids_of
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
-from pedzoo.policies.learned.extended_goals import extend_goals
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.safety import safe, scene_keys
 from pedzoo.policies.learned.same_spot import led_apart
@@ -74,7 +75,7 @@ class Walker(NamedPolicy):
                 `pedzoo.policies.learned.safety`; what the model asked for is then written too, as ``asked``
                 (B, A, 2) in m/s. None: as the model says.
             extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
-                before, see `pedzoo.policies.learned.extended_goals`. None: as the model says.
+                before, see `pedzoo.policies.learned.walker`. None: as the model says.
 
         Raises:
             UserError: A setting is out of range.
@@ -167,3 +168,24 @@ def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> Non
             f"{what} decides every {decision_dt:g} s, not every {trace.shape[2] * TRACE_SECONDS:g} s: "
             f"make_env(..., decision_dt={decision_dt:g})"
         )
+
+
+def extend_goals(batch: TensorDictBase) -> TensorDictBase:
+    """Return scenes in which no short-term goal is nearer than where the desired velocity leads in 3.2 s.
+
+    Goals ``window_end`` of recordings are where people are 3.2 s later. A model that learned from them slows
+    down for a near goal. A planner's goal is near where the path turns a corner: people go round it at their
+    own speed. Nearer goals are moved out along the line to them. Scenes without goals stay.
+    """
+    agents = agents_of(batch)
+    if "goal" not in agents.keys():
+        return batch
+    position = cast("Tensor", agents["history"])[:, :, -1]
+    goal, desired = (cast("Tensor", agents[key]) for key in ("goal", "desired_velocity"))
+    away = goal - position
+    # an agent on its goal goes on as desired
+    ahead = functional.normalize(away + 0.1 * functional.normalize(desired, dim=-1), dim=-1)
+    lacking = AHEAD_SECONDS * desired.norm(dim=-1, keepdim=True) - away.norm(dim=-1, keepdim=True)
+    scenes = copied(batch)
+    scenes["agents", "goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
+    return scenes

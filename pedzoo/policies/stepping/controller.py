@@ -62,7 +62,7 @@ class Controller:
     with their histories and radii, as agents of kind `pedzoo.core.batch.ROBOT` that the policy does not
     control.
 
-    Noise is drawn by seed and id alone: a person's stays the same, whichever other agents are there.
+    Noise is drawn by seed and id alone: a person's does not depend on the other agents.
     """
 
     def __init__(

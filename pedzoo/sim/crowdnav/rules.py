@@ -127,7 +127,7 @@ def swept_clearance(robot: Robot, people: People, velocity: Tensor, seconds: flo
 
 
 def in_range(setting: Setting, robot: Robot, people: People) -> Tensor:
-    """Return whom the robot's sensor sees (B, N) bool."""
+    """Return which people the robot's sensor sees (B, N) bool."""
     if setting.sensor_range is None:
         return people.mask
     return people.mask & (

@@ -26,7 +26,7 @@ class Setting:
         replaced: Whether people who arrive make place for new ones on the circle.
         sensor_range: Metres between bodies up to which the robot sees people; None: all. People whom
             it does not see any more go on as they went, for all that it knows.
-        foresight: Steps ahead in which a robot intrudes who is where a person will be; 0: not looked at.
+        foresight: Steps ahead: a robot in the place of a person at that time intrudes; 0: not looked at.
         visible: Whether people avoid the robot.
         safety_space: Metres by which all radii are longer for the people's ORCA, beside 0.01.
         success_reward: For the goal.

@@ -1,4 +1,4 @@
-"""Who walks with whom in a recording, from what is seen of people before a policy takes them over."""
+"""Companies of a recording, from what is seen of people before a policy takes them over."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def make_robot_env(
             ``present`` and ``clearance`` are theirs then.
         robot: Its name with settings, ``diff_drive:radius=0.35``, ``file.py:Class``, or a body; a list for
             several robots.
-        people: Who moves the people: a policy or its name, a mixed crowd, see
+        people: The policy of the people, or its name, a mixed crowd, see
             `pedzoo.policies.load.load_policy`.
         num_envs: B, scenes that are run at once.
         sensors: Names with settings, ``lidar:beams=64``, ``file.py:Class``, or sensors.

@@ -54,7 +54,7 @@ class Groups(Hall):
     """Groups come in turn from both ends of a hall of 6 m; some halls have a wall with a door at x = 0.
 
     People of a group start side by side, like the same speed, and have goals side by side. ``agents/group``
-    says who they are. The last agents walk alone.
+    names them. The last agents walk alone.
     """
 
     def __init__(

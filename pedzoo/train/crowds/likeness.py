@@ -131,7 +131,7 @@ def _log(values: Tensor) -> Tensor:
 
 
 def _places(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, samples: int) -> Tensor:
-    """Return the energy score of places, in units of how far people usually get off; who arrived is there."""
+    """Return the energy score of places, in units of usual errors; people who arrived are at their exit."""
     scenes = len(truth.xy)
     total = []
     steps = walk.xy.shape[2] - OBS_LEN

@@ -29,7 +29,7 @@ _PAIRS = 60.0
 """People who walk at once, in all excerpts of an update."""
 
 _FEWEST = 2
-"""People whom an excerpt needs to be compared."""
+"""People that an excerpt needs to be compared."""
 
 
 class CrowdModule(ForecastModule):

@@ -21,7 +21,7 @@ _LEAST_SPREAD = 1e-3
 
 @torch.no_grad()
 def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Planner) -> dict[str, float]:
-    """Return how unlike the crowds are in which a policy walks in everybody's place, from begin to end.
+    """Return how unlike the crowds are in which a policy takes all people's places, from begin to end.
 
     ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
     ``unlike``, their sum.

@@ -167,8 +167,8 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
     Along the straight steps that the policy asks for, exact between begin and end, without the safety layer:
-    with it agents never come near each other, and the network would not learn to give way. Two who pass each
-    other at 2 m/s or faster need ``meeting_margin`` metres more.
+    with it agents never come near each other, and the network would not learn to give way. Two people who
+    pass each other at 2 m/s or faster need ``meeting_margin`` metres more.
     """
     here, present = segment.trace[..., 0, :], segment.present
     people = here.shape[2]

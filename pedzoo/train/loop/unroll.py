@@ -4,6 +4,8 @@ What the environment would tell them in the open, step by step and differentiabl
 scenario `replay` and no walls gives the same observations. B scenes, A people, N steps of 0.4 s.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,11 +16,14 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.geometry import passes
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
+from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
+from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import STRIDE
+from pedzoo.sim.motion import Motion, MotionInput
 from pedzoo.sim.observation import observed, state_of
-from pedzoo.sim.open_floor import OpenFloor
+from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
@@ -174,3 +179,17 @@ def _towards(position: Tensor, destination: Tensor) -> Tensor:
     """Return unit vectors (B, A, 2), zero where a person is."""
     way = destination - position
     return way / way.square().sum(-1, keepdim=True).clamp_min(_NEAR**2).sqrt()
+
+
+class OpenFloor(Torch):
+    """Moves agents straight, or as they were recorded; differentiable."""
+
+    def __init__(self) -> None:
+        """Take no floor plan."""
+        super().__init__(MapBank())
+
+    def _advance(self, state: State, inputs: MotionInput) -> Motion:
+        path, _ = self._integrated(state, inputs)
+        trace = path[:, inputs.substeps - 1 :: inputs.substeps].permute(2, 3, 1, 0)
+        nothing = torch.zeros_like(trace[..., 0], dtype=torch.bool)
+        return Motion(trace, nothing, nothing, arrived(path, state.goal_point, inputs))

@@ -72,7 +72,7 @@ class RobotPPO(L.LightningModule):
         critic: float = 0.5,
         clip: float = 0.5,
     ) -> None:
-        """Say who learns where and how.
+        """Take the robot, its place and the settings of its training.
 
         Args:
             policy: The network.
@@ -240,6 +240,6 @@ class RobotPPO(L.LightningModule):
 
     @property
     def protocol(self) -> dict[str, Any]:
-        """Among whom, where and with which body and senses the robot learns."""
+        """People, places, body and senses of the training."""
         known = {"scenarios": self.scenarios, "crowd": self.people, "robot": self.robot}
         return known | {"decision_dt": self.decision_dt, "sensors": self.policy.sensors}

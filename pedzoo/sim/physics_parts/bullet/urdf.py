@@ -129,7 +129,7 @@ def _touch(
     agent: NDArray[np.bool_],
     wall: NDArray[np.bool_],
 ) -> None:
-    """Note what the robots of a scene touch, and who touches them.
+    """Note what the robots of a scene touch, and which people touch them.
 
     Args:
         asked: The scene.
