@@ -539,10 +539,10 @@ def test_density_and_speed_are_drawn_where_there_is_a_replay(
 def test_the_clearance_is_that_of_all_cases_but_those_of_robots() -> None:
     usual, narrow = (
         Evaluation(["go_to_goal"], ["door", "queues"], EvaluationOptions(clearance=metres)).units
-        for metres in (None, 0.2)
+        for metres in (None, 0.15)
     )
-    assert {unit.case.clearance for unit in narrow} == {0.2}
-    assert 0.2 not in {unit.case.clearance for unit in usual}
+    assert {unit.case.clearance for unit in narrow} == {0.15}
+    assert 0.15 not in {unit.case.clearance for unit in usual}
     with pytest.raises(UserError, match="clearance: ways beside robots keep that of the bodies"):
         Evaluation(["straight"], ["robots"], EvaluationOptions(clearance=0.2))
     with pytest.raises(UserError, match="clearance -1: expected at least 0 m"):
