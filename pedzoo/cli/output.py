@@ -133,7 +133,8 @@ def _print_page(console: Console, page: Page) -> None:
         console.print(f"\n{page.title}", style="bold")
     tables = _tables(page, console.width)
     if len(tables) > 1:
-        tables = min(tables, _tables(_transposed(page), console.width, 24), key=len)
+        turned = (_tables(_transposed(page), console.width, least) for least in (64, 24))
+        tables = min(tables, *turned, key=len)
     for table in tables:
         console.print(table)
 

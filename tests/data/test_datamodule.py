@@ -140,7 +140,7 @@ def test_several_files_are_one_split_and_those_without_a_window_are_named(
         ({"homography": "nowhere.txt"}, ["--data.homography", "nowhere.txt", "3 rows of 3 numbers"]),
         ({"homography": "{folder}/two.txt"}, ["--data.homography", "(2, 3)"]),
         ({"homography": "{folder}/flat.txt"}, ["--data.homography", "singular"]),
-        ({"homography": "{folder}/far.txt"}, ["lobby.csv", "subtract an offset"]),
+        ({"homography": "{folder}/far.txt"}, ["lobby.csv", "extends over", "homography to metres"]),
         ({"map": "{folder}/no.yaml"}, ["no.yaml"]),
         ({"files": ["{folder}/no.csv"]}, ["no recording at", "no.csv"]),
         ({"pred_len": 400}, ["8 + 400 = 408", "lobby"]),
@@ -152,7 +152,7 @@ def test_bad_own_files_are_refused(tmp_path: Path, options: dict[str, Any], word
     given = own_files(tmp_path, **options)
     np.savetxt(tmp_path / "two.txt", TURN[:2])
     np.savetxt(tmp_path / "flat.txt", np.ones((3, 3)))
-    np.savetxt(tmp_path / "far.txt", TURN + np.array([[0, 0, 5e5], [0, 0, 0], [0, 0, 0]]))
+    np.savetxt(tmp_path / "far.txt", np.diag([1e5, 1e5, 1]) @ TURN)
     for name in ("homography", "map"):
         given[name] = given[name].format(folder=tmp_path)
     given["files"] = [file.format(folder=tmp_path) for file in given["files"]]

@@ -39,10 +39,13 @@ class Echo(Forecaster):
 
 
 def scene(scenes: int = 3, people: int = 4, time: float = 0.0, key: int = 7) -> Any:
-    """Return the part of a batch that noise depends on."""
+    """Return what noise depends on, and where people are: each on a spot of their own."""
     people_there = torch.ones(scenes, people, dtype=torch.bool)
     slots = torch.arange(people).expand(scenes, people)
-    agents = TensorDict({"mask": people_there, "id": slots}, [scenes, people])
+    apart = slots.view(scenes, people, 1, 1) * torch.ones(8, 2)
+    agents = TensorDict(
+        {"mask": people_there, "id": slots, "controlled": people_there, "history": apart}, [scenes, people]
+    )
     keys = key + torch.arange(scenes).unsqueeze(1)
     return TensorDict({"agents": agents, "scene_key": keys, "time": torch.full((scenes, 1), time)}, [scenes])
 

@@ -35,7 +35,7 @@ def print_bench(report: dict[str, Any]) -> None:
     for row, verdict in verdicts:
         if not verdict.ok:
             why = f": {verdict.why}" if verdict.why else ""
-            console.print(f"  {title(row)}: {verdict}{why}")
+            console.print(f"  {title(row)}: {verdict}{why}", soft_wrap=True)
 
 
 def print_comparison(comparison: Comparison, file: str) -> None:
