@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import load_yaml, read_text
+from pedzoo.core.limits import read_mapping
 from pedzoo.core.paths import find_config
 from pedzoo.core.renamed import new_config
 from pedzoo.core.spec import spelled
@@ -53,16 +53,7 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     if chain[-1] in above:
         circle = " -> ".join(file.stem for file in chain[above.index(chain[-1]) :])
         raise UserError(f"config {str(path)!r} is its own base: {circle}; remove one of these bases")
-    try:
-        settings = load_yaml(read_text(path), references=True)
-    except OSError as error:
-        raise UserError(f"config {str(path)!r} cannot be read: {error.strerror}") from error
-    except UserError as error:
-        raise UserError(f"config {str(path)!r} is no YAML: {error}") from error
-    if not isinstance(settings, dict):
-        raise UserError(
-            f"config {str(path)!r}: expected a mapping such as 'model: ...', not {settings!r:.60}"
-        )
+    settings = read_mapping(path, "config", "a mapping such as 'model: ...'")
     if (key := _no_text(settings)) is not None:
         raise UserError(f"config {str(path)!r}: {key!r:.60} stands in the place of an option's name")
     settings = new_config(settings, say_so=True)

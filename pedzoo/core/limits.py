@@ -89,6 +89,28 @@ def load_yaml(text: bytes | str, references: bool = False) -> Any:
         raise UserError(f"cannot be read: {' '.join(str(error).split())}") from error
 
 
+def read_mapping(path: Path, what: str, expected: str) -> dict[Any, Any]:
+    """Return the mapping in a YAML file of one's own, in which references may stand.
+
+    Args:
+        path: The file.
+        what: The word for it in errors: ``config``.
+        expected: What a mapping there looks like, for the same.
+
+    Raises:
+        UserError: It cannot be read, is no YAML, or no mapping.
+    """
+    try:
+        settings = load_yaml(read_text(path), references=True)
+    except OSError as error:
+        raise UserError(f"{what} {str(path)!r} cannot be read: {error.strerror}") from error
+    except UserError as error:
+        raise UserError(f"{what} {str(path)!r} is no YAML: {error}") from error
+    if not isinstance(settings, dict):
+        raise UserError(f"{what} {str(path)!r}: expected {expected}, not {settings!r:.60}")
+    return settings
+
+
 def _loaded(text: bytes | str, references: bool) -> Any:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
     expected = f"{'' if references else 'no references (*) and '}at most {DEEPEST} levels of values"

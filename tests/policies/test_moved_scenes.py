@@ -92,7 +92,7 @@ def test_people_with_spots_of_their_own_are_not_led_apart() -> None:
     controlled = torch.tensor([[True, True, True, True, False]])
     batch = scene(position, still, still, controlled=controlled)
     batch["agents", "mask"][0, 3] = False
-    away = led_apart(batch, torch.zeros(1, 1, dtype=torch.long))[0]
+    away = led_apart(batch)[0]
     assert away[:2].norm(dim=1).tolist() == pytest.approx([PUSH, PUSH]) and not torch.equal(*away[:2])
     assert (away[2:] == 0).all()
 

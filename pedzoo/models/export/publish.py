@@ -104,9 +104,7 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     tag, whole = (fold.name, fold.whole) if fold else (protocol["fold"], False)
     if folder == "closed_loop" and config != "social_walker":
         tag = "indoor" if whole else f"indoor_{tag}"
-    elif whole_walks:
-        pass
-    elif folder:
+    elif folder and not whole_walks:
         open_loop = "controller_open" if whole else f"controller_open_{tag}"
         tag = open_loop if folder == "open_loop" else f"{tag}_{folder}"
     if protocol["goal"] == "destination" and not whole_walks:

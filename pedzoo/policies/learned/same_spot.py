@@ -10,18 +10,18 @@ from torch.nn import functional
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import agents_of, ids_of
+from pedzoo.policies.learned.safety import scene_keys
 
 PUSH = 0.05
 """Metres that such people are led apart in a step, each in a direction of their own."""
 
 
 @torch.no_grad()
-def led_apart(batch: TensorDictBase, key: Tensor) -> Tensor:
+def led_apart(batch: TensorDictBase) -> Tensor:
     """Return what is added to next steps (B, A, 2), metres: 0 for people with a spot of their own.
 
     Args:
-        batch: The scenes.
-        key: Names them (B, 1) long: directions are drawn by it and the agents' numbers.
+        batch: The scenes; directions are drawn by their keys and the agents' numbers.
     """
     agents = agents_of(batch)
     here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
@@ -32,6 +32,6 @@ def led_apart(batch: TensorDictBase, key: Tensor) -> Tensor:
     pairs = spot[:, 1:] == spot[:, :-1]
     shared = functional.pad(pairs, (1, 0)) | functional.pad(pairs, (0, 1))
     shared = torch.zeros_like(mask).scatter(1, order, shared) & cast("Tensor", agents["controlled"])
-    angle = 2 * math.pi * randomness.uniform(randomness.join(key, "same spot", ids_of(batch)))
+    angle = 2 * math.pi * randomness.uniform(randomness.join(scene_keys(batch), "same spot", ids_of(batch)))
     away = PUSH * torch.stack((angle.cos(), angle.sin()), -1).to(here)
     return torch.where(shared.unsqueeze(-1), away, 0.0)

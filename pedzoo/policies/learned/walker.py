@@ -17,7 +17,7 @@ from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECON
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
-from pedzoo.policies.learned.safety import safe, scene_keys
+from pedzoo.policies.learned.safety import safe
 from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.named import NamedPolicy
 
@@ -75,7 +75,7 @@ class Walker(NamedPolicy):
                 `pedzoo.policies.learned.safety`; what the model asked for is then written too, as ``asked``
                 (B, A, 2) in m/s. None: as the model says.
             extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
-                before, see `pedzoo.policies.learned.walker`. None: as the model says.
+                before, see `extend_goals`. None: as the model says.
 
         Raises:
             UserError: A setting is out of range.
@@ -101,7 +101,7 @@ class Walker(NamedPolicy):
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
             step = self._planned(tensordict)
-        step = step + led_apart(tensordict, scene_keys(tensordict))
+        step = step + led_apart(tensordict)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
             step = safe(tensordict, step)

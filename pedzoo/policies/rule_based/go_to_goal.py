@@ -4,7 +4,7 @@ from tensordict import TensorDictBase
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.policies.learned.safety import safe, scene_keys
+from pedzoo.policies.learned.safety import safe
 from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.policy import Policy
 
@@ -34,7 +34,7 @@ class GoToGoal(Policy):
         velocity = tensordict["agents", "desired_velocity"]
         if self.safety:
             tensordict["agents", "asked"] = velocity
-            step = velocity * STEP_SECONDS + led_apart(tensordict, scene_keys(tensordict))
+            step = velocity * STEP_SECONDS + led_apart(tensordict)
             velocity = safe(tensordict, step) / STEP_SECONDS
         tensordict["agents", "action"] = velocity
         return tensordict

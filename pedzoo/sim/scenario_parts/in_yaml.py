@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.limits import load_yaml, read_text
+from pedzoo.core.limits import load_yaml, read_mapping
 from pedzoo.core.spec import Spec, Written, parse, unquoted
 
 KEYS = ("people", "map", "speed", "speed_std")
@@ -52,14 +52,7 @@ def scenario_spec(scenario: str | Spec) -> Spec | Written:
 
 def _read(file: Path) -> dict[str, Any]:
     """Return the mapping in a file."""
-    try:
-        settings = load_yaml(read_text(file), references=True)
-    except OSError as error:
-        raise UserError(f"scenario {str(file)!r} cannot be read: {error.strerror}") from error
-    except UserError as error:
-        raise UserError(f"scenario {str(file)!r} is no YAML: {error}") from error
-    if not isinstance(settings, dict):
-        raise UserError(f"scenario {str(file)!r}: expected {EXPECTED}, not {settings!r:.60}")
+    settings = read_mapping(file, "scenario", EXPECTED)
     if settings.keys() >= _ROS:
         raise UserError(f"{str(file)!r} is a floor plan, no scenario: write goals:map={file}")
     return settings
