@@ -172,9 +172,17 @@ def ids_of(batch: TensorDictBase) -> Tensor:
 
 
 def companions_of(batch: TensorDictBase) -> Tensor:
-    """Return which agents that are here walk in company (B, A, A) bool, none with itself."""
+    """Return which agents that are here walk in company (B, A, A) bool, none with itself.
+
+    In a batch that knows no groups all are alone.
+    """
     agents = agents_of(batch)
-    group, here = cast("Tensor", agents["group"]), cast("Tensor", agents["mask"])
+    here = cast("Tensor", agents["mask"])
+    return in_company(agents.get("group", torch.full_like(here, -1, dtype=torch.long)), here)
+
+
+def in_company(group: Tensor, here: Tensor) -> Tensor:
+    """Return which agents ``here`` (B, A) bool have the same ``group`` (B, A) long, as `companions_of`."""
     same = (group.unsqueeze(2) == group.unsqueeze(1)) & ((group >= 0) & here).unsqueeze(2)
     alone = torch.eye(group.shape[1], dtype=torch.bool, device=group.device)
     return same & here.unsqueeze(1) & ~alone

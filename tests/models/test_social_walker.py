@@ -6,13 +6,16 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.geometry import rotate
-from pedzoo.models.architectures.social_walker import SocialWalker
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.models.architectures.social_walker import BRAKING, HALT_PERIOD, SocialWalker
 from pedzoo.models.blocks.people.style import jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
+from pedzoo.models.zoo.loading import load
 from tests.helpers.batches import changed, make_batch
 
 AGENTS = torch.arange(400).expand(5, -1)
@@ -54,9 +57,9 @@ def test_style_of_a_straight_walk_and_of_a_shaky_one() -> None:
     assert float(shaky[4]) < 0.0  # what is shaken goes back
 
 
-def drawn(seed: int = 0) -> SocialWalker:
+def drawn(seed: int = 0, **settings: bool) -> SocialWalker:
     torch.manual_seed(seed)
-    model = SocialWalker.of(walls=False)
+    model = SocialWalker.of(walls=False, **settings)
     with torch.no_grad():
         model.head.weight.mul_(5.0)
     return model.eval()
@@ -153,3 +156,114 @@ def test_jitter_is_that_of_the_smaller_changes() -> None:
     style = style_of(bent)
     assert float(kinks_of(style)) == pytest.approx(0.5 / 6, abs=1e-5)
     assert float(jitter_of(style)) == pytest.approx(0.0, abs=1e-6)
+
+
+def halting(raised: float) -> SocialWalker:
+    """Return a walker without any other reason to change speed, that halts more often than usual."""
+    model = drawn(lasting_halts=True, step_noise=False, held=False, style=False)
+    with torch.no_grad():
+        model.head.weight.zero_()
+        model.head.bias[7] = 20.0  # at once what they want
+        model.head.bias[16] = raised
+    return model.eval()
+
+
+@torch.no_grad()
+def test_a_lasting_halt_begins_by_braking() -> None:
+    model, batch = halting(0.0), make_batch((5,))
+    agents = agents_of(batch)
+    noise = NOISE.clone()
+    noise[..., HALT_PERIOD] = -5.0
+    steps = model.next_steps(batch, noise, 8, 8)
+    speed = torch.cat((agents["history"].diff(dim=2)[:, :, -1:], steps), 2).norm(dim=-1) / STEP_SECONDS
+    torch.testing.assert_close(speed[..., 1:], (speed[..., :-1] - BRAKING).clamp_min(0), atol=2e-4, rtol=0)
+    assert (speed[..., 0] > BRAKING).any() and not steps[:, :, -1].any()
+
+
+@torch.no_grad()
+def test_halts_last_some_steps() -> None:
+    """With this bias people halt in 13 % of the time."""
+    model, batch = halting(2.0), make_batch((5,) * 8)
+    far = agents_of(batch)["history"][:, :, -1] + 1e3
+    batch = changed(batch, goal=far, pref_speed=torch.ones(8, 5, 1))
+    speed = model.sample(batch, 1, 200, torch.Generator().manual_seed(0))[:, 0].norm(dim=-1) / STEP_SECONDS
+    assert float(speed[..., 10:].diff(dim=-1).min()) > -BRAKING - 1e-3
+    stands = (speed < 0.01).flatten(0, 1)
+    begins = int((stands[:, 1:] & ~stands[:, :-1]).sum())
+    assert begins > 20 and float(stands.sum()) / begins > 5
+    assert 0.03 < float(stands.float().mean()) < 0.2
+
+
+def test_the_gate_of_halts_has_a_gradient_while_people_stand() -> None:
+    model, noise = halting(0.0), NOISE.clone()
+    noise[..., HALT_PERIOD] = -2.5
+    model.next_steps(make_batch((5,)), noise, 6, 8).sum().backward()
+    assert model.head.bias.grad is not None and model.head.bias.grad.isfinite().all()
+    walked = model.next_steps(make_batch((5,)), noise, 1, 8).norm(dim=-1).sum()
+    assert torch.autograd.grad(walked, model.head.bias)[0][16]
+
+
+GROUPS = torch.tensor([[4, -1, 4, 7, 7]])
+
+BEFORE = [
+    [0.53688, -0.11801],
+    [-0.27999, 0.21999],
+    [-0.29748, -0.36616],
+    [0.21425, 0.33717],
+    [-0.42472, -0.21469],
+]
+"""Metres: sixth steps of `social_walker.eth_ucy`."""
+
+
+@torch.no_grad()
+def test_the_order_of_people_in_companies_does_not_matter() -> None:
+    model, order = drawn(groups=True, lasting_halts=True), torch.tensor([3, 0, 4, 1, 2])
+    batch = changed(make_batch((5,)), group=GROUPS)
+    agents = agents_of(batch)
+    swapped = changed(batch, **{key: agents[key][:, order] for key in map(str, agents.keys())})
+    steps = model.next_steps(batch, NOISE, 2, 8)
+    torch.testing.assert_close(
+        model.next_steps(swapped, NOISE[:, order], 2, 8), steps[:, order], atol=1e-5, rtol=1e-4
+    )
+    renamed = changed(batch, group=torch.where(GROUPS < 0, -1, 9 - GROUPS))
+    assert torch.equal(model.next_steps(renamed, NOISE, 2, 8), steps)
+
+
+@torch.no_grad()
+def test_companions_are_those_of_the_groups() -> None:
+    """People one after the other, 1 m apart: the companion of the last is the first, 8 m ahead."""
+    model = drawn(groups=True, step_noise=False, held=False, halts=False)
+    model.head.weight.zero_()
+    model.head.bias[2], model.head.bias[10] = -20.0, 3.0
+    x = torch.arange(9.0).view(1, 9, 1, 1) + 0.4 * torch.arange(8.0).view(1, 1, 8, 1)
+    history = torch.cat((x, torch.zeros_like(x)), 3)
+    ways = {"history": history, "goal": history[:, :, -1] + torch.tensor([20.0, 0.0])}
+    batch = changed(make_batch((9,)), **ways, pref_speed=torch.ones(1, 9, 1))
+    company = torch.full((1, 9), -1)
+    company[0, 0] = company[0, -1] = 3
+
+    def walked(batch: TensorDict, model: SocialWalker = model) -> Tensor:
+        return model.sample(batch, 1, 6, torch.Generator().manual_seed(0))[0, 0].sum(1)[:, 0]
+
+    alone, together = (walked(changed(batch, group=group)) for group in (torch.full((1, 9), -1), company))
+    assert together[0] > alone[0] + 0.3 and together[-1] < alone[-1] - 0.3
+    assert torch.equal(together[1:-1], alone[1:-1])
+    del batch["agents", "group"]
+    assert torch.equal(walked(batch), alone)
+    guessing = drawn(step_noise=False, held=False, halts=False)
+    guessing.load_state_dict(model.state_dict())
+    assert not torch.equal(walked(batch, guessing)[1:-1], alone[1:-1])
+
+
+@torch.no_grad()
+def test_weights_from_before_walk_as_before() -> None:
+    """Steps of published weights that were made before there were lasting halts and groups."""
+    model = load("social_walker.eth_ucy")
+    batch = changed(make_batch((5,)), group=GROUPS)
+    noise = torch.linspace(-1, 1, 5 * SocialWalker.noise_dim).view(1, 5, -1)
+    steps = model.next_steps(batch, noise, 6, 8)
+    assert {name: tuple(value.shape) for name, value in model.state_dict().items()} == {
+        name: tuple(value.shape)
+        for name, value in SocialWalker.of(lasting_halts=True, groups=True).state_dict().items()
+    }
+    torch.testing.assert_close(steps[0, :, -1], torch.tensor(BEFORE), atol=1e-4, rtol=0)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from pedzoo.core.batch import agents_of
+from pedzoo.core.batch import agents_of, companions_of
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.bank import MapBank
@@ -19,12 +19,13 @@ from pedzoo.metrics.realism import clips as score_clips
 from pedzoo.metrics.realism import features as score_features
 from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, summaries
+from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, parted, summaries
 from pedzoo.train.crowds.excerpts import Excerpts, RecordedCrowd, excerpts
 from pedzoo.train.crowds.judge import Judge, legible
-from pedzoo.train.crowds.likeness import CrowdLikeness
+from pedzoo.train.crowds.likeness import CrowdLikeness, largest
 from pedzoo.train.crowds.validation import whole_replays
 from pedzoo.train.crowds.walking_on import CrowdWalk, recorded, walked_on
+from pedzoo.train.loop.likeness import wasserstein
 
 EARLY, LATE, SHORT = 0, 1, 2
 PLANNER = Planner(MapBank())
@@ -99,6 +100,36 @@ def test_excerpts_of_different_sizes_are_padded(crowd: RecordedCrowd) -> None:
     assert both.walks.shape == both.there.shape[:2] == (2, 5)
     assert both.there.any(2).sum(1).tolist() == [5, 5]
     assert not both.xy[~both.there].any()
+
+
+def test_excerpts_know_groups() -> None:
+    """Two abreast, one of whom comes 3 frames later, and four alone, two of whom come after 20."""
+    places = [(0.0, 0.0), (0.0, 0.7), (5.0, 5.0), (9.0, 10.0), (0.0, 15.0), (5.0, 20.0)]
+    came = [0, 3, 0, 0, 20, 20]
+    rows = [
+        (frame, agent, x + 0.4 * frame, y)
+        for agent, (x, y) in enumerate(places)
+        for frame in range(came[agent], 40)
+    ]
+    crowd = RecordedCrowd.of(Tracks.from_table("two", np.array(rows)), -1, PLANNER)
+    assert crowd.group[0] == crowd.group[1] >= 0 and (crowd.group[2:] == -1).all()
+    both = excerpts(crowd, [2, 18], 4)
+    assert both.group.shape == (2, 6)
+    assert both.group[0].tolist() == [*crowd.group[:4].tolist(), -1, -1]  # padding
+    assert both.grouped[0, :2].tolist() == [7 - 2] * 2
+    assert torch.equal(both.repeated(2).group, both.group.repeat(2, 1))
+    seen = []
+
+    def policy(batch: TensorDictBase) -> TensorDictBase:
+        seen.append(companions_of(batch))
+        agents = agents_of(batch)
+        batch["agents", "action"] = agents["velocity"]
+        return batch
+
+    walked_on(policy, excerpts(crowd, [-4], 8), PLANNER, torch.tensor([0]))
+    # the first frame seen is number 3, and frame 7 shows who walks together
+    assert [bool(pairs[0, 0, 1]) for pairs in seen] == [frame >= 7 for frame in range(3, 11)]
+    assert not torch.stack(seen)[:, :, 2:].any()
 
 
 def test_mirrored_excerpts_have_the_other_sign_of_y(crowd: RecordedCrowd) -> None:
@@ -182,7 +213,7 @@ def test_summaries_by_hand() -> None:
     real = Excerpts(
         xy, there, none.long(), none.long() + 19, there[..., 0], torch.zeros(1, 1, 2),
         torch.tensor([[[4.0, 0.0]]]), torch.tensor([[[4.0, 0.0]]]), none.long(), none + 4,
-        xy[:, :, :8], none + 0.5, torch.tensor([-1]), torch.zeros(1, 4),
+        xy[:, :, :8], none + 0.5, none.long() - 1, none.long(), torch.tensor([-1]), torch.zeros(1, 4),
     )  # fmt: skip
     scored = there.clone()
     scored[..., :OBS_LEN] = False
@@ -204,6 +235,54 @@ def test_the_loss_is_least_for_the_recorded_crowd(crowd: RecordedCrowd) -> None:
     for name in ("distribution", "places", "persons"):
         assert float(same[name]) == pytest.approx(0.0, abs=1e-3)
         assert float(other[name]) > 0.05
+
+
+def test_companions_who_part_are_told(crowd: RecordedCrowd) -> None:
+    whole = excerpts(crowd, [4], 24)
+    whole = whole._replace(group=torch.tensor([[3, -1, -1, 3, -1, -1]]))
+    real = recorded(whole)
+    apart = (real.xy[0, 0] - real.xy[0, 3]).norm(dim=1)
+    pairs = [(real.scored[0, one] & real.there[0, other]) for one, other in ((0, 3), (3, 0))]
+    distance = torch.cat([apart[both] for both in pairs])
+    assert not parted(real, real, whole, whole)
+    away = torch.zeros_like(real.xy)
+    away[:, 0] = 4 * (real.xy[:, 0] - real.xy[:, 3])
+    far = real._replace(xy=(real.xy + away).requires_grad_(True))
+    value = parted(far, real, whole, whole)
+    # five times as far: the farther quantile is that of the same frame
+    beyond = ((5 * distance - 2).clamp_min(0) - (distance - 2).clamp_min(0)).mean()
+    by_hand = 4 * distance.mean() / 0.5 + beyond
+    assert float(value.detach()) == pytest.approx(float(by_hand), rel=1e-4)
+    (gradient,) = torch.autograd.grad(value, far.xy)
+    assert gradient[0, 0].any() and not gradient[0, [1, 2, 4]].any()
+    alone = whole._replace(group=torch.full_like(whole.group, -1))
+    assert not parted(far, real, alone, alone)
+    twice = CrowdWalk(*(value.repeat(2, *[1] * (value.dim() - 1)) for value in far[:3]))
+    likeness = CrowdLikeness(judged=0.0, company=3.0)
+    terms = likeness(twice, whole, 2, 0, None, torch.Generator())
+    assert float(terms["company"].detach()) == pytest.approx(3 * float(by_hand), rel=1e-4)
+
+
+def test_the_loss_sees_one_large_acceleration(crowd: RecordedCrowd) -> None:
+    whole, random = excerpts(crowd, [4], 24), torch.Generator()
+    real = recorded(whole)
+    likeness = CrowdLikeness(judged=0.0, distribution=1.0)
+    jump = torch.zeros_like(real.xy)
+    jump[0, 0, 20:] = 0.4  # metres in one step
+    jumping = real._replace(xy=real.xy + jump)
+    made, true = (compared(walk, whole).features["acceleration"] for walk in (jumping, real))
+    assert float(wasserstein(largest(made), largest(true))) > 10 * float(wasserstein(made, true)) > 0
+    assert len(largest(true)) == math.ceil(0.03 * len(true))
+    assert not wasserstein(largest(true), largest(true))
+    value, none = (
+        float(likeness(walk, whole, 1, 0, None, random)["distribution"]) for walk in (jumping, real)
+    )
+    parts = [
+        weight * float(wasserstein(largest(mine), largest(theirs))) / 0.3
+        for weight, walk, truth in ((1, jumping, real), (2, coarse(jumping), coarse(real)))
+        for mine, theirs in [[compared(one, whole).features["acceleration"] for one in (walk, truth)]]
+    ]
+    assert value - none > sum(parts) / 20
 
 
 def test_a_judge_learns_to_distinguish_and_is_not_trained_by_those_it_judges() -> None:

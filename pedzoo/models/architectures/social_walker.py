@@ -40,6 +40,8 @@ class WalkerArchitecture:
         halts: Whether people halt now and then, beside what slows them down.
         step_noise: Whether changes of velocity are drawn at every step.
         companions: Whether it sees companions.
+        lasting_halts: Whether halts last for some seconds, and begin by braking; else each is one step.
+        groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
     """
 
     hidden_dim: int = 64
@@ -50,6 +52,8 @@ class WalkerArchitecture:
     halts: bool = True
     step_noise: bool = True
     companions: bool = True
+    lasting_halts: bool = False
+    groups: bool = False
 
 
 HELD_STANDING = 4.5
@@ -57,6 +61,12 @@ HELD_STANDING = 4.5
 
 RARE_HALT = 4.0
 """Of another gate: before training 1 % of the steps of people who walk is a halt."""
+
+HALT_PERIOD = LASTING + SMOOTH.index(8.0)
+"""Number of the noise that begins and ends lasting halts: before training one lasts for some 5 s."""
+
+BRAKING = 0.35
+"""m/s: how much slower people who halt get in a step."""
 
 
 class SocialWalker(Forecaster):
@@ -110,10 +120,12 @@ class SocialWalker(Forecaster):
         a, z = self.architecture, noise
         frame = now.ahead.unsqueeze(2)
         past = unrotate(now.history.diff(dim=2), frame) / STEP_SECONDS
-        others = nearest(now.history, now.mask, now.radius, now.ahead)
+        known = now.companions if a.groups else None
+        others = nearest(now.history, now.mask, now.radius, now.ahead, known)
         pooled = self.near(others.features).masked_fill(others.absent.unsqueeze(-1), 0.0)
         company = others.company * float(a.companions)
-        with_me = others.place * company, others.velocity * company  # of the companions
+        share = company.clamp_max(1) if a.groups else company  # known companions: their mean, not their sum
+        with_me = others.place * share, others.velocity * share
         style, crowd = now.style * float(a.style), now.crowd_style.expand_as(now.style) * float(a.style)
         stands = (past[:, :, -1].square().sum(-1) < 0.01).to(past.dtype)
         arriving = (-(now.remaining / 1.2).square()).exp()
@@ -165,8 +177,12 @@ class SocialWalker(Forecaster):
             moves = _hard(gate).unsqueeze(-1) * moves
         result = result + moves
         if a.halts:
-            goes = ((RARE_HALT - out[..., 16] + 1.7 * step[..., 3]) / 0.4).sigmoid()
-            result = _hard(goes).unsqueeze(-1) * result
+            drawn = z[..., HALT_PERIOD] if a.lasting_halts else step[..., 3]
+            goes = _hard(((RARE_HALT - out[..., 16] + 1.7 * drawn) / 0.4).sigmoid()).unsqueeze(-1)
+            if a.lasting_halts:
+                result = torch.lerp(_braked(past[:, :, -1]), result, goes)
+            else:
+                result = goes * result
         return rotate(result, now.ahead)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
@@ -214,6 +230,12 @@ class SocialWalker(Forecaster):
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) without noise."""
         return self.next_steps(batch, None, steps, steps).unsqueeze(1)
+
+
+def _braked(velocity: Tensor) -> Tensor:
+    """Return velocities (..., 2), m/s, after a step of braking; 0 for people who can stand by then."""
+    speed = (velocity.square().sum(-1, keepdim=True) + 1e-8).sqrt()
+    return velocity * (1 - BRAKING / speed.clamp_min(BRAKING))
 
 
 def _hard(gate: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from pedzoo.core.batch import in_company
 from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
@@ -19,11 +20,14 @@ from pedzoo.metrics.smoothness import STANDS
 from pedzoo.models.blocks.people.style import STYLE_DIM, style_of
 from pedzoo.train.crowds.excerpts import Excerpts
 from pedzoo.train.crowds.walking_on import CrowdWalk
-from pedzoo.train.loop.likeness import turns
+from pedzoo.train.loop.likeness import turns, wasserstein
 
 _GRAZING = 1e-3
 """m^4/s^2: below, when two people touch changes too fast for a gradient."""
 
+
+ABREAST, PARTED = 0.5, 2.0
+"""Metres: the unit of distances between companions, and from where on they have lost each other."""
 
 MANNER_DIM = 2 * STYLE_DIM + 1
 """M: numbers of how a person and the others began to walk."""
@@ -132,6 +136,36 @@ def summaries(walk: CrowdWalk, real: Excerpts) -> tuple[Tensor, Tensor]:
     stands = (((STANDS + 0.02 - speed) / 0.03).sigmoid() * scored).sum(2) / count
     parts = [*both(speed, 0.5, 0.2), *both(change, 0.8, 0.5), *both(aside, 0.6, 0.3), 2 * stands]
     return torch.stack(parts, 2), walk.scored.sum(2) >= LENGTH
+
+
+def parted(walk: CrowdWalk, truth: CrowdWalk, real: Excerpts, once: Excerpts) -> Tensor:
+    """Return how much farther from each other companions walk than the recorded ones, 0 for equal crowds.
+
+    Of people's mean distances to their companions at each scored frame: the distance of the two distributions
+    in units of 0.5 m, and the mean of the metres above 2 m, as far as recorded people have fewer.
+
+    Args:
+        walk: The crowd.
+        truth: The recorded one.
+        real: The excerpts of the crowd.
+        once: Those of the recorded one.
+    """
+    made, true = _company_distance(walk, real), _company_distance(truth, once).detach()
+    if not len(made) or not len(true):
+        return walk.xy.sum() * 0
+    far = [(values - PARTED).clamp_min(0).mean() for values in (made, true)]
+    return wasserstein(made, true) / ABREAST + (far[0] - far[1]).clamp_min(0)
+
+
+def _company_distance(walk: CrowdWalk, real: Excerpts) -> Tensor:
+    """Return the mean distance of people to their companions (N,), metres, of steps that are scored."""
+    scene, one, other = in_company(real.group, real.there.any(2)).nonzero(as_tuple=True)
+    both = walk.scored[scene, one] & walk.there[scene, other]
+    apart = torch.where(both, _length(walk.xy[scene, one] - walk.xy[scene, other]), 0.0)
+    number = scene * walk.xy.shape[1] + one
+    total = apart.new_zeros(walk.scored.flatten(0, 1).shape)
+    count = total.index_add(0, number, both.to(apart.dtype))
+    return total.index_add(0, number, apart)[count > 0] / count[count > 0]
 
 
 def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -> _Near:

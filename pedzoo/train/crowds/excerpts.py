@@ -30,6 +30,8 @@ class RecordedCrowd(NamedTuple):
         path_length: Of the planner's way from start to goal (P,), metres.
         head: Their first 8 rows (P, 8, 2), metres.
         pref_speed: The speed that they like (P,), m/s.
+        group: Number of the company that they walk in (P,) long, -1 for alone, and ...
+        grouped: ... the frame that shows it (P,) long, see `pedzoo.sim.replay.companions`.
         map_id: The floor plan, -1 for none.
     """
 
@@ -45,6 +47,8 @@ class RecordedCrowd(NamedTuple):
     path_length: Tensor
     head: Tensor
     pref_speed: Tensor
+    group: Tensor
+    grouped: Tensor
     map_id: int
 
     @classmethod
@@ -73,6 +77,8 @@ class RecordedCrowd(NamedTuple):
             people.path_length.float(),
             rows[head],
             people.pref_speed,
+            people.group,
+            people.grouped.minimum(people.last),
             map_id,
         )
 
@@ -98,6 +104,8 @@ class Excerpts(NamedTuple):
         path_length: Likewise (B, A).
         head: Likewise (B, A, 8, 2).
         pref_speed: Likewise (B, A).
+        group: Likewise (B, A), -1 where nobody is.
+        grouped: Likewise (B, A), a frame of the excerpt.
         map_id: Floor plans (B,) long.
         pose: Scene poses (B, 4).
     """
@@ -114,6 +122,8 @@ class Excerpts(NamedTuple):
     path_length: Tensor
     head: Tensor
     pref_speed: Tensor
+    group: Tensor
+    grouped: Tensor
     map_id: Tensor
     pose: Tensor
 
@@ -173,6 +183,8 @@ def excerpts(
         crowd.path_length[slot],
         head.unflatten(1, (most, OBS_LEN)),
         crowd.pref_speed[slot],
+        crowd.group[slot].masked_fill(pad, -1),
+        crowd.grouped[slot] - offset,
         torch.full((len(frames),), crowd.map_id),
         pose,
     )

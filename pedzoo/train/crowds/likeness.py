@@ -1,5 +1,6 @@
 """The loss of a crowd that walks unlike the recorded one."""
 
+import math
 from collections.abc import Mapping
 from typing import cast
 
@@ -7,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from pedzoo.core.types import OBS_LEN
-from pedzoo.train.crowds.comparison import coarse, compared, summaries
+from pedzoo.train.crowds.comparison import coarse, compared, parted, summaries
 from pedzoo.train.crowds.excerpts import Excerpts
 from pedzoo.train.crowds.judge import Judge, legible
 from pedzoo.train.crowds.walking_on import CrowdWalk, recorded
@@ -18,6 +19,9 @@ COARSE = {"speed": 1.0, "acceleration": 2.0, "heading_rate": 1.5}
 
 TAILS = 0.5
 """Weight of distances of logarithms: what is held, what stands, and the few large values count there."""
+
+LARGEST = 0.03
+"""Share of accelerations that are compared once more: in a distribution the few large ones count little."""
 
 PLACES = (3, 8, 14, 22, 30)
 """Steps after which places are compared."""
@@ -39,12 +43,13 @@ class CrowdLikeness(nn.Module):
         near: float = 2.0,
         nearest: float = 0.4,
         safety_correction: float = 0.5,
+        company: float = 0.0,
     ) -> None:
         """Weigh the terms.
 
         Args:
             distribution: Distances of the distributions of features, as they are and coarse, in standard
-                deviations of recorded people.
+                deviations of recorded people; accelerations count once more by their largest 3 %.
             places: Energy score of places after some steps (Gneiting and Raftery, JASA 2007, eq. 21).
             persons: Energy score of the numbers that sum up each person's walk.
             judged: Cross entropy of two judges, of clips as they are and of coarse ones.
@@ -52,6 +57,7 @@ class CrowdLikeness(nn.Module):
             near: Metres short of ``nearest`` between two people.
             nearest: Metres between centres.
             safety_correction: Change by a safety layer, m/s.
+            company: How far companions walk from each other, see `parted`.
         """
         super().__init__()
         self.weights = {
@@ -61,6 +67,7 @@ class CrowdLikeness(nn.Module):
             "judged": judged,
             "near": near,
             "safety_correction": safety_correction,
+            "company": company,
         }
         self.nearest, self.judge_steps = nearest, judge_steps
         self.judges = nn.ModuleDict({"fine": Judge(), "coarse": Judge()} if judged else {})
@@ -103,6 +110,8 @@ class CrowdLikeness(nn.Module):
                 weight * wasserstein(made.features[key], true.features[key]) / SPREADS[key]
                 for key, weight in weights.items()
             ]
+            strong = (largest(side.features["acceleration"]) for side in (made, true))
+            apart.append(weights["acceleration"] * wasserstein(*strong) / SPREADS["acceleration"])
             if self.judges and min(len(made.clips), len(true.clips)) >= _LEAST_CLIPS:
                 judge = cast("Judge", self.judges[name])
                 looks = legible(made.clips, made.manner)
@@ -117,6 +126,8 @@ class CrowdLikeness(nn.Module):
         terms["places"] = _places(walk, truth, many, samples)
         terms["persons"] = _persons(walk, truth, many, samples)
         terms["near"] = _too_near(walk, self.nearest)
+        if self.weights["company"]:
+            terms["company"] = parted(walk, truth, many, real)
         if passing:
             terms["judged"] = torch.stack(passing).mean()
         if walk.asked is not None and walk.walked is not None:
@@ -124,6 +135,11 @@ class CrowdLikeness(nn.Module):
             mine = walk.scored[:, :, -change.shape[2] :]
             terms["safety_correction"] = (change * mine).sum() / mine.sum().clamp_min(1)
         return {key: self.weights[key] * value for key, value in terms.items()}
+
+
+def largest(values: Tensor) -> Tensor:
+    """Return the largest 3 % of values (N,), at least one of them."""
+    return values.topk(math.ceil(LARGEST * len(values))).values
 
 
 def _log(values: Tensor) -> Tensor:

@@ -128,6 +128,7 @@ def _observed(
         history=history,
         valid=valid,
         mask=mask,
+        group=torch.where(real.grouped <= frame, real.group, -1),
         pref_speed=real.pref_speed.unsqueeze(2),
         top_speed=top_speed_of(real.pref_speed).unsqueeze(2),
         velocity=(history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS,

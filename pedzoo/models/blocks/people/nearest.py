@@ -23,6 +23,9 @@ _SOON = 5.0
 _STAYS, _BESIDE = 0.35, 1.3
 """Metres by which a companion's place beside a person changes in 2.8 s, and how far away it is."""
 
+_HEEDED, _REACH = 3, 3.0
+"""Known companions that a person heeds, the nearest ones, and metres: farther ones count as so far away."""
+
 
 class Neighbours(NamedTuple):
     """The k nearest others of B x A people, in the frame of each person's way.
@@ -33,6 +36,8 @@ class Neighbours(NamedTuple):
         place: Mean place of companions (B, A, 2), metres from the person; 0 without any.
         velocity: Their mean velocity (B, A, 2) against the person's, m/s.
         company: How many they are (B, A, 1): a weight of at most 1 for each.
+
+    Companions who are known need not be among the k nearest.
     """
 
     features: Tensor
@@ -42,7 +47,9 @@ class Neighbours(NamedTuple):
     company: Tensor
 
 
-def nearest(history: Tensor, mask: Tensor, radius: Tensor, ahead: Tensor) -> Neighbours:
+def nearest(
+    history: Tensor, mask: Tensor, radius: Tensor, ahead: Tensor, companions: Tensor | None = None
+) -> Neighbours:
     """Return the nearest others of all agents.
 
     The order of the agents does not matter, unless distances are equal.
@@ -52,6 +59,7 @@ def nearest(history: Tensor, mask: Tensor, radius: Tensor, ahead: Tensor) -> Nei
         mask: Which agents are there (B, A) bool.
         radius: Radii of bodies (B, A), metres: those of large bodies are seen as nearer.
         ahead: Unit vectors of the ways (B, A, 2).
+        companions: Which agents walk in company (B, A, A) bool; None to guess it from how they walk.
     """
     here, before = history[:, :, -1], history[:, :, 0]
     velocity = (here - history[:, :, -2]) / STEP_SECONDS
@@ -64,7 +72,7 @@ def nearest(history: Tensor, mask: Tensor, radius: Tensor, ahead: Tensor) -> Nei
         absent = squared >= _FAR
     scene = torch.arange(len(mask), device=mask.device).view(-1, 1, 1)
 
-    def of_others(values: Tensor) -> Tensor:
+    def of_others(values: Tensor, other: Tensor = other) -> Tensor:
         return values[scene, other] - values.unsqueeze(2)
 
     place, moves = of_others(here), of_others(velocity)
@@ -95,8 +103,17 @@ def nearest(history: Tensor, mask: Tensor, radius: Tensor, ahead: Tensor) -> Nei
         ),
         -1,
     )
-    changed = ((place - of_others(before)).square().sum(-1) + 1e-6).sqrt()
-    weight = (-changed / _STAYS - (centre / _BESIDE).square()).exp().masked_fill(absent, 0.0).unsqueeze(-1)
+    if companions is None:
+        changed = ((place - of_others(before)).square().sum(-1) + 1e-6).sqrt()
+        weight = (-changed / _STAYS - (centre / _BESIDE).square()).exp().masked_fill(absent, 0.0)
+    else:
+        with torch.no_grad():
+            squared, mate = apart.masked_fill(~companions, _FAR).topk(min(_HEEDED, people), 2, largest=False)
+            weight = (squared < _FAR).to(place.dtype)
+        turned, moving = (unrotate(of_others(values, mate), frame) for values in (here, velocity))
+        length = (turned.square().sum(-1, keepdim=True) + 1e-6).sqrt()
+        turned = turned * (_REACH / length.clamp_min(_REACH))
+    weight = weight.unsqueeze(-1)
     company = weight.sum(2)
     share = weight / company.unsqueeze(2).clamp_min(0.1)
     return Neighbours(features, absent, (share * turned).sum(2), (share * moving).sum(2), company)

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, goals_of, maps_of
+from pedzoo.core.batch import agents_of, companions_of, goals_of, maps_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.style import style_of
@@ -35,6 +35,7 @@ class Situation(NamedTuple):
         radius: Radii of their bodies (B, A), metres.
         walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
             the network sees none.
+        companions: Which agents walk in company (B, A, A) bool, see `companions_of`.
     """
 
     history: Tensor
@@ -48,6 +49,7 @@ class Situation(NamedTuple):
     crowd_style: Tensor
     radius: Tensor
     walls: Tensor
+    companions: Tensor
 
     @classmethod
     def of(cls, batch: TensorDict, walls: bool = True) -> Self:
@@ -78,8 +80,9 @@ class Situation(NamedTuple):
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        radius = agents["radius"][..., 0]
-        return cls(history, there, ahead, pref_speed, remaining, late, stood, style, crowd, radius, around)
+        manner = pref_speed, remaining, late, stood, style, crowd
+        company = companions_of(batch)
+        return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company)
 
     def after(self, step: Tensor) -> Self:
         """Return the situation after a step (B, A, 2), metres; walls stay as they were seen."""
