@@ -12,10 +12,14 @@ import argparse
 import gc
 import hashlib
 import json
+import os
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Any, cast
+
+# oneDNN, read when torch is imported: it keeps 1,024 programs by shape, and numbers of people never end
+os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "16")
 
 import numpy as np
 import torch
