@@ -1,7 +1,10 @@
-"""Writes checkpoints/results/SCORES.md and .json from reports of ``pedzoo score``, one of each recording.
+"""Writes checkpoints/results/SCORES.md and .json from reports of ``pedzoo score``.
 
 pedzoo score social_walker.eth social_force:preset=indoor --against eth --json score_eth.json
 python -m tools.pages.score_page score_*.json
+
+Reports of one recording are joined: a row of a later one takes the place of an earlier one's. So a crowd is
+added to the page by ``python -m tools.pages.score_page checkpoints/results/SCORES.json score_eth.json``.
 """
 
 import argparse
@@ -24,6 +27,7 @@ COLUMNS = {
     "coarse_acceleration_p95_ratio": "acceleration p95, coarse",
     "coarse_acceleration_p99_ratio": "p99",
     "standing_share": "standing",
+    "companions_near_share": "companions near",
     "agent_contacts_per_min": "touches/min",
 }
 """Metrics of `docs/score.md`, and what they are called here."""
@@ -33,7 +37,7 @@ did not see that scene. [docs/score.md](../../docs/score.md) has the formulas. I
 over blocks of time. `real halves`: two halves of the real people, as near as people are to each other.
 `real others`: other people in similar situations. Less is better for realism, AUC (.5: a classifier cannot
 distinguish them) and minADE. More is better for likelihood. Ratios are best at 1, standing and touches as
-those of `real`."""
+those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m."""
 
 
 def main() -> None:
@@ -44,12 +48,31 @@ def main() -> None:
     parser.add_argument("files", type=Path, nargs="+", help="Reports of pedzoo score --json.")
     parser.add_argument("--out", type=Path, default=RESULTS / "SCORES.md")
     given = parser.parse_args()
-    reports = {}
+    reports: dict[str, dict[str, Any]] = {}
     for file in given.files:
-        report = json.loads(file.read_text())
-        reports[report["protocol"]["against"]] = report
+        content = json.loads(file.read_text())
+        # a page's own file has one report of each recording
+        for report in [content] if "rows" in content else content.values():
+            against = report["protocol"]["against"]
+            reports[against] = joined(reports.get(against), report)
     given.out.write_text("\n".join(page(reports)) + "\n")
     given.out.with_suffix(".json").write_text(json.dumps(reports, indent=1) + "\n")
+
+
+def joined(before: dict[str, Any] | None, report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report with the rows of an earlier one that it does not have; every row names its commit.
+
+    Raises:
+        SystemExit: The protocols differ, so that their rows cannot stand side by side.
+    """
+    commit = report["versions"]["commit"]
+    mine = {row["name"]: {"commit": commit} | row for row in report["rows"]}
+    if before is None:
+        return report | {"rows": list(mine.values())}
+    if before["protocol"] != report["protocol"]:
+        raise SystemExit(f"{before['protocol']} and {report['protocol']}: expected reports of one protocol")
+    old = {row["name"]: row for row in before["rows"]}
+    return report | {"rows": list((old | mine).values())}
 
 
 def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
@@ -67,9 +90,12 @@ def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
     ]
     yield table(["crowd", *COLUMNS.values()], means)
     for against, report in reports.items():
-        versions = report["versions"]
         yield from (f"## {against}", "")
-        yield f"`pedzoo score` with pedzoo {versions['pedzoo']}, commit {versions['commit']}."
+        by_commit: dict[str, list[str]] = {}
+        for row in report["rows"]:
+            by_commit.setdefault(row["commit"], []).append(f"`{row['name']}`")
+        commits = "; ".join(f"{', '.join(names)} by commit {commit}" for commit, names in by_commit.items())
+        yield f"`pedzoo score` with pedzoo {report['versions']['pedzoo']}: {commits}."
         yield ""
         rows = [[row["name"], *(cell(row, key) for key in COLUMNS)] for row in report["rows"]]
         yield table(["crowd", *COLUMNS.values()], rows)
