@@ -1,7 +1,8 @@
 """The root of the command line: finds commands, prints the overview, turns errors into exit codes.
 
 Nothing heavy is imported here: the overview is read from files, and a command is imported when it is run.
-Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one line); 130 interrupted.
+Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one line); 130 interrupted, and
+143, 129 or 138 ended by SIGTERM, SIGHUP or Slurm's SIGUSR1.
 """
 
 import os
@@ -10,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from pedzoo import __version__
+from pedzoo.cli.signals import Ended, exit_code, heard
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names, weight_files
@@ -35,15 +37,16 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command and return the exit code."""
     argv = sys.argv[1:] if argv is None else argv
     try:
-        code = _dispatch(argv)
-        sys.stdout.flush()
-        return code
+        with heard():
+            code = _dispatch(argv)
+            sys.stdout.flush()
+            return code
     except UserError as error:
         print(f"pedzoo: {_readable(str(error))}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("pedzoo: interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        print(f"pedzoo: {f'ended by {stop}' if isinstance(stop, Ended) else 'interrupted'}", file=sys.stderr)
+        return exit_code(stop)
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141

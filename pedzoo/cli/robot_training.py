@@ -6,7 +6,7 @@ from typing import Any
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.parsing import parse
-from pedzoo.cli.training_parser import ProgressBar, RunCLI, check_seed
+from pedzoo.cli.training_parser import ProgressBar, RunCLI, Signals, check_seed
 from pedzoo.cli.words import given
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
@@ -66,6 +66,7 @@ class RobotTrainingCLI(RunCLI):
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
         self.run = self.run or RunFolder.claim(self._base())
+        self.go_on_from_last(self.run)
         self.run.begin()
         options = self.config_init["trainer"]
         callbacks = self.run.callbacks(
@@ -76,6 +77,7 @@ class RobotTrainingCLI(RunCLI):
         )
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
+        callbacks.append(Signals())
         kwargs |= self.run.trainer_options(options.get("plugins"))
         return super().instantiate_trainer(callbacks=callbacks, logger=self.run.loggers("off"), **kwargs)
 
@@ -83,10 +85,8 @@ class RobotTrainingCLI(RunCLI):
         """Train, and print what to do next."""
         run = self.run
         assert run
-        try:
+        with self.stoppable(run):
             self.trainer.fit(self.model, ckpt_path=self.config["ckpt_path"])
-        finally:
-            run.end()
         chosen = run.best if run.best.is_file() else run.last
         print(f"\nnext: pedzoo.policies.load.load_robot_policy({str(chosen)!r})")
         return 0

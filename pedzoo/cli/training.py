@@ -16,14 +16,13 @@ from typing import Any, Literal, cast
 
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.cli import LightningArgumentParser
-from lightning.pytorch.trainer.states import TrainerStatus
 
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import classes_named, parse
 from pedzoo.cli.progress import duration
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
-from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, check_seed
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, Signals, check_seed
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import import_path, names_code
@@ -60,6 +59,10 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
                 return RobotTrainingCLI(argv, about, example).fit()
             cli = TrainingCLI(command, argv, about, example)
             return cli.fit() if command == "fit" else cli.measure()
+        except SystemExit as error:
+            if isinstance(stop := error.__context__, KeyboardInterrupt):  # Lightning makes exit code 1 of it
+                raise stop from None
+            raise
         except MisconfigurationException as error:  # options that do not go together, no such metric, no GPU
             raise UserError(str(error)) from error
         except OSError as error:
@@ -149,7 +152,8 @@ class TrainingCLI(RunCLI):
         callbacks = [*callbacks] if isinstance(callbacks, list) else [callbacks]
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
-        # Slurm's checkpoints of other runs may lie in the working directory, Lightning's own choice
+        callbacks.append(Signals())
+        # checkpoints of Slurm's for other programs may lie in the working directory, Lightning's own choice
         kwargs |= {"default_root_dir": self.config["runs"]}
         if self.command != "fit":
             kwargs |= {"logger": False, "enable_checkpointing": False}
@@ -159,6 +163,7 @@ class TrainingCLI(RunCLI):
             monitor = None if options.get("enable_checkpointing") is False else self.config["monitor"]
             rollout.check_monitor(monitor, self.config["monitor_mode"])
             self.run = self.run or RunFolder.claim(self._base())
+            self.go_on_from_last(self.run)
             self.run.begin()
             kwargs |= self.run.trainer_options(options.get("plugins"))
             typed = ["pedzoo", self.command, *self.typed]
@@ -175,23 +180,12 @@ class TrainingCLI(RunCLI):
     def fit(self) -> int:
         """Train, and print what to do next."""
         run, began = self.run, monotonic()
-        try:
-            self.trainer.fit(self.model, self.datamodule, ckpt_path=self.config["ckpt_path"])
-        except SystemExit:
-            if self.trainer.state.status != TrainerStatus.INTERRUPTED or not self.trainer.is_global_zero:
-                raise
-            hint = (
-                f"; continue with: pedzoo fit --resume {run.path}"
-                if run and run.last.is_file()
-                else ", nothing saved yet"
-            )
-            print(f"\ninterrupted{hint}")
-            return 130  # Lightning turns Ctrl-C into exit code 1
-        finally:
-            if self.config["wandb"] != "off":
-                finish_wandb(self.trainer.state.finished)
-            if run:
-                run.end()
+        with self.stoppable(run):
+            try:
+                self.trainer.fit(self.model, self.datamodule, ckpt_path=self.config["ckpt_path"])
+            finally:
+                if self.config["wandb"] != "off":
+                    finish_wandb(self.trainer.state.finished)
         if not self.trainer.is_global_zero:
             return 0
         if run and (chosen := next((path for path in (run.best, run.last) if path.is_file()), None)):

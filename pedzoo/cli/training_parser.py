@@ -1,21 +1,25 @@
 """What all trainings at the command line share: config files with what they inherit, and a progress bar."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import yaml
 from jsonargparse import Namespace
-from lightning.pytorch.callbacks import RichProgressBar
+from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
+from pedzoo.cli.signals import hear_again
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import file_path, import_path, names_code
+from pedzoo.train.run import RunFolder
 from pedzoo.train.run_settings import lent
+from pedzoo.train.slurm import run_again
 
 
 class ProgressBar(RichProgressBar):
@@ -24,6 +28,18 @@ class ProgressBar(RichProgressBar):
     def get_metrics(self, *args: Any) -> dict[str, Any]:
         """Return what is shown beside the bar."""
         return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
+
+
+class Signals(Callback):
+    """Takes signals back from Lightning, whose handler talks to other processes in the midst of a step."""
+
+    def on_sanity_check_start(self, *_: Any) -> None:
+        """Do so before the first validation."""
+        hear_again()
+
+    def on_train_start(self, *_: Any) -> None:
+        """Do so before the first step."""
+        hear_again()
 
 
 class ConfigParser(LightningArgumentParser):
@@ -96,6 +112,30 @@ class RunCLI(LightningCLI):
 
     def _parse_ckpt_path(self) -> None:
         """Leave the command line alone: it wins over what a checkpoint remembers."""
+
+    def go_on_from_last(self, run: RunFolder) -> None:
+        """Start from the last checkpoint where the run of a Slurm job goes on that is run again."""
+        if run.goes_on and not self.config["resume"] and run.last.is_file():
+            self.config["ckpt_path"] = str(run.last)
+
+    @contextmanager
+    def stoppable(self, run: RunFolder | None) -> Iterator[None]:
+        """Let signals end a training, and say how to go on; for Slurm's the job is run again."""
+        try:
+            try:
+                yield
+            finally:
+                if run:
+                    run.end()
+        except SystemExit as error:
+            stop = error.__context__
+            if isinstance(stop, KeyboardInterrupt) and self.trainer.is_global_zero:
+                saved = run and run.last.is_file()
+                how = f"; continue with: pedzoo fit --resume {run.path}" if run and saved else ""
+                print(f"\ninterrupted{how or ', nothing saved yet'}", flush=True)
+                if str(stop) == "SIGUSR1":
+                    print(run_again(), flush=True)
+            raise
 
     def plain_config(self) -> dict[str, Any]:
         """Return the resolved configuration as plain values, without what belongs to this call only."""

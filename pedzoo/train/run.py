@@ -24,6 +24,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import PARTS, shipped, write_whole
 from pedzoo.train.metrics_file import MetricsFile, WholeMetrics
+from pedzoo.train.slurm import job_record, left_by_this_job
 
 Wandb = Literal["off", "offline", "online"]
 
@@ -37,12 +38,6 @@ def run_name(config: Path) -> str:
     inside = config.resolve().is_relative_to(home)
     name = config.resolve().relative_to(home) if inside else Path(config.name)
     return ".".join(name.with_suffix("").parts)
-
-
-def slurm_job() -> str | None:
-    """Return the number of the Slurm job that this process is in, which a requeued job keeps."""
-    array = os.environ.get("SLURM_ARRAY_JOB_ID")
-    return f"{array}_{os.environ.get('SLURM_ARRAY_TASK_ID')}" if array else os.environ.get("SLURM_JOB_ID")
 
 
 class RunFolder:
@@ -66,12 +61,13 @@ class RunFolder:
     def claim(cls, base: Path) -> RunFolder:
         """Create ``base``, or the first free of ``base-2``, ``base-3``, ... and return it.
 
-        A Slurm job that was requeued gets the folder in which it was when Slurm stopped it.
+        A Slurm job that is run again gets the folder in which it was, to go on there.
         """
+        number, path = 1, base
         if rank_zero_only.rank:
             # a further process of a distributed run: the first one chooses, and it alone writes
-            return cls(Path(os.environ.get("PEDZOO_RUN", base)))
-        number, path = 1, base
+            path = Path(os.environ.get("PEDZOO_RUN", base))
+            return cls(path, goes_on=left_by_this_job(path))
         while True:
             try:
                 path.mkdir(parents=True)
@@ -80,7 +76,8 @@ class RunFolder:
                 if not isinstance(error, FileExistsError) or not path.parent.is_dir():
                     why = f"cannot make the run folder {str(path)!r} ({error.strerror})"
                     raise UserError(f"{why}: name another place as --runs") from error
-                if _left_by_this_job(path):
+                if left_by_this_job(path):
+                    os.environ["PEDZOO_RUN"] = str(path)
                     return cls(path, goes_on=True)
                 number += 1
                 path = base.with_name(f"{base.name}-{number}")
@@ -149,7 +146,7 @@ class RunFolder:
     def trainer_options(self, plugins: Any) -> dict[str, Any]:
         """Return the trainer's options that keep all of a run in its folder, whole, beside ``plugins``.
 
-        Lightning puts the checkpoints that Slurm asks for there, and looks for them there.
+        Lightning looks there for checkpoints that Slurm asked for, and not in the working directory.
         """
         own = plugins if isinstance(plugins, list) else [plugins] if plugins else []
         saves = any(isinstance(plugin, CheckpointIO) for plugin in own)
@@ -189,18 +186,6 @@ def finish_wandb(succeeded: bool) -> None:
         wandb.finish(exit_code=int(not succeeded))
 
 
-def _left_by_this_job(path: Path) -> bool:
-    """Return whether a run was stopped by Slurm, with a checkpoint, in the job that this process is in."""
-    record = path / "versions.json"
-    job = slurm_job()
-    if job is None or not record.is_file() or not any(path.glob("hpc_ckpt_*.ckpt")):
-        return False
-    try:
-        return json.loads(record.read_text())["slurm_job"] == job
-    except (ValueError, LookupError, TypeError):
-        return False
-
-
 class WholeCheckpoints(TorchCheckpointIO):
     """Writes checkpoints whole or not at all. Lightning's own way goes through TMPDIR, often another disk."""
 
@@ -223,8 +208,6 @@ class Record(Callback):
         if trainer.is_global_zero:
             print(f"run folder: {self.run.path}", flush=True)
             settings = yaml.safe_dump(self.config, sort_keys=False)
-            record = {"command": self.argv, "versions": versions()}
-            if job := slurm_job():
-                record["slurm_job"] = job
+            record = {"command": self.argv, "versions": versions(), **job_record()}
             write_whole(self.run.path / "config.yaml", settings.encode())
             write_whole(self.run.path / "versions.json", f"{json.dumps(record, indent=2)}\n".encode())

@@ -1,4 +1,4 @@
-"""Run folders: whole files whatever happens, one process at a time, and what Slurm asks for."""
+"""Run folders: whole files whatever happens, and one process at a time."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from typing import Any
 
 import pytest
 import torch
-import yaml
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.train.metrics_file import MetricsFile, rows_of
-from pedzoo.train.modules.gan import GANModule
 from pedzoo.train.run import RunFolder, WholeCheckpoints
 
 FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
@@ -212,33 +210,6 @@ def test_the_checkpoint_of_another_run_is_not_continued(slurm: pytest.MonkeyPatc
     one, two = (torch.load(run / "checkpoints" / "last.ckpt") for run in (RUN, Path(f"{RUN}-2")))
     assert one["epoch"] == two["epoch"] == 1
     assert all(torch.equal(one["state_dict"][key], two["state_dict"][key]) for key in one["state_dict"])
-
-
-def test_a_requeued_job_goes_on_where_slurm_stopped_it(slurm: pytest.MonkeyPatch) -> None:
-    class StoppedError(BaseException):
-        pass
-
-    steps = GANModule.training_step
-
-    def stopped(self: GANModule, *batch: Any) -> Any:
-        if int(self.iteration) == 3:
-            os.kill(os.getpid(), signal.SIGUSR1)
-        if int(self.iteration) == 4:
-            raise StoppedError
-        return steps(self, *batch)
-
-    long = [*FIT, "--trainer.max_epochs", "4"]
-    with slurm.context() as patched:
-        patched.setattr(GANModule, "training_step", stopped)
-        with pytest.raises(StoppedError):
-            main(long)
-    assert [file.parent for file in Path().rglob("hpc_ckpt_*.ckpt")] == [RUN]
-    assert main(long) == 0
-    assert torch.load(LAST)["epoch"] == 3 and list(Path("runs/sgan").iterdir()) == [RUN]
-    assert yaml.safe_load((RUN / "before-resume-1" / "config.yaml").read_text())
-    slurm.setenv("SLURM_JOB_ID", "8")
-    assert main(FIT) == 0
-    assert torch.load(f"{RUN}-2/checkpoints/last.ckpt")["epoch"] == 0
 
 
 def distributed(*words: str) -> subprocess.Popen[str]:

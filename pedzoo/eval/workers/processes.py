@@ -5,8 +5,10 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import cache
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -31,7 +33,10 @@ class Processes:
     def __init__(self, payload: bytes, count: int) -> None:
         """Take what `pedzoo.eval.workers.jobs.packed` returned; a process starts with its first job."""
         self._context = _Context()
-        self._executors = [ProcessPoolExecutor(1, self._context, _begin, (payload,)) for _ in range(count)]
+        with _signals_left():  # the first executor starts Python's process that cleans up after semaphores
+            self._executors = [
+                ProcessPoolExecutor(1, self._context, _begin, (payload,)) for _ in range(count)
+            ]
 
     def submit(self, worker: int, job: int) -> Future[bytes]:
         """Return the future outcome of a job; the first jobs go to the workers in their order."""
@@ -66,18 +71,29 @@ class Processes:
 
 
 class _Process(SpawnProcess):
-    """A process that does not run the caller's script, and leaves Ctrl-C to the caller's process."""
+    """A process that does not run the caller's script, and leaves signals to the caller's process."""
 
     def start(self) -> None:
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
-        heard = None if os.name == "nt" else signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            super().start()
+            with _signals_left():
+                super().start()
         finally:
             sys.modules["__main__"] = main
-            if heard is not None:
-                signal.pthread_sigmask(signal.SIG_SETMASK, heard)
+
+
+@contextmanager
+def _signals_left() -> Iterator[None]:
+    """Start processes that leave to the caller's what a terminal or Slurm sends to all of them."""
+    if os.name == "nt":
+        yield
+        return
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP, signal.SIGUSR1})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, heard)
 
 
 class _Context(SpawnContext):

@@ -1,0 +1,169 @@
+"""Signals end every command as Ctrl-C does, and what was begun goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from pedzoo.cli.main import main
+
+FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
+FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "2"]
+FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
+RUN = Path("runs/sgan/embedded-seed0")
+LAST = RUN / "checkpoints" / "last.ckpt"
+ROOT = Path(__file__).parents[2]
+JOB = {"NTASKS": "1", "JOB_ID": "7", "PROCID": "0", "LOCALID": "0", "NODEID": "0", "JOB_NAME": "fit"}
+SLURM = {f"SLURM_{name}": value for name, value in JOB.items()}
+
+STOPS = """
+import os, signal, sys
+from pedzoo.cli.main import main
+from pedzoo.train.modules.gan import GANModule
+
+steps = GANModule.training_step
+
+def stopped(self, *batch):
+    result = steps(self, *batch)
+    if int(self.iteration) == 3:  # in the midst of the second epoch, before Lightning has counted the step
+        os.kill(os.getpid(), int(sys.argv[1]))
+        os.kill(os.getpid(), int(sys.argv[1]))  # a terminal and its shell send one each
+    return result
+
+GANModule.training_step = stopped
+sys.exit(main(sys.argv[2:]))
+"""
+
+WAITS = """
+import time
+from pathlib import Path
+from pedzoo.eval.suite import EvaluationCase, Suite
+
+class Waits(Suite):
+    accepted_options = ("episodes",)
+
+    def cases(self, options):
+        return [EvaluationCase(self.name, name, "circle", "compiled", 1, {}) for name in ("one", "two")]
+
+    def rows(self, unit, tell=None):
+        if unit.case.name == "two" and not Path("waits").exists():
+            Path("waits").touch()
+            time.sleep(500)
+        return super().rows(unit, tell)
+"""
+
+pytestmark = [pytest.mark.usefixtures("elsewhere")]
+
+
+def run(code: list[str], **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a process of its own."""
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    return subprocess.run(
+        [sys.executable, *code],
+        env=os.environ | {"PYTHONPATH": paths} | variables,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
+def stopped(number: int, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Train, and send a signal in the second epoch."""
+    return run(["-c", STOPS, str(number), *FIT], **variables)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the last checkpoint of the same training that nothing stopped."""
+    runs = tmp_path_factory.mktemp("whole")
+    assert main([*FIT, "--runs", str(runs)]) == 0
+    return runs / LAST.relative_to("runs")
+
+
+def check_end(whole: Path) -> None:
+    """Check that a run ended as the whole one, to the last bit."""
+    one, two = torch.load(LAST), torch.load(whole)
+    assert one["epoch"] == two["epoch"] == 1
+    assert all(torch.equal(one["state_dict"][key], two["state_dict"][key]) for key in two["state_dict"])
+
+
+def test_a_training_that_sigterm_ended_is_resumed(whole: Path) -> None:
+    ended = stopped(signal.SIGTERM)
+    assert ended.returncode == 143, ended.stderr
+    assert f"interrupted; continue with: pedzoo fit --resume {RUN}\n" in ended.stdout
+    assert ended.stderr.endswith("pedzoo: ended by SIGTERM\n") and "Traceback" not in ended.stderr
+    assert torch.load(LAST)["epoch"] == 0
+    assert main(["fit", "--resume", str(RUN)]) == 0
+    check_end(whole)
+
+
+def test_a_job_that_slurm_runs_again_goes_on(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scontrol = Path("bin/scontrol")
+    scontrol.parent.mkdir()
+    scontrol.write_text('#!/bin/sh\necho "$@" >> asked\nls -A runs/sgan/embedded-seed0 >> asked\n')
+    scontrol.chmod(0o755)
+    path = {"PATH": f"{scontrol.parent.absolute()}:{os.environ['PATH']}"}
+    ended = stopped(signal.SIGUSR1, **SLURM, **path)
+    assert ended.returncode == 138, ended.stderr
+    assert "Slurm runs job 7 again" in ended.stdout
+    asked = Path("asked").read_text().split()
+    assert asked[:2] == ["requeue", "7"] and ".in-use" not in asked  # nothing is left to write by then
+    for name, value in SLURM.items():
+        monkeypatch.setenv(name, value)
+    assert main([*FIT, "--seed_everything", "5"]) == 0  # another run of the job
+    monkeypatch.setenv("SLURM_RESTART_COUNT", "1")
+    assert main(FIT) == 0
+    assert {path.name for path in Path("runs/sgan").iterdir()} == {"embedded-seed0", "embedded-seed5"}
+    assert list(Path().rglob("hpc_ckpt*")) == []
+    assert main(FIT) == 0  # the same training again, in the same run of the job
+    assert Path(f"{RUN}-2").is_dir()
+    for name in (*SLURM, "SLURM_RESTART_COUNT"):
+        monkeypatch.delenv(name)
+    check_end(whole)
+
+
+def started(words: list[str], until: Callable[[], bool]) -> subprocess.Popen[str]:
+    """Start a command in a session of its own, and return it once something has come true."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pedzoo", *words],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not until() and process.poll() is None:
+        time.sleep(0.01)
+    return process
+
+
+@pytest.mark.slow
+def test_an_evaluation_whose_terminal_was_closed_goes_on() -> None:
+    Path("waits.py").write_text(WAITS)
+    words = ["evaluate", "go_to_goal", "--suite", "waits.py:Waits", "--episodes", "1"]
+    words += ["--json", "report.json"]
+    journal = Path("report.json.partial")
+    with started(
+        [*words, "--workers", "2"], lambda: journal.is_file() and Path("waits").is_file()
+    ) as process:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGHUP)  # workers, too
+        said, errors = process.communicate(timeout=200)
+    assert process.returncode == 129, errors
+    assert f"is kept in {journal}: the same command goes on from there" in said
+    assert errors.endswith("pedzoo: ended by SIGHUP\n") and "Traceback" not in errors
+    assert len(journal.read_text().splitlines()) == 1
+    assert json.loads(Path("report.json").read_text())["interrupted"]
+    assert main(words) == 0
+    report = json.loads(Path("report.json").read_text())
+    assert "interrupted" not in report and len(report["rows"]) == 2
