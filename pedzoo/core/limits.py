@@ -29,6 +29,9 @@ LARGEST_PICTURE = 8192 * 8192
 MOST_POSITIONS = 5_000_000
 """Rows of a recording at steps of 0.4 s: 500 hours of one person."""
 
+MOST_PEOPLE = 10_000
+"""People in a scene."""
+
 LONGEST_RECORDING = 366 * 86_400.0
 """Seconds of a recording."""
 

@@ -76,9 +76,9 @@ class Registry:
             UserError: It is no literal.
         """
         file, colon, wanted = name.rpartition(".py:")
-        path = Path(f"{file}.py").expanduser()
         if colon:
-            tree = ast.parse(path.read_text()) if path.is_file() else None
+            path = _file(f"{file}.py")
+            tree = ast.parse(path.read_text()) if path else None
         else:
             package, wanted = self.package_of(name), name.replace("_", "")
             tree = _parsed(package, name) if package else None
@@ -128,7 +128,7 @@ class Registry:
         """Return the package whose file has a name, or None."""
         if not name.isidentifier() or name.startswith("_"):
             return None
-        return next((one for one in self._packages if (folder_of(one) / f"{name}.py").is_file()), None)
+        return next((one for one in self._packages if _file(folder_of(one) / f"{name}.py")), None)
 
     def _plugins(self) -> dict[str, Any]:
         prefix = f"{self.kind}."
@@ -233,13 +233,22 @@ def file_path(path: str) -> str:
 def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
     """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind."""
     file, _, name = spec.rpartition(":")
-    path = Path(file).expanduser().resolve()
-    if not path.is_file():
-        raise UserError(f"no file {file!r} (from {spec!r}): expected path/to/file.py:NAME")
+    path = _file(file)
+    if path is None:
+        raise UserError(f"no file {file!r:.200} (from {spec!r:.200}): expected path/to/file.py:NAME")
     known = {key: value for key, value in _executed(path).items() if wanted(value)}
     if name not in known:
         raise unknown(f"{kind} in {file}", name, known)
     return known[name]
+
+
+def _file(path: str | Path) -> Path | None:
+    """Return where a file is, or None; systems refuse to look for names that are long or have a zero byte."""
+    try:
+        found = Path(path).expanduser().resolve()
+        return found if found.is_file() else None
+    except (OSError, ValueError, RuntimeError):  # the last: ~ of nobody
+        return None
 
 
 @cache

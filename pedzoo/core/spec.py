@@ -59,11 +59,11 @@ def parse(text: str) -> Written:
     for part in split(rest) if colon else []:
         key, equals, value = part.partition("=")
         if not equals or not key.strip():
-            expected = f"expected {name}:key=value,key=value"
+            expected = f"expected {name:.200}:key=value,key=value"
             if settings:
                 before, value = settings.popitem()
                 value = quoted(f"{unquoted(value).lstrip(_QUOTES)},{part}")
-                expected += f"; a value with commas needs quotes: {before}={value}"
+                expected += f"; a value with commas needs quotes: {before:.200}={value:.200}"
             raise UserError(f"{text!r:.200}: {part!r:.200} is no setting: {expected}")
         if key.strip() in settings:
             raise UserError(f"{text!r:.200}: {key.strip()!r:.200} is given twice")
@@ -154,7 +154,8 @@ def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
             return parser.parse_args([f"--value={value}"]).value
         return parser.parse_object({"value": [value]}).value[0]
     except ArgumentError as error:
-        raise UserError(f"{where}={value if written else repr(value)}: expected {_short(hint)}") from error
+        shown = value if written else repr(value)
+        raise UserError(f"{where:.200}={shown:.200}: expected {_short(hint)}") from error
 
 
 def _short(hint: Any) -> str:

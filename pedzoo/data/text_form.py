@@ -63,8 +63,8 @@ class TextForm:
             matches = [names.index(alias) for alias in ALIASES.get(column, (column,)) if alias in names]
             if not matches:
                 raise UserError(
-                    f"recording {str(path)!r} has no column {column!r}: its first line is {head.strip()!r}, "
-                    f"expected {','.join(COLUMNS)} (any order, more columns are ignored)"
+                    f"recording {str(path)!r} has no column {column!r}: its first line is "
+                    f"{head.strip()!r:.200}, expected {','.join(COLUMNS)} (any order, more columns are ignored)"
                 )
             columns.append(matches[0])
         return cls(delimiter, True, tuple(columns))
@@ -78,7 +78,7 @@ class TextForm:
         try:
             # numpy unpacks archives where it is given a path; callers have words for empty files
             with path.open(encoding=ENCODING) as file, warnings.catch_warnings(action="ignore"):
-                return np.loadtxt(
+                table = np.loadtxt(
                     file,
                     ndmin=2,
                     comments=None,
@@ -90,7 +90,10 @@ class TextForm:
         except UnicodeDecodeError:
             raise
         except ValueError:
+            table = None
+        if table is None or (len(table) and table.shape[1] != len(COLUMNS)):  # begins with an empty line
             return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(COLUMNS))))
+        return table
 
     def _one_by_one(self, path: Path) -> Iterator[list[float]]:
         """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""

@@ -102,7 +102,7 @@ def complaint(reader: Reader, content: bytes, folder: Path) -> str | None:
             reader.read(path)
     except UserError as error:
         if len(str(error)) > 5000:
-            return f"a message of {len(str(error))} signs"
+            return f"a long message: {len(str(error))} signs"
     except Exception as error:  # that is what is looked for
         return f"{type(error).__name__}: {str(error)[:200]}"
     seconds = time.process_time() - began

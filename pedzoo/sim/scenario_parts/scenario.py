@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import MOST_PEOPLE
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
@@ -140,11 +142,11 @@ class Scenario(ABC):
             speed_std: Its standard deviation; speeds farther than three of it from the mean are cut off.
 
         Raises:
-            UserError: No people, or a speed that is too slow.
+            UserError: No people or too many, or a speed that is too slow or not finite.
         """
-        if people < 1:
-            raise UserError(f"people {people}: expected at least 1")
-        if speed < SLOWEST or speed_std < 0:
+        if not 1 <= people <= MOST_PEOPLE:
+            raise UserError(f"people {people:.5g}: expected 1 to {MOST_PEOPLE:,}")
+        if not (SLOWEST <= speed < math.inf and 0 <= speed_std < math.inf):
             raise UserError(
                 f"speed {speed}, speed_std {speed_std}: expected at least {SLOWEST} and 0 (metres per second)"
             )

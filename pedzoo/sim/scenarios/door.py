@@ -143,7 +143,8 @@ class Door(Scenario):
         self._row = number // abreast
         in_row = (torch.tensor(sides)[self._right] - self._row * abreast).clamp_max(abreast)
         self._left_of_row = ABREAST * (number % abreast - (in_row - 1) / 2)
-        leaders = [seats.index((number - number % abreast, side)) for number, side in seats]
+        place = {seat: number for number, seat in enumerate(seats)}
+        leaders = [place[number - number % abreast, side] for number, side in seats]
         self._leader = torch.tensor(leaders)
 
     @property
