@@ -64,7 +64,8 @@ class TextForm:
             if not matches:
                 raise UserError(
                     f"recording {str(path)!r} has no column {column!r}: its first line is "
-                    f"{head.strip()!r:.200}, expected {','.join(COLUMNS)} (any order, more columns are ignored)"
+                    f"{head.strip()!r:.200}, expected {','.join(COLUMNS)} (any order, more columns are "
+                    "ignored)"
                 )
             columns.append(matches[0])
         return cls(delimiter, True, tuple(columns))
