@@ -13,7 +13,7 @@ from pathlib import Path
 from pedzoo import __version__
 from pedzoo.cli.signals import Ended, exit_code, heard
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, missing_extra
 from pedzoo.core.paths import config_names, weight_files
 from pedzoo.core.registry import (
     DATASETS,
@@ -42,14 +42,22 @@ def main(argv: list[str] | None = None) -> int:
             sys.stdout.flush()
             return code
     except UserError as error:
-        print(f"pedzoo: {_readable(str(error))}", file=sys.stderr)
-        return 2
+        return _refused(error)
+    except ModuleNotFoundError as error:
+        if (refusal := missing_extra(error)) is None:
+            raise
+        return _refused(refusal)
     except KeyboardInterrupt as stop:
         print(f"pedzoo: {f'ended by {stop}' if isinstance(stop, Ended) else 'interrupted'}", file=sys.stderr)
         return exit_code(stop)
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+
+
+def _refused(error: UserError) -> int:
+    print(f"pedzoo: {_readable(str(error))}", file=sys.stderr)
+    return 2
 
 
 def _readable(message: str) -> str:

@@ -1,7 +1,21 @@
-"""Errors that a person can act on: the given value, the expected one, and the fix."""
+"""Errors that a person can act on: the given value, the expected one, the fix; packages that are missing."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from functools import cache
+from importlib.util import find_spec
+
+EXTRAS = {
+    "train": ("lightning",),
+    "fast": ("numba",),
+    "bullet": ("pybullet",),
+    "video": ("cv2", "matplotlib"),
+    "wandb": ("wandb",),
+    "gym": ("gymnasium", "pettingzoo"),
+    "onnx": ("onnx", "onnxscript", "onnxruntime"),
+    "ray": ("ray",),
+}
+"""Modules of the extras of ``pyproject.toml``; imports of these stand where they are needed."""
 
 
 class UserError(ValueError):
@@ -14,3 +28,34 @@ def unknown(kind: str, given: str, known: Iterable[str]) -> UserError:
     near = get_close_matches(given[:200], names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return UserError(f"unknown {kind:.200} {given!r:.200}: {hint}known: {', '.join(names) or 'none'}")
+
+
+@cache
+def installed(module: str) -> bool:
+    """Return whether a module can be imported, without an import."""
+    return find_spec(module) is not None
+
+
+def need(extra: str, what: str) -> None:
+    """Refuse to go on without the packages of an extra.
+
+    Args:
+        extra: One of `EXTRAS`.
+        what: What needs them, in the singular, as it stands in the message.
+
+    Raises:
+        UserError: One is not installed; the message has the command that installs it.
+    """
+    if absent := [module for module in EXTRAS[extra] if find_spec(module) is None]:
+        raise UserError(
+            f"{what} needs {' and '.join(absent)}, not installed here: pip install 'pedzoo[{extra}]'"
+        )
+
+
+def missing_extra(error: ModuleNotFoundError) -> UserError | None:
+    """Return the line for an import that failed for want of an extra, or None where it is no extra's."""
+    module = (error.name or "").partition(".")[0]
+    for extra, modules in EXTRAS.items():
+        if module in modules:
+            return UserError(f"this needs {module}, not installed here: pip install 'pedzoo[{extra}]'")
+    return None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pedzoo import __version__
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, installed
 
 if TYPE_CHECKING:
     import torch
@@ -63,7 +63,8 @@ def usable(device: torch.device | str) -> torch.device:
 
 
 def compiles(*tensors: Tensor) -> bool:
-    """Return whether compiled loops may take these: float32 on the CPU."""
+    """Return whether compiled loops may take these: float32 on the CPU, where numba is installed."""
     import torch
 
-    return all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
+    fits = all(value.device.type == "cpu" and value.dtype == torch.float32 for value in tensors)
+    return fits and installed("numba")

@@ -14,7 +14,7 @@ from pedzoo.metrics.navigation import arrived_in_time, finish_seconds
 from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import CLEARANCE, make_scenario
+from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.warm_start import WarmStart
@@ -47,7 +47,7 @@ class Comparison:
         self,
         policies: Sequence[str],
         scenario: str,
-        physics: str = "bullet",
+        physics: str | None = None,
         episodes: int = 20,
         seed: int = 0,
         deterministic: bool = False,
@@ -63,7 +63,8 @@ class Comparison:
         Args:
             policies: Names with settings.
             scenario: Its name with settings.
-            physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``.
+            physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``; by default
+                bullet, or compiled where there is no pybullet.
             episodes: Scenes per policy.
             seed: Of the scenes, the same for all policies.
             deterministic: Models walk with noise zero.
@@ -77,7 +78,7 @@ class Comparison:
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
         """
-        physics = renamed.backend(physics)
+        physics = renamed.backend(physics or usual_physics())
         named(metrics)
         if keep_episodes < 0:
             raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")

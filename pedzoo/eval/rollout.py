@@ -23,7 +23,7 @@ from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
 from pedzoo.sim.arrival import planned
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env, physics_class
+from pedzoo.sim.make import make_env, physics_class, usual_physics
 from pedzoo.sim.robot_parts.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
@@ -38,7 +38,7 @@ Episodes = TypeVar("Episodes", Rollout, RobotRollout)
 def rollout(
     policy: str,
     scenario: str | Spec,
-    physics: str = "bullet",
+    physics: str | None = None,
     episodes: int = 20,
     seed: int = 0,
     deterministic: bool = False,
@@ -52,7 +52,8 @@ def rollout(
     Args:
         policy: Its name with settings, or a mixed crowd, as of `pedzoo.policies.load.load_policy`.
         scenario: Its name with settings.
-        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``; None for bullet, or compiled where
+            there is no pybullet.
         episodes: E.
         seed: Of the scenes.
         deterministic: Without noise.
@@ -62,7 +63,7 @@ def rollout(
     Raises:
         UserError: An unknown name or setting, or a decision step that the policy cannot serve.
     """
-    walks, env = prepare(policy, scenario, physics, episodes, seed, **settings)
+    walks, env = prepare(policy, scenario, physics or usual_physics(), episodes, seed, **settings)
     parts = list(walk(walks, env, episodes, deterministic, progress))
     return joined(parts), env
 

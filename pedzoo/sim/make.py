@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, installed
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
@@ -100,6 +100,11 @@ def make_physics(name: str, bank: MapBank, body_radius: float) -> Physics:
     physics_class(name).check()
     given = {"bank": bank, "body_radius": body_radius}
     return build(PHYSICS, renamed.backend(name), Physics, **given)
+
+
+def usual_physics() -> str:
+    """Return the physics of walks where none is named: `bullet`, or `compiled` where there is no pybullet."""
+    return "bullet" if installed("pybullet") else "compiled"
 
 
 def physics_class(name: str) -> type[Physics]:

@@ -20,7 +20,7 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import Logger, WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, need
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import PARTS, shipped, write_whole
 from pedzoo.train.metrics_file import MetricsFile, WholeMetrics
@@ -157,6 +157,7 @@ class RunFolder:
         name, version = self.path.parent.name, self.path.name
         result: list[Logger] = [self._metrics]
         if wandb != "off":
+            need("wandb", "--wandb")
             result.append(
                 WandbLogger(
                     project="pedzoo", name=f"{name}/{version}", save_dir=self.path, offline=wandb == "offline"

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from pedzoo.core.errors import need
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
-from pedzoo.viz.trajectories import plot_rollouts
 
 Walked = tuple[Rollout, PedestrianEnv]
 """What `pedzoo.rollout` returns."""
@@ -23,5 +23,8 @@ def plot(walked: Walked | Mapping[str, Walked], path: str | Path, episode: int =
     Raises:
         UserError: No such episode, another suffix, or the file cannot be written.
     """
+    need("video", "a plot")
+    from pedzoo.viz.trajectories import plot_rollouts
+
     named = walked if isinstance(walked, Mapping) else {walked[1].policy_name: walked}
     plot_rollouts([PolicyRollout(name, *one) for name, one in named.items()], path, episode)

@@ -1,7 +1,9 @@
 """Pictures of forecasts: what was seen, what happened, and what a model expected, on the floor plan."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from matplotlib.axes import Axes
@@ -10,10 +12,12 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Affine2D
 from torch import Tensor
 
-from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
+
+if TYPE_CHECKING:
+    from pedzoo.data.datamodule import TrajectoryDataModule
 
 MARGIN = 2.0
 """Metres around people that a panel shows."""

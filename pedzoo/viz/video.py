@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, need
 from pedzoo.core.paths import whole
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
@@ -86,7 +86,8 @@ def film(
 
 
 def check_video_path(path: str | Path) -> None:
-    """Raise the error that a file name gives which no video can have."""
+    """Raise the error that a file name gives which no video can have, or a package that is missing."""
+    need("video", "a video")
     if Path(path).suffix.lower() not in CODECS:
         raise UserError(f"video {str(path)!r}: expected a file that ends in {' or '.join(CODECS)}")
 

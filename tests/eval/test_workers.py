@@ -22,7 +22,6 @@ from helpers.errands import answer, complain, fail, lock, pause, process_of
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.errors import UserError
-from pedzoo.eval.workers import pool
 from pedzoo.eval.workers.pool import Shares, finished, grouped
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
@@ -54,16 +53,17 @@ def is_alive(process: int) -> bool:
 def test_many_workers_give_what_one_gives_and_do_nothing_twice(
     backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    list(finished(range(2), process_of, 2, "processes"))  # these processes are gone before what follows
     if backend == "processes":
+        list(finished(range(2), process_of, 2, "processes"))  # these processes are gone before what follows
         monkeypatch.setenv("PEDZOO_HOME", "elsewhere")
+    workers = 3 if backend == "processes" else 2  # an actor of Ray takes seconds to start
     monkeypatch.chdir(tmp_path)
     torch.set_num_threads(2)
     try:
         jobs = [(seed, str(tmp_path)) for seed in range(9)]
         with set_exploration_type(ExplorationType.MEAN):
             alone = dict(finished(jobs, answer))
-            together = dict(finished(jobs, answer, 3, backend, group=lambda job: job[0] // 2))
+            together = dict(finished(jobs, answer, workers, backend, group=lambda job: job[0] // 2))
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
@@ -226,8 +226,8 @@ def test_what_other_processes_cannot_have_is_a_clear_mistake(monkeypatch: pytest
         finished([1], process_of, 0)
     with pytest.raises(UserError, match=r"unknown backend 'rat': did you mean 'ray'"):
         finished([1], process_of, 2, "rat")  # pyright: ignore[reportArgumentType]
-    monkeypatch.setattr(pool, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install ray"):
+    monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"the backend ray needs ray, .*pip install 'pedzoo\[ray\]'"):
         finished([1], process_of, 2, "ray")
 
 

@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
@@ -88,6 +90,31 @@ def test_an_image_outside_the_folder_is_refused(tmp_path: Path, image: str) -> N
     path.write_text(path.read_text().replace("m.png", image))
     with pytest.raises(UserError, match="must lie in the yaml's folder"):
         read_ros(path)
+
+
+@pytest.mark.parametrize(
+    "kind", ["grey", "16 bits", "palette", "colour", "transparent", "pgm", "jpg", "jpg in colour"]
+)
+def test_grey_levels_are_those_of_opencv(tmp_path: Path, kind: str) -> None:
+    """Of colours to one level: roundings differ."""
+    rng = np.random.default_rng(2)
+    grey = np.kron(rng.integers(0, 256, (3, 5)), np.ones((8, 8))).astype(np.uint8)
+    colours = np.stack([grey, grey[::-1], 255 - grey], 2)
+    pixels = {
+        "16 bits": grey.astype(np.uint16) * 256 + 77,
+        "colour": colours,
+        "transparent": np.dstack([colours, grey]),
+        "jpg in colour": colours,
+    }.get(kind, grey)
+    file = tmp_path / {"pgm": "m.pgm", "jpg": "m.jpg", "jpg in colour": "m.jpg"}.get(kind, "m.png")
+    if kind == "palette":
+        Image.fromarray(grey).convert("P").save(file)
+    else:
+        cv2.imwrite(str(file), pixels)
+    known = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    assert known is not None
+    most = 1 if "colour" in kind or kind == "transparent" else 0
+    assert np.abs(read_pixels(file).astype(int) - known).max() <= most
 
 
 def test_missing_and_broken_files_are_named(tmp_path: Path) -> None:

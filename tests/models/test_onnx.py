@@ -13,13 +13,13 @@ from helpers.batches import make_batch, on_plan, random_weights
 from tensordict import TensorDict
 
 from pedzoo.cli.main import main
+from pedzoo.core import errors
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.export import onnx_export
 from pedzoo.models.export.graph import Graph
 from pedzoo.models.export.graph_plan import plan_inputs
 from pedzoo.models.export.onnx_export import export_onnx
@@ -65,7 +65,7 @@ class Written(NamedTuple):
 @pytest.fixture(scope="session")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     """A model with everything: pooling, approaches, goal, map, trait, frames of its own, twelve steps."""
-    for package in onnx_export.PACKAGES:
+    for package in errors.EXTRAS["onnx"]:
         pytest.importorskip(package, reason="needs pedzoo[onnx]")
     folder = tmp_path_factory.mktemp("onnx")
     options: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "destination", "bottleneck_dim": 4}
@@ -229,9 +229,9 @@ def test_a_graph_of_fixed_sizes_is_refused() -> None:
 def test_missing_packages_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(onnx_export, "find_spec", lambda name: None if "onnxr" in name else name)
+    monkeypatch.setattr(errors, "find_spec", lambda name: None if "onnxr" in name else name)
     assert main(["export", "constant_velocity", "--onnx", str(tmp_path / "x.onnx")]) == 2
-    assert "ONNX needs onnxruntime: pip install '.[onnx]'" in capsys.readouterr().err
+    assert "onnxruntime, not installed here: pip install 'pedzoo[onnx]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["patch", "rings", "alexnet"])

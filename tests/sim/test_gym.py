@@ -209,8 +209,8 @@ def test_what_does_not_fit_is_named() -> None:
 
 
 def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install '\.\[gym\]'"):
+    monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install 'pedzoo\[gym\]'"):
         importlib.reload(pedzoo.sim.gym)
 
 

@@ -6,6 +6,8 @@ import re
 import tomllib
 from pathlib import Path
 
+from pedzoo.core.errors import EXTRAS
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -46,10 +48,17 @@ def test_the_lock_has_the_versions_of_the_constraints() -> None:
 def test_the_lock_has_all_dependencies_of_the_checks() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *extras["onnx"], *extras["gym"], *extras["dev"]]
+    wanted = sum(extras.values(), project["dependencies"])
     assert {name_of(one) for one in wanted} - {"torch", "pedzoo"} <= locked().keys()
 
 
 def test_the_checks_install_from_the_lock_alone() -> None:
     setup = (ROOT / "tools" / "setup").read_text()
     assert "--no-deps --require-hashes --requirement requirements-ci.txt" in setup
+
+
+def test_all_is_every_extra() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    (every,) = extras["all"]
+    assert set(re.split(r"[\[\],]", every)[1:-1]) == set(EXTRAS) == extras.keys() - {"all", "dev"}
+    assert extras["dev"][0] == "pedzoo[all]"

@@ -1,7 +1,6 @@
 """``pedzoo demo``: the first minutes with pretrained models. Its steps are commands to type."""
 
 import shlex
-from importlib.util import find_spec
 from pathlib import Path
 
 HELP = "the first minutes: pretrained models walk beside ORCA and social force, one is fine-tuned"
@@ -71,13 +70,17 @@ def run(argv: list[str]) -> int:
 
     from pedzoo.cli.main import main
     from pedzoo.cli.output import check_outputs
-    from pedzoo.core.errors import UserError
+    from pedzoo.core.errors import UserError, need
+
+    need("train", "the demo")
+    need("video", "the demo")
+    from pedzoo.sim.make import usual_physics
 
     if options.epochs < 1:
         raise UserError(f"--epochs {options.epochs}: expected at least 1")
     out = Path(options.out)
     check_outputs(out=str(out / "door.json"))
-    physics = "bullet" if find_spec("pybullet") else "compiled"
+    physics = usual_physics()
     commands = steps(shlex.quote(options.out), options.epochs, physics)
     total = len(commands) + 3
     for number, (title, command) in enumerate(commands, start=1):

@@ -16,14 +16,12 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import overall_bar
     from pedzoo.cli.words import whole_numbers
-    from pedzoo.core.errors import UserError
+    from pedzoo.core.errors import UserError, need
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import SUITES
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
     from pedzoo.eval.results import markdown
     from pedzoo.eval.suite import EvaluationOptions, OwnRecordings
-    from pedzoo.viz.fundamental import plot_density_speed
-    from pedzoo.viz.trajectories import check_plot_path
 
     usage = (
         "pedzoo evaluate POLICY... [--suite SUITE,...] [--quick] [...]\n"
@@ -119,6 +117,9 @@ def run(argv: list[str]) -> int:
         check_outputs(json=options.json)
         return redo(options.policies, options.data.root, options.workers, options.json)
     if options.plot:
+        need("video", "--plot")
+        from pedzoo.viz.trajectories import check_plot_path
+
         check_plot_path(options.plot)
         if "replay" not in _listed(options.suite):
             raise UserError(
@@ -161,6 +162,8 @@ def run(argv: list[str]) -> int:
                 command = ["pedzoo", "evaluate", *argv]
                 write_text(options.markdown, markdown(report, evaluation.shown, command))
             if options.plot and not more:
+                from pedzoo.viz.fundamental import plot_density_speed
+
                 plot_density_speed(report["rows"], options.plot)
             print_pages(report, evaluation.shown)
 

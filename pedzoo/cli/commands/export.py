@@ -46,7 +46,7 @@ def _parser() -> Arguments:
     what.add_argument(
         "--hub", metavar="FOLDER", help="weights, card and README.md, to be uploaded as they are"
     )
-    what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (pip install '.[onnx]')")
+    what.add_argument("--onnx", metavar="FILE", help="a graph, checked against torch (needs the extra onnx)")
     zoo = parser.add_argument_group("with --zoo, of a checkpoint in its run folder")
     zoo.add_argument("--to", metavar="FOLDER", help="where to write (default: zoo)")
     zoo.add_argument("--name", metavar="ARCH.TAG", help="default: the config and the fold, sgan_goal.zara1")
@@ -103,13 +103,16 @@ def _hub(options: argparse.Namespace) -> dict[str, Any]:
 def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     from pathlib import Path
 
+    from pedzoo.core.errors import need
+
+    need("onnx", "--onnx")
+    need("train", "--onnx")  # the check against torch reads recordings
     from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN
     from pedzoo.maps.library import load_plan
-    from pedzoo.models.export.onnx_export import check_packages, export_onnx, save_plan
+    from pedzoo.models.export.onnx_export import export_onnx, save_plan
     from pedzoo.models.zoo.loading import load
     from pedzoo.models.zoo.saved import saved_config
 
-    check_packages()
     model = load(options.model)
     plan = load_plan(options.plan) if options.plan else None
     file, files = Path(options.onnx), [options.onnx]

@@ -14,13 +14,12 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.core.errors import UserError
+    from pedzoo.core.errors import UserError, need
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import METRICS, SCENARIOS
     from pedzoo.eval.comparison import Comparison
     from pedzoo.metrics.closed_loop import NAMES
     from pedzoo.viz.report.episode import Replay
-    from pedzoo.viz.trajectories import check_plot_path, plot_rollouts
     from pedzoo.viz.video import check_video_path, film
 
     usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--physics PHYSICS] [...]\nexample: {EXAMPLE}"
@@ -62,6 +61,9 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
+        need("video", "--plot")
+        from pedzoo.viz.trajectories import check_plot_path
+
         check_plot_path(options.plot)
     if options.video:
         check_video_path(options.video)
@@ -89,6 +91,8 @@ def run(argv: list[str]) -> int:
             raise
         tell()
         if options.plot:
+            from pedzoo.viz.trajectories import plot_rollouts
+
             plot_rollouts(comparison.walked, options.plot, options.show)
             print(f"plot:  {options.plot}")
         if options.video:

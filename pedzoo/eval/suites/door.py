@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
+from pedzoo.sim.make import usual_physics
 
 EPISODES = 200
 
@@ -32,6 +33,6 @@ class Door(Suite):
         """Return the one case."""
         return [
             EvaluationCase(
-                self.name, "door", "door", options.physics or "bullet", options.number(EPISODES), {}
+                self.name, "door", "door", options.physics or usual_physics(), options.number(EPISODES), {}
             )
         ]

@@ -6,6 +6,7 @@ from typing import ClassVar
 from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.maps.library import load_plan
+from pedzoo.sim.make import usual_physics
 
 CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))
 """People and goals of Table II."""
@@ -40,7 +41,7 @@ class Goals(Suite):
         plans = {"drawn": list(DRAWN)}
         if options.maps:
             plans[Path(options.maps[0]).stem if len(options.maps) == 1 else GIVEN] = list(options.maps)
-        physics, episodes = options.physics or "bullet", options.number(EPISODES)
+        physics, episodes = options.physics or usual_physics(), options.number(EPISODES)
         result = []
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)

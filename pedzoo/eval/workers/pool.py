@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
-from importlib.util import find_spec
 from itertools import chain
 from reprlib import repr as short_repr
 from typing import Any, Literal, TypeVar, get_args
@@ -12,7 +11,7 @@ from typing import Any, Literal, TypeVar, get_args
 import cloudpickle
 import torch
 
-from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.errors import UserError, need, unknown
 from pedzoo.eval.workers.jobs import Outcome, packed
 
 J = TypeVar("J")
@@ -62,8 +61,8 @@ def finished(
         raise unknown("backend", backend, get_args(Backend))
     if workers < 1:
         raise UserError(f"workers {workers}: expected at least 1")
-    if backend == "ray" and find_spec("ray") is None:
-        raise UserError("backend ray needs Ray: pip install ray (or use the backend processes)")
+    if backend == "ray":
+        need("ray", "the backend ray")
     groups = grouped(range(len(jobs)) if group is None else [group(job) for job in jobs])
     workers = min(workers, len(jobs))
     if not jobs or (workers == 1 and backend == "processes"):

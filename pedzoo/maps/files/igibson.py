@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, need
 from pedzoo.core.limits import LARGEST_PICTURE, check_limit
 from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
@@ -37,6 +37,7 @@ def read_igibson(
     Raises:
         UserError: An image cannot be read, is not square or of another size, or a setting is out of range.
     """
+    need("video", "a plan of iGibson, which is resized as iGibson does,")
     import cv2
 
     path = Path(path)

@@ -1,5 +1,6 @@
 """Images as floor plans: grey levels of a file, and plain images with a known resolution."""
 
+import math
 import struct
 import warnings
 from pathlib import Path
@@ -24,34 +25,28 @@ def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
     Raises:
         UserError: The file does not exist, is no image, or has more than `LARGEST_PICTURE` pixels.
     """
-    import cv2
+    from PIL import Image, ImageOps
 
     if not file.is_file():
         raise UserError(f"{owner}image {str(file)!r} does not exist")
-    _check_size(file, owner)
-    try:
-        pixels = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    except cv2.error:
-        pixels = None
-    if pixels is None:
-        raise UserError(f"{owner}image {str(file)!r} cannot be read: expected png, pgm or jpg")
-    return np.asarray(pixels, dtype=np.uint8)
-
-
-def _check_size(file: Path, owner: str) -> None:
-    """Check the number of pixels that a file's header states, before a decoder makes place for them."""
-    from PIL import Image
-
     what, remedy = f"{owner}image {str(file)!r}", "reduce it, and give its resolution accordingly"
     check_limit(file.stat().st_size, _LONGEST_FILE, what, "bytes", remedy)
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(file, formats=FORMATS) as image:
-            width, height = image.size
+            # what the header states, before a decoder makes place for it
+            check_limit(image.width * image.height, LARGEST_PICTURE, what, "pixels", remedy)
+            image.draft("L", None)  # of a jpg the brightness itself
+            upright = ImageOps.exif_transpose(image)
+            if upright.mode.startswith("I"):  # 16 bits: the upper half
+                return (np.asarray(upright, dtype=np.int64) >> 8).astype(np.uint8)
+            return np.asarray(upright.convert("L"), dtype=np.uint8)
+    except UserError:
+        raise
     except Image.DecompressionBombError:
-        width = height = LARGEST_PICTURE
-    except (OSError, ValueError, SyntaxError, EOFError, struct.error) as error:
+        check_limit(math.inf, LARGEST_PICTURE, what, "pixels", remedy)
+        raise
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError, struct.error) as error:
         raise UserError(f"{what} cannot be read: expected png, pgm or jpg") from error
-    check_limit(width * height, LARGEST_PICTURE, what, "pixels", remedy)
 
 
 def read_image(

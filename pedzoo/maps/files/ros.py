@@ -3,6 +3,7 @@
 The format: http://wiki.ros.org/map_server, mode trinary.
 """
 
+import io
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -59,8 +60,8 @@ def write_ros(grid: OccupancyGrid, path: Path) -> None:
     Raises:
         UserError: The path does not end in ``.yaml`` or ``.yml``.
     """
-    import cv2
     import yaml
+    from PIL import Image
 
     if path.suffix not in (".yaml", ".yml"):
         raise UserError(f"map file {str(path)!r}: maps are saved as a ROS map yaml, expected a name in .yaml")
@@ -74,8 +75,9 @@ def write_ros(grid: OccupancyGrid, path: Path) -> None:
         "free_thresh": 0.196,
     }
     pixels = np.array([LEVELS[value] for value in range(len(LEVELS))], dtype=np.uint8)[np.flipud(grid.cells)]
-    _, encoded = cv2.imencode(".png", pixels)
-    write_whole(image, encoded.tobytes())
+    encoded = io.BytesIO()
+    Image.fromarray(pixels).save(encoded, "png")
+    write_whole(image, encoded.getvalue())
     write_whole(path, yaml.safe_dump(keys, sort_keys=False).encode())
 
 

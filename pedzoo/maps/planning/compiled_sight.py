@@ -4,7 +4,7 @@ import math
 
 from pedzoo.maps.walls.compiled import compiled
 
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 """Cells: lines between centres miss other centres by far more, unless they meet them."""
 
 
@@ -27,8 +27,8 @@ def clear_lines(leap, width, cells, origin, target, seen):
         while column < steps:
             begin = slope * column
             end = begin + slope
-            low = math.floor(min(begin, end) + _ROUNDING)
-            high = max(math.ceil(max(begin, end) - _ROUNDING) - 1, low)
+            low = math.floor(min(begin, end) + ROUNDING)
+            high = max(math.ceil(max(begin, end) - ROUNDING) - 1, low)
             at = base + column * forward
             room = min(leap[at + low * sideways], leap[at + high * sideways])
             if room == 0:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, installed
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.compiled_guidance import guidance_compiled
 from pedzoo.maps.planning.corners import CornerGraph
@@ -239,7 +239,7 @@ class Planner:
             fastest: No ``pref_speed`` is above it, m/s.
         """
         self._visit(points, goal_id)
-        if self.compiled and points.device.type == "cpu":
+        if self.compiled and points.device.type == "cpu" and installed("numba"):
             table = self._on(points.device)
             return guidance_compiled(
                 self.bank, table, points, goal_id, row, pose, pref_speed, look_ahead_seconds

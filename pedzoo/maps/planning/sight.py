@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from pedzoo.core.errors import installed
+
 _DIAGONAL = 2**0.5
 
 
@@ -30,12 +32,39 @@ class Sight:
 
     def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return which lines (M,) are clear, from and to columns and rows of open cells (M, 2)."""
+        if not installed("numba"):
+            return self._clear_in_numpy(origin.astype(np.int64), target.astype(np.int64))
         from pedzoo.maps.planning.compiled_sight import clear_lines
 
         seen = np.empty(len(origin), dtype=bool)
         ends = (np.ascontiguousarray(end, dtype=np.int32) for end in (origin, target))
         clear_lines(self._leap, self._width, self._cells, *ends, seen)
         return seen
+
+    def _clear_in_numpy(self, origin: NDArray[np.int64], target: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """See `clear_lines`: all lines at once, a leap of each after the other."""
+        from pedzoo.maps.planning.compiled_sight import ROUNDING
+
+        reach = target - origin
+        steep = np.abs(reach[:, 1]) > np.abs(reach[:, 0])
+        along, across = np.where(steep[:, None], reach[:, ::-1], reach).T
+        steps = np.abs(along)
+        slope = across / np.maximum(steps, 1)
+        forward, sideways = np.where(steep, self._width, 1), np.where(steep, 1, self._width)
+        base = origin[:, 1] * self._width + origin[:, 0] + np.where(across == 0, self._cells, 0)
+        base -= np.where(along < 0, forward, 0)
+        forward = np.where(along < 0, -forward, forward)
+        column = np.zeros_like(steps)
+        left = steps.nonzero()[0]
+        while len(left):
+            ends = slope[left] * column[left], slope[left] * (column[left] + 1)
+            low = np.floor(np.minimum(*ends) + ROUNDING).astype(np.int64)
+            high = np.maximum(np.ceil(np.maximum(*ends) - ROUNDING).astype(np.int64) - 1, low)
+            at, side = base[left] + column[left] * forward[left], sideways[left]
+            room = np.minimum(self._leap[at + low * side], self._leap[at + high * side])
+            column[left] += room
+            left = left[(room > 0) & (column[left] < steps[left])]
+        return column >= steps
 
 
 def _room(free: NDArray[np.bool_]) -> NDArray[np.float64]:

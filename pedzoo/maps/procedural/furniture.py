@@ -1,7 +1,7 @@
 """Furniture put into rooms so that nothing blocks a door and all free space stays one."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,14 +189,15 @@ def _beyond(length: int, clearance: int) -> NDArray[np.int64]:
 
 def _eroded(solid: NDArray[np.uint8], clearance: int) -> NDArray[np.uint8]:
     """Return the cells whose centre keeps the clearance from all solid cells."""
-    import cv2
+    from scipy.ndimage import distance_transform_edt
 
-    disk = 1 - _outside(1, 1, clearance)
-    return np.asarray(1 - cv2.dilate(solid, disk, borderValue=1), dtype=np.uint8)
+    away = np.asarray(distance_transform_edt(1 - np.pad(solid, 1, constant_values=1)))[1:-1, 1:-1]
+    # squares of distances between centres are whole numbers
+    return (4 * np.rint(away**2) >= (2 * clearance + 1) ** 2).astype(np.uint8)
 
 
 def _is_one(part: NDArray[np.uint8]) -> bool:
-    import cv2
+    from scipy.ndimage import label
 
-    # 0 is the rest; connected through their sides, as the planner's cells are
-    return cv2.connectedComponents(part, connectivity=4)[0] == 2
+    # connected through their sides, as the planner's cells are
+    return cast("tuple[NDArray[np.int32], int]", label(part))[1] == 1

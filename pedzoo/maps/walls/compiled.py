@@ -12,17 +12,22 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
+from pedzoo.core.errors import installed
 from pedzoo.maps.walls.nearest_boxes import CANDIDATES
 
 
 def compiled(signature: str | None = None) -> Callable[[Any], Any]:
     """Return a decorator that compiles a function: at once for a signature, else when it is first called.
 
-    What is compiled is kept in the package, or in numba's own folder where that cannot be written.
+    What is compiled is kept in the package, or in numba's own folder where that cannot be written. Without
+    numba functions stay as they are: torch answers where it can (`pedzoo.core.machine.compiles`).
     """
+    if not installed("numba"):
+        return lambda function: function
+    import numba
+
     njit: Any = numba.njit
 
     def decorate(function: Any) -> Any:

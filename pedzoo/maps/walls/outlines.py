@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.walls.simplified import simplified
 
 # directions of unit steps along cell edges: right, up, left, down; a left turn adds one
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
@@ -76,13 +77,10 @@ def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
 
 
 def _simplified(polygon: NDArray[np.int64], tolerance: float = 0.5) -> NDArray[np.float64]:
-    import cv2
-
     exact = polygon.astype(np.float64)
     if tolerance <= 0:
         return exact
-    short = cv2.approxPolyDP(polygon.astype(np.float32)[:, None], tolerance, closed=True)[:, 0]
-    short = short.astype(np.float64)
+    short = simplified(exact, tolerance)
     # thin and tiny walls may collapse or turn inside out
     return short if len(short) > 2 and signed_area(short) * signed_area(exact) > 0 else exact
 

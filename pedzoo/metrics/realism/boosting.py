@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pedzoo.core.errors import need
 from pedzoo.maps.walls.compiled import jit
 
 TREES, DEPTH, RATE = 100, 5, 0.1
@@ -48,6 +49,7 @@ def fit(rows: np.ndarray, label: np.ndarray, weight: np.ndarray) -> Trees:
         label: 0 or 1 (N,).
         weight: How much each row counts (N,).
     """
+    need("fast", "a score of realism")
     edges = np.quantile(rows, np.arange(1, BINS) / BINS, axis=0, method="inverted_cdf").T
     edges = np.ascontiguousarray(edges)
     binned, odds = _binned(rows, edges), np.zeros(len(rows))

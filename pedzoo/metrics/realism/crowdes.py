@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pedzoo.core.errors import need
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.compiled import jit
 from pedzoo.metrics.realism.distances import wasserstein
@@ -42,6 +43,7 @@ def columns(mine: Walks, real: Walks) -> dict[str, float]:
     ``crowdes_density``, ``crowdes_coverage``, ``crowdes_population``, ``crowdes_kinematics`` and
     ``crowdes_dtw``: lower is better. ``crowdes_diversity``: higher is better.
     """
+    need("fast", "a score of realism")
     rounds = [
         _columns(Walks(*(value[mine.round == number] for value in mine)), real)
         for number in mine.round.unique().tolist()

@@ -6,7 +6,6 @@ import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ import torch
 
 from pedzoo import __version__
 from pedzoo.core.adapters import untraceable_error
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, need
 from pedzoo.core.paths import write_whole
 from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
@@ -25,9 +24,6 @@ from pedzoo.models.export.graph import Graph, Port
 from pedzoo.models.export.graph_plan import plan_inputs
 from pedzoo.models.export.onnx_parity import Parity, parity
 from pedzoo.models.zoo.loading import config_of
-
-PACKAGES = ("onnx", "onnxscript", "onnxruntime")
-"""The packages of the optional extra ``onnx``."""
 
 _SIZES = {"scenes": 3, "people": 5, "rows": 11, "columns": 13}
 """Sizes that a graph is traced with; it runs with all others, too."""
@@ -61,7 +57,7 @@ def export_onnx(
         UserError: The optional packages are missing, the model cannot be traced, or the graph does not answer
             as torch does. No file is written then.
     """
-    check_packages()
+    need("onnx", "an ONNX graph")
     graph = Graph(model, steps)
     facts = (about or {}) | {
         "config": config_of(model),
@@ -93,16 +89,6 @@ def save_plan(model: Forecaster, grid: OccupancyGrid, path: str | Path) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_whole(Path(path), buffer.getvalue())
-
-
-def check_packages() -> None:
-    """Refuse to go on without the optional packages.
-
-    Raises:
-        UserError: One is missing.
-    """
-    if missing := [name for name in PACKAGES if find_spec(name) is None]:
-        raise UserError(f"ONNX needs {' and '.join(missing)}: pip install '.[onnx]' in a checkout")
 
 
 def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+from pedzoo.core.errors import need
 
-from pedzoo.core.errors import UserError
+need("gym", "pedzoo.sim.gym")
 
-if find_spec("gymnasium") is None:
-    raise UserError("pedzoo.sim.gym needs gymnasium: pip install '.[gym]' in a checkout")
-
-from pedzoo.sim.gym.ids import register_all
+from pedzoo.sim.gym.ids import register_all  # noqa: E402  what it imports has to be there
 
 register_all()

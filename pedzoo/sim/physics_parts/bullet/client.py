@@ -28,9 +28,9 @@ def load_pybullet() -> Any:
             import pybullet
         except ImportError as error:
             raise UserError(
-                "the physics 'bullet' needs pybullet, which is not installed: pip install pybullet (its "
-                "Linux wheels stop at Python 3.11, beyond it needs a C++ compiler), or take "
-                "physics='compiled', which answers the same without it"
+                "the physics 'bullet' needs pybullet, not installed here: pip install 'pedzoo[bullet]' (its "
+                "Linux wheels stop at Python 3.11, beyond it pip install pybullet needs a C++ compiler), or "
+                "take physics='compiled', which answers the same without it"
             ) from error
     return pybullet
 

@@ -1,0 +1,120 @@
+"""The core without its extras: it loads, steps, walks and evaluates, and names what is missing."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pedzoo.core import errors
+from pedzoo.core.errors import UserError
+from pedzoo.maps.planning.sight import Sight
+
+BARE = """
+import json, sys
+import importlib.metadata
+from pedzoo.core.errors import EXTRAS
+
+absent = {module for modules in EXTRAS.values() for module in modules} | {"opencv-python-headless"}
+
+
+class Without:
+    def __init__(self, finder):
+        self.finder = finder
+
+    def find_spec(self, name, path=None, target=None):
+        return None if name.partition(".")[0] in absent else self.finder.find_spec(name, path, target)
+
+    def find_distributions(self, context):
+        known = getattr(self.finder, "find_distributions", None)
+        return [] if known is None or str(context.name).lower() in absent else known(context)
+
+
+sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
+"""
+"""Makes a process one in which no extra is installed."""
+
+WALKS = """
+import pedzoo
+
+controller = pedzoo.load("sgan_goal_map.indoor").controller()
+velocity = controller.step({"ann": (0, 0), "bo": (3, 0)}, goals={"ann": (3, 0), "bo": (0, 0)})
+walked, env = pedzoo.rollout("sgan_goal_map.indoor", "perpendicular:people=2", episodes=1)
+row = pedzoo.evaluate(["go_to_goal"], ["door"], episodes=1)["rows"][0]
+said = {
+    "model": type(pedzoo.load("sgan_goal.zara1")).__name__,
+    "stepped": sorted(velocity),
+    "physics": type(env.physics).__name__,
+    "failed": bool(walked.failed.any()),
+    "episodes": row["n"],
+    "loaded": sorted(absent & sys.modules.keys()),
+}
+print(json.dumps(said))
+"""
+
+COMMANDS = {
+    "fit --config sgan": "train",
+    "forecast constant_velocity": "train",
+    "demo --out OUT": "train",
+    "rollout go_to_goal --plot OUT.png": "video",
+    "rollout go_to_goal --video OUT.webm": "video",
+    "rollout go_to_goal --physics bullet": "bullet",
+    "export constant_velocity --onnx OUT.onnx": "onnx",
+    "evaluate go_to_goal --suite door --quick --workers 2 --backend ray": "ray",
+}
+
+
+def bare(code: str, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PEDZOO_HOME": str(folder)}
+    command = [sys.executable, "-c", BARE + code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
+
+
+def test_the_core_loads_steps_walks_and_evaluates(tmp_path: Path) -> None:
+    done = bare(WALKS, tmp_path)
+    assert done.returncode == 0, done.stderr
+    said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    assert said == {
+        "model": "SGAN",
+        "stepped": ["ann", "bo"],
+        "physics": "Compiled",
+        "failed": False,
+        "episodes": 1,
+        "loaded": [],
+    }
+
+
+def test_commands_name_the_missing_extra_in_one_line(tmp_path: Path) -> None:
+    code = "from pedzoo.cli.main import main\nfor line in sys.argv[1:]: print(main(line.split()))"
+    commands = [line.replace("OUT", str(tmp_path / "out")) for line in COMMANDS]
+    done = bare(code, tmp_path, *commands)
+    assert done.stdout.split() == ["2"] * len(COMMANDS), done.stderr
+    lines = done.stderr.splitlines()
+    assert len(lines) == len(COMMANDS), done.stderr
+    for line, extra in zip(lines, COMMANDS.values(), strict=True):
+        assert "not installed here" in line and f"pip install 'pedzoo[{extra}]'" in line
+
+
+def test_python_is_told_as_the_command_line_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(errors, "find_spec", lambda name: None)
+    for extra in errors.EXTRAS:
+        with pytest.raises(UserError, match=rf"^this needs \w.*pip install 'pedzoo\[{extra}\]'$"):
+            errors.need(extra, "this")
+    assert (
+        errors.missing_extra(ModuleNotFoundError("No module named 'of_ones_own'", name="of_ones_own")) is None
+    )
+
+
+def test_lines_of_sight_without_numba_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    sight = Sight(is_open := rng.random((40, 60)) < 0.9)
+    cells = np.argwhere(is_open)[:, ::-1].astype(np.int32)
+    origin, target = cells[rng.integers(0, len(cells), (2, 3000))]
+    compiled = sight.clear(origin, target)
+    monkeypatch.setattr("pedzoo.maps.planning.sight.installed", lambda module: False)
+    assert (sight.clear(origin, target) == compiled).all()
+    assert 0.02 < compiled.mean() < 0.9
