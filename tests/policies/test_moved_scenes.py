@@ -50,16 +50,8 @@ def walked(
     return np.stack(result)
 
 
-@pytest.mark.parametrize(
-    ("name", "indoors"),
-    # where forces of walls and people balance, the last digit decides: not by social_force indoors
-    [
-        (name, indoors)
-        for indoors in (False, True)
-        for name in WALKERS
-        if (name, indoors) != ("social_force", True)
-    ],
-)
+@pytest.mark.parametrize("indoors", [False, True])
+@pytest.mark.parametrize("name", WALKERS)
 def test_walks_are_the_same_1_km_and_500_km_away(name: str, indoors: bool) -> None:
     """Six people who meet; 4,650 km is how far north map projections put central Europe."""
     column = np.arange(6)
@@ -68,10 +60,13 @@ def test_walks_are_the_same_1_km_and_500_km_away(name: str, indoors: bool) -> No
     grid = load_plan("flat") if indoors else None
     near = walked(name, begin, goals, grid)
     assert np.abs(near[-1] - begin).max() > 1
-    for offset in ([1000.0, -700.0], [500_000.37, 4_649_776.11]):
+    offsets = [[1000.0, -700.0], [1234.56, 987.65], [500_000.37, 4_649_776.11]]
+    # double precision has 1 nm there, and where forces of walls and people balance, the last digit decides
+    exact = (name, indoors) == ("social_force", True)
+    for offset in offsets[:2] if exact else offsets[::2]:
         moved = grid and replace(grid, origin=(*np.add(grid.origin[:2], offset).tolist(), grid.origin[2]))
         far = walked(name, begin + offset, goals + offset, moved)
-        assert np.abs(far - offset - near).max() < 5e-3
+        assert np.abs(far - offset - near).max() < (1e-8 if exact else 5e-3)
 
 
 @pytest.mark.parametrize(

@@ -116,6 +116,14 @@ def as_points(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64] =
     return torch.from_numpy(points)
 
 
+def as_places(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64]) -> Tensor:
+    """Return `as_points` in whole micrometres: those of a scene that was moved are the very same.
+
+    Less the origin, the last digits tell how far away a scene is, and where forces balance they decide.
+    """
+    return as_points(given, what, origin).round(decimals=6)
+
+
 def _is_pair(xy: Any) -> bool:
     try:
         return np.asarray(xy, dtype=np.float64).shape == (2,)

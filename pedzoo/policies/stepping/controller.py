@@ -23,7 +23,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
-from pedzoo.policies.stepping.called_with import PREF_SPEED, ZERO, as_discs, as_points, origin_of
+from pedzoo.policies.stepping.called_with import PREF_SPEED, ZERO, as_discs, as_places, as_points, origin_of
 from pedzoo.policies.stepping.caller_clock import CallerClock, times
 from pedzoo.policies.stepping.online_goals import OnlineGoals
 from pedzoo.policies.stepping.roster import Roster
@@ -171,7 +171,7 @@ class Controller:
         if present and not (self._agents.row or online_goals.planner.bank.grids):
             online_goals = online_goals._replace(origin=origin_of(present[agents.ids[0]]))
         position = agents.past.new_empty(len(present), 2)
-        position[agents.rows(present)] = as_points(present, "position", online_goals.origin).float()
+        position[agents.rows(present)] = as_places(present, "position", online_goals.origin).float()
         # on the way since the last call, or at once for a new goal
         agents = agents.arrived(agents.past[:, -1], position)
         asked, new = _of(people, goals), agents.is_new

@@ -15,7 +15,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import AHEAD_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
-from pedzoo.policies.stepping.called_with import as_points
+from pedzoo.policies.stepping.called_with import as_places
 from pedzoo.policies.stepping.roster import Roster
 
 _KEPT = 64
@@ -53,7 +53,7 @@ class OnlineGoals(NamedTuple):
             UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
         """
         given = {one: goal for one, goal in goals.items() if goal is not None}
-        rows, points = people.rows(given), as_points(given, "goal", self.origin)
+        rows, points = people.rows(given), as_places(given, "goal", self.origin)
         known = len(given) == len(goals) and torch.equal(people.goal[rows], points)
         if known and not people.is_new.any():
             return self, people
