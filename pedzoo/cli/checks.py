@@ -15,7 +15,7 @@ from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
 from pedzoo.cli.words import given, split_names, unknown_option
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.errors import UserError, need, unknown
 from pedzoo.core.paths import find_config
 from pedzoo.core.registry import (
     MODELS,
@@ -37,6 +37,7 @@ ROBOT_MODULES = "pedzoo.train.robots."
 """Where the classes are that train robots."""
 
 _TRAININGS = ("fit", "validate", "test")
+_NEEDS = {"--plot": "video", "--video": "video"}  # extras
 
 
 @cache
@@ -55,6 +56,9 @@ def check(command: str, argv: list[str]) -> None:
         return
     argv = renamed.new_options(argv)
     _check_options(command, argv)
+    for option, extra in _NEEDS.items():
+        if given(argv, option) not in (None, "", "null"):
+            need(extra, option)
     check_outputs(**{name: given(argv, f"--{name}") for name in ("json", "markdown", "plot", "video")})
     words = [*argv, "--"]
     first = words[: next(i for i, word in enumerate(words) if word.startswith("-"))]

@@ -57,11 +57,11 @@ print(json.dumps(said))
 """
 
 COMMANDS = {
+    "rollout go_to_goal --plot OUT.png": "video",
+    "rollout go_to_goal --video OUT.webm": "video",
     "fit --config sgan": "train",
     "forecast constant_velocity": "train",
     "demo --out OUT": "train",
-    "rollout go_to_goal --plot OUT.png": "video",
-    "rollout go_to_goal --video OUT.webm": "video",
     "rollout go_to_goal --physics bullet": "bullet",
     "export constant_velocity --onnx OUT.onnx": "onnx",
     "evaluate go_to_goal --suite door --quick --workers 2 --backend ray": "ray",
@@ -89,10 +89,13 @@ def test_the_core_loads_steps_walks_and_evaluates(tmp_path: Path) -> None:
 
 
 def test_commands_name_the_missing_extra_in_one_line(tmp_path: Path) -> None:
-    code = "from pedzoo.cli.main import main\nfor line in sys.argv[1:]: print(main(line.split()))"
+    code = "from pedzoo.cli.main import main\n"
+    code += "for line in sys.argv[1:]: print(main(line.split()), 'torch' in sys.modules)"
     commands = [line.replace("OUT", str(tmp_path / "out")) for line in COMMANDS]
     done = bare(code, tmp_path, *commands)
-    assert done.stdout.split() == ["2"] * len(COMMANDS), done.stderr
+    said = [line.split() for line in done.stdout.splitlines()]
+    assert [code for code, _ in said] == ["2"] * len(COMMANDS), done.stderr
+    assert said[0] == said[1] == ["2", "False"]  # at once
     lines = done.stderr.splitlines()
     assert len(lines) == len(COMMANDS), done.stderr
     for line, extra in zip(lines, COMMANDS.values(), strict=True):
