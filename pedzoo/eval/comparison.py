@@ -57,6 +57,7 @@ class Comparison:
         device: str = "cpu",
         metrics: Sequence[str] = (),
         keep_episodes: int = 0,
+        deadline: float | None = None,
     ) -> None:
         """Build all policies and their environments, so that a misspelt one is found before any has walked.
 
@@ -74,6 +75,8 @@ class Comparison:
             device: Where scenes and models are, such as ``cuda``.
             metrics: Metrics of your own, as ``path/to/file.py:f``, beside the shipped ones.
             keep_episodes: So many episodes keep their positions in the report, for ``pedzoo report``.
+            deadline: Seconds that people have for every goal; by default four times as many as their way
+                takes freely, at least 20.
 
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
@@ -84,7 +87,7 @@ class Comparison:
             raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")
         self._metrics, self._kept = metrics, keep_episodes
         settings = {"warm_start": warm_start, "clearance": clearance}
-        settings |= {"decision_dt": decision_dt, "device": device}
+        settings |= {"decision_dt": decision_dt, "device": device, "deadline": deadline}
         self._prepared = {}
         self.walked: list[PolicyRollout] = []
         made: Scenario | PreparedScenario = make_scenario(scenario)

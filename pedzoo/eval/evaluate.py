@@ -1,5 +1,6 @@
 """The closed-loop evaluation: policies on suites of cases, in parts that are kept, resumed and shared out."""
 
+import math
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
@@ -25,7 +26,7 @@ from pedzoo.sim.make import physics_class
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
 
-_IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance")
+_IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance", "deadline")
 """Options that a protocol names only where they are given."""
 
 
@@ -49,6 +50,7 @@ def evaluate(
     own: OwnRecordings | None = None,
     keep_episodes: int = 0,
     clearance: float | None = None,
+    deadline: float | None = None,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
@@ -78,6 +80,8 @@ def evaluate(
         own: Recordings of one's own, which ``replay`` walks instead of folds.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
         clearance: Metres that planned ways keep from walls; None for the suites' own. Not of robots.
+        deadline: Seconds that people have for every goal; by default four times as many as their way takes
+            freely, at least 20. Not of robots and recordings.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file that keeps finished parts: what is in it is not done again.
@@ -97,7 +101,8 @@ def evaluate(
         (one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds, people)
     )
     given = episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device
-    options = EvaluationOptions(*given, columns, recorded, walkers, robot, own, keep_episodes, clearance)
+    more = robot, own, keep_episodes, clearance, deadline
+    options = EvaluationOptions(*given, columns, recorded, walkers, *more)
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
@@ -157,6 +162,8 @@ class Evaluation:
                 physics_class(case.physics).check()
                 if self.options.clearance is not None:
                     case = case._replace(clearance=self.options.clearance)
+                if suite.warm_start != "recorded":  # people of recordings have the time that they took there
+                    case = case._replace(deadline=self.options.deadline)
                 units = suite.units(case, self._policies, self._seeds, deterministic)
                 self.units += [unit._replace(**given) for unit in units]
         self._digests = [digest(unit) for unit in self.units]
@@ -236,6 +243,11 @@ def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
             raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
         if options.clearance < 0:
             raise UserError(f"clearance {options.clearance}: expected at least 0 m")
+    if options.deadline is not None:
+        if any("robot" in suite.accepted_options for suite in suites):
+            raise UserError("deadline: robots have their own times: leave it or robots out")
+        if not 0 < options.deadline < math.inf:
+            raise UserError(f"deadline {options.deadline}: expected a number of seconds above 0")
     for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [

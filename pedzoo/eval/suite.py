@@ -60,6 +60,7 @@ class EvaluationOptions(NamedTuple):
         own: Recordings of one's own instead of folds.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
         clearance: Metres that planned ways keep from walls; None for the suites' own.
+        deadline: Seconds that people have for every goal; None as `pedzoo.make_env` says. Not of recordings.
     """
 
     episodes: int | None = None
@@ -76,6 +77,7 @@ class EvaluationOptions(NamedTuple):
     own: OwnRecordings | None = None
     keep_episodes: int = 0
     clearance: float | None = None
+    deadline: float | None = None
 
     def number(self, usual: int) -> int:
         """Return how many episodes a case has whose suite has ``usual`` ones."""
@@ -99,6 +101,7 @@ class EvaluationCase(NamedTuple):
         people: Policy of people beside a robot; empty where there is none, or people are played back.
         robot: The robot's body; empty where there is none.
         clearance: Metres that planned ways keep from walls.
+        deadline: Seconds for every goal; None as `pedzoo.make_env` says.
     """
 
     suite: str
@@ -114,6 +117,7 @@ class EvaluationCase(NamedTuple):
     people: str = ""
     robot: str = ""
     clearance: float = CLEARANCE
+    deadline: float | None = None
 
 
 class WorkUnit(NamedTuple):
@@ -237,8 +241,9 @@ def walked(
     ``episodes`` are those of every seed; ``tell`` is called with the share that is done.
     """
     for number, seed in enumerate(seeds):
-        where = {"device": unit.device, "clearance": unit.case.clearance}
-        policy, env = prepare(unit.walks, scenario, unit.case.physics, episodes, seed, **where)
+        case = unit.case
+        where = {"device": unit.device, "clearance": case.clearance, "deadline": case.deadline}
+        policy, env = prepare(unit.walks, scenario, case.physics, episodes, seed, **where)
 
         def share(name: str, done: int, total: int, number: int = number) -> None:
             if tell:

@@ -56,10 +56,16 @@ def planned(way: Tensor) -> Tensor:
     return (way.detach() - GOAL_RADIUS).clamp_min(0)
 
 
-def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor) -> Tensor:
+def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor, seconds: float | None = None) -> Tensor:
     """Return when a goal at the end of ``way`` (B, A) must be reached: four times the time that it takes.
 
     At least 20 s from ``clock`` (B,), the end of the decision in which the goal was drawn; everything in
-    seconds and metres.
+    seconds and metres. Where ``seconds`` are given, there are so many for every goal instead.
     """
-    return clock.unsqueeze(1) + torch.clamp(WAYS * way / pref_speed, min=LEAST_SECONDS)
+    ways, least = limits(seconds)
+    return clock.unsqueeze(1) + torch.clamp(ways * way / pref_speed, min=least)
+
+
+def limits(seconds: float | None) -> tuple[float, float]:
+    """Return how many times the way's own time people have for a goal, and how many seconds at least."""
+    return (WAYS, LEAST_SECONDS) if seconds is None else (0.0, seconds)

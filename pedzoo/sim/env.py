@@ -66,6 +66,7 @@ class PedestrianEnv(EnvBase):
         stride: int | None = None,
         body_radius: float = BODY_RADIUS,
         device: torch.device | str = "cpu",
+        deadline: float | None = None,
     ) -> None:
         """Take a prepared scenario and the physics that moves them; `pedzoo.make_env` does both.
 
@@ -81,15 +82,15 @@ class PedestrianEnv(EnvBase):
                 and ``num_envs`` times the number of workers where several share a seed.
             body_radius: Of a person, metres.
             device: Where scenes are, and everything that they are looked up in.
+            deadline: Seconds that people have for every goal; see `pedzoo.make_env`.
 
         Raises:
             UserError: A setting is out of range.
         """
         trace_points = round(decision_dt / TRACE_SECONDS) if 0 < decision_dt <= WARM_SECONDS + 1e-6 else 0
         if trace_points < 1 or abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
-            raise UserError(
-                f"decision_dt {decision_dt}: expected a multiple of {TRACE_SECONDS} s up to {WARM_SECONDS} s"
-            )
+            most = f"{TRACE_SECONDS} s up to {WARM_SECONDS} s"
+            raise UserError(f"decision_dt {decision_dt}: expected a multiple of {most}")
         if prepared.script is not None and TRACE_PER_STEP % trace_points:
             raise UserError(
                 f"decision_dt {decision_dt}: people of recordings come and are handed over every "
@@ -103,7 +104,7 @@ class PedestrianEnv(EnvBase):
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
         smallest = min(body_radius, self.scenario.smallest_radius or body_radius)
         fine = substeps(prepared.fastest_agent, smallest)
-        self.rules = kernel.rules_of(prepared, trace_points, fine, self.device)
+        self.rules = kernel.rules_of(prepared, trace_points, fine, self.device, deadline)
         self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
         self._first, self._stride = first_episode, num_envs if stride is None else stride
         self._scenes: Scenes | None = None

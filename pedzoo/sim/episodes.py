@@ -90,8 +90,9 @@ class Episodes:
         waits = state._replace(clock=clock).holds
         stays = waits & state.stands.isinf() & (state.next_goal < 0)
         if until is None:
-            patience = self._prepared.scenario.patience
-            until = deadline(clock, remaining_path, state.pref_speed).clamp_min(patience)
+            until = deadline(clock, remaining_path, state.pref_speed, self._rules.deadline)
+            if self._rules.deadline is None:
+                until = until.clamp_min(self._prepared.scenario.patience)
         position, past = state.position, state.past
         if velocity is None:
             velocity = (position - past[:, :, -2]) / TRACE_SECONDS

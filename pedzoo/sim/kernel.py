@@ -7,6 +7,7 @@ not move people: it takes the blending and the scene batch from here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC
+from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, limited
 from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
@@ -61,6 +63,7 @@ class Rules:
             accelerations are not looked at.
         waits: The scenario whose people wait at places; None for none.
         script: Plays recorded people back; None for none.
+        deadline: Seconds for every goal; None as `pedzoo.sim.arrival.deadline` says.
     """
 
     guidance: Callable[[State], Guidance]
@@ -72,18 +75,32 @@ class Rules:
     wheels: bool = False
     waits: Scenario | None = None
     script: Playback | None = None
+    deadline: float | None = None
 
 
 def rules_of(
-    prepared: PreparedScenario, ticks: int, substeps: int, device: torch.device | str = "cpu"
+    prepared: PreparedScenario,
+    ticks: int,
+    substeps: int,
+    device: torch.device | str = "cpu",
+    deadline: float | None = None,
 ) -> Rules:
-    """Return the rules of a scenario for decisions of S ``ticks``, for scenes on a device."""
+    """Return the rules of a scenario for decisions of S ``ticks``, for scenes on a device.
+
+    Raises:
+        UserError: A deadline that is no time, or one for people of recordings, who have their own.
+    """
     scenario, script = prepared.scenario, prepared.script
+    if deadline is not None and not 0 < deadline < math.inf:
+        raise UserError(f"deadline {deadline}: expected a number of seconds above 0")
+    if deadline is not None and script is not None:
+        raise UserError(f"deadline {deadline}: people of recordings have the time that they took there")
     guidance, leave = partial(_guidance, prepared), scenario.finished == "leave"
     if script is not None:
         script = script.to(device)
     waits = scenario if scenario.waits else None
-    return Rules(guidance, ticks, substeps, scenario.goals, leave, False, scenario.wheels, waits, script)
+    fixed = ticks, substeps, scenario.goals, leave, False, scenario.wheels
+    return Rules(guidance, *fixed, waits, script, deadline)
 
 
 def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
@@ -153,9 +170,8 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     reached = state.reached.unsqueeze(-1) + hits
     done = reached[..., -1] >= rules.goals
     if script is None:
-        until = torch.where(
-            hit | taken_over, deadline(after.clock, remaining_path.detach(), after.pref_speed), after.deadline
-        )
+        given = deadline(after.clock, remaining_path.detach(), after.pref_speed, rules.deadline)
+        until = torch.where(hit | taken_over, given, after.deadline)
         ended = (done | ~state.mask).all(1)
         over = done | after.overdue | ~state.mask
         settled = (over if waits is None else over | after.stands.isinf()).all(1) | failed

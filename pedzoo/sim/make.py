@@ -33,6 +33,7 @@ def make_env(
     first_episode: int = 0,
     stride: int | None = None,
     device: torch.device | str = "cpu",
+    deadline: float | None = None,
 ) -> PedestrianEnv:
     """Return the environment of a scenario.
 
@@ -51,14 +52,17 @@ def make_env(
         first_episode: Number of the first scene.
         stride: From a scene that ends to the next one, ``num_envs`` by default; see `PedestrianEnv`.
         device: Where scenes are, and everything that they are looked up in.
+        deadline: Seconds that people have for every goal. By default four times as many as their way takes
+            freely, at least 20, and in `room_exit` what the crowd needs. Not for people of recordings.
 
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
     prepared = prepare_scenario(scenario, clearance)
     moves = make_physics(physics, prepared.bank, body_radius)
+    when = first_episode, stride
     return PedestrianEnv(
-        prepared, moves, num_envs, seed, decision_dt, warm_start, first_episode, stride, body_radius, device
+        prepared, moves, num_envs, seed, decision_dt, warm_start, *when, body_radius, device, deadline
     )
 
 

@@ -547,3 +547,15 @@ def test_the_clearance_is_that_of_all_cases_but_those_of_robots() -> None:
         Evaluation(["straight"], ["robots"], EvaluationOptions(clearance=0.2))
     with pytest.raises(UserError, match="clearance -1: expected at least 0 m"):
         Evaluation(["go_to_goal"], ["door"], EvaluationOptions(clearance=-1))
+
+
+def test_a_deadline_ends_all_episodes_but_those_of_recordings() -> None:
+    report = pedzoo.evaluate(["go_to_goal"], ["door"], episodes=1, physics="compiled", deadline=1.0)
+    assert {row["metrics"]["success"] for row in report["rows"]} == {0.0}
+    assert report["protocol"]["deadline"] == 1.0
+    units = Evaluation(["go_to_goal"], ["door", "replay"], EvaluationOptions(deadline=9.0)).units
+    assert {(unit.case.suite, unit.case.deadline) for unit in units} == {("door", 9.0), ("replay", None)}
+    with pytest.raises(UserError, match="deadline: robots have their own times"):
+        Evaluation(["straight"], ["robots"], EvaluationOptions(deadline=9.0))
+    with pytest.raises(UserError, match="deadline -1: expected a number of seconds above 0"):
+        Evaluation(["go_to_goal"], ["door"], EvaluationOptions(deadline=-1))

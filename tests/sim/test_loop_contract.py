@@ -172,6 +172,25 @@ def test_time_limits_and_how_scenes_end() -> None:
     assert 0.4 * (first + 1) > float(env.state.deadline[0].max())
 
 
+@pytest.mark.parametrize("physics", ["compiled", "torch"])
+def test_a_deadline_of_ones_own_is_that_of_every_goal(physics: str) -> None:
+    env = make_env("goals:people=2,goals=2", physics=physics, deadline=200.0)
+    now, policy = env.reset(), GoToGoal()
+    assert (env.state.deadline == 200).all()
+    while not env.state.reached.any():
+        now = step_mdp(env.step(policy(now)))
+    begun = torch.where(env.state.reached > 0, env.state.clock.unsqueeze(1), 0.0)
+    assert torch.allclose(env.state.deadline, begun + 200) and begun.any()
+
+
+def test_deadlines_that_cannot_be() -> None:
+    for given in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(UserError, match="expected a number of seconds above 0"):
+            make_env("door", deadline=given)
+    with pytest.raises(UserError, match=r"deadline 5\.0: people of recordings have the time"):
+        make_env("replay:fold=embedded", deadline=5.0)
+
+
 @pytest.mark.parametrize(("deadline", "overdue"), [(0.3, False), (0.15, True)])
 def test_deadlines_lie_between_decisions_too(deadline: float, overdue: bool) -> None:
     """The goal is reached 0.2 s into a decision of 0.4 s."""

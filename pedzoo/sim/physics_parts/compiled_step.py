@@ -12,7 +12,7 @@ from pedzoo.core.machine import compiles
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.arrival import LEAST_SECONDS, WAYS
+from pedzoo.sim.arrival import limits
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.physics_parts.compiled import integration
 from pedzoo.sim.state import State
@@ -73,7 +73,7 @@ def step_compiled(
     settle(
         *(value.detach().numpy() for value in inputs),
         now, bad, state.mask.numpy(), happened, marks, numbers,
-        rules.goals, WAYS, LEAST_SECONDS, GOAL_RADIUS, CONTACT_COST,
+        rules.goals, *limits(rules.deadline), GOAL_RADIUS, CONTACT_COST,
         lengths.numpy(), ends.numpy(), state.reached.numpy(), reached.numpy(),
     )  # fmt: skip
     remaining_path, planned, deadline, reward = lengths.unbind()
