@@ -1,0 +1,181 @@
+"""Kills: trainings that are killed at random moments, whole or one process of two, and resumed to their end.
+
+    python -m tools.reliability.kills --trainings 10
+
+Weights and ``metrics.csv`` are compared with those of a training that nobody killed. When training ``i`` is
+killed is drawn from ``i``. ``kills.json`` says what was done; a later call goes on there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pedzoo.core.paths import write_whole
+from pedzoo.train.metrics_file import rows_of
+
+STATE = Path("kills.json")
+ROOT = Path(__file__).parents[2]
+
+SHORT = ["--data.fold", "embedded", "--data.loading.batch_size=8", "--trainer.enable_progress_bar=false"]
+SHORT += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=8"]
+SHORT += ["--model.samples=2", "--trainer.accelerator=cpu"]
+TWO = ["--trainer.devices=2", "--trainer.strategy=ddp_find_unused_parameters_true"]
+SGAN = ["--config", "sgan", *SHORT]
+PPO = ["--config", "ppo/sgan_goal", "--weights", "sgan_goal.eth_ucy", *SHORT, "--rollout.episodes=2"]
+PPO += ["--model.collection.envs=2", "--model.collection.steps=3", "--model.optimisation.passes=2"]
+PPO += ["--model.optimisation.minibatches=2", "--model.scenarios=[hallway]", "--rollout.scenarios=hallway"]
+
+TRAININGS: Mapping[str, list[str]] = {
+    "sgan": SGAN,
+    "sgan in two processes": [*SGAN, *TWO],
+    "PPO in two processes": [*PPO, *TWO],
+}
+
+KILLS = 2
+"""Of one training."""
+
+PATIENCE = 120.0
+"""Seconds in which a training ends by itself of which one process was killed."""
+
+
+class Training:
+    """A training at the command line, whose processes are a group of their own."""
+
+    def __init__(self, words: list[str], folder: Path) -> None:
+        """Start it in a folder."""
+        self._said = folder / "said.txt"
+        gone = ("LOCAL_RANK", "NODE_RANK", "PEDZOO_RUN")
+        env = {key: value for key, value in os.environ.items() if key not in gone}
+        with self._said.open("w") as said:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "pedzoo.cli.main", "fit", *words],
+                cwd=folder,
+                env=env | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+                stdout=said,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def wait_until_it_trains(self) -> float:
+        """Return when the first epoch begins, or the training has ended; seconds of a clock."""
+        while "run folder:" not in self._said.read_text() and self.process.poll() is None:
+            time.sleep(0.01)
+        return time.monotonic()
+
+    def others(self) -> list[int]:
+        """Return the numbers of its living processes but the first."""
+        result = []
+        for file in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                state, _, group = file.read_text().rpartition(")")[2].split()[:3]
+            except OSError:
+                continue
+            if int(group) == self.process.pid != int(file.parent.name) and state != "Z":
+                result.append(int(file.parent.name))
+        return result
+
+    def kill(self, whom: str) -> bool:
+        """Kill ``all``, the ``first`` or a ``second`` process; return whether the rest ended by itself."""
+        second = self.others() if whom == "second" else []
+        if whom == "all" or (whom == "second" and not second):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        else:
+            os.kill(second[0] if second else self.process.pid, signal.SIGKILL)
+        late = time.monotonic() + PATIENCE
+        while (self.process.poll() is None or self.others()) and time.monotonic() < late:
+            time.sleep(0.05)
+        if alone := self.process.poll() is not None and not self.others():
+            return alone
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        return False
+
+
+def outcome(run: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """Return weights and rows of a run that is done."""
+    return torch.load(run / "checkpoints" / "last.ckpt")["state_dict"], rows_of(run / "metrics.csv")
+
+
+def whole(words: list[str], folder: Path) -> tuple[Path, float]:
+    """Return the run of a training that nobody kills, and how many seconds it trained."""
+    training = Training(words, folder)
+    began = training.wait_until_it_trains()
+    if training.process.wait():
+        raise SystemExit(f"{folder / 'said.txt'}: it does not train")
+    return next(folder.glob("runs/*/*")), time.monotonic() - began
+
+
+def killed(words: list[str], folder: Path, seconds: float, draw: np.random.Generator) -> dict[str, Any]:
+    """Kill a training some times, resume it each time, and return what became of it."""
+    result: dict[str, Any] = {"kills": 0, "not ended by itself": 0, "wrong": ""}
+    victims = ("all", "first", "second") if "--trainer.devices=2" in words else ("all",)
+    asked = words
+    for number in range(KILLS + 1):
+        training = Training(asked, folder)
+        training.wait_until_it_trains()
+        if number < KILLS:
+            time.sleep(draw.uniform(0, seconds))
+        if number < KILLS and training.process.poll() is None:
+            result["kills"] += 1
+            result["not ended by itself"] += not training.kill(str(draw.choice(victims)))
+        elif training.process.wait():
+            return result | {"wrong": (folder / "said.txt").read_text()[-2000:]}
+        else:
+            break
+        runs = sorted(folder.glob("runs/*/*"), key=lambda path: path.stat().st_mtime)
+        saved = [run for run in runs if (run / "checkpoints" / "last.ckpt").is_file()]
+        asked = ["--resume", str(saved[-1].relative_to(folder))] if saved else words
+    return result
+
+
+def difference(run: Path, other: Path) -> str:
+    """Return in words what is different in two runs, nothing where all is equal."""
+    (weights, rows), (others, other_rows) = outcome(run), outcome(other)
+    unlike = [key for key in weights if not torch.equal(weights[key], others[key])]
+    return f"weights {unlike}" if unlike else "" if rows == other_rows else "metrics.csv"
+
+
+def main() -> None:
+    """Go on until every kind of training was killed and resumed so often."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trainings", type=int, default=10, help="of each kind")
+    parser.add_argument("--kinds", nargs="*", default=list(TRAININGS), choices=list(TRAININGS))
+    options = parser.parse_args()
+    state: dict[str, list[dict[str, Any]]] = json.loads(STATE.read_text()) if STATE.is_file() else {}
+    for kind in options.kinds:
+        done, words = state.setdefault(kind, []), TRAININGS[kind]
+        home = Path("kills", kind.replace(" ", "_"))
+        while len(done) < options.trainings:
+            shutil.rmtree(home, ignore_errors=True)
+            for name in ("whole", "killed"):
+                (home / name).mkdir(parents=True)
+            expected, seconds = whole(words, home / "whole")
+            while len(done) < options.trainings:
+                draw = np.random.default_rng([len(done), *kind.encode()])
+                result = killed(words, home / "killed", seconds, draw)
+                runs = sorted((home / "killed").glob("runs/*/*"), key=lambda path: path.stat().st_mtime)
+                result["wrong"] = result["wrong"] or difference(runs[-1], expected)
+                done.append(result)
+                write_whole(STATE, f"{json.dumps(state, indent=1)}\n".encode())
+                print(kind, result, flush=True)
+                shutil.rmtree(home / "killed")
+                (home / "killed").mkdir()
+    if any(one["wrong"] or one["not ended by itself"] for kind in state.values() for one in kind):
+        raise SystemExit("something was lost, or went on alone")
+
+
+if __name__ == "__main__":
+    main()
