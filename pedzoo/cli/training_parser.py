@@ -130,11 +130,13 @@ class RunCLI(LightningCLI):
         except SystemExit as error:
             stop = error.__context__
             if isinstance(stop, KeyboardInterrupt) and self.trainer.is_global_zero:
-                saved = run and run.last.is_file()
-                how = f"; continue with: pedzoo fit --resume {run.path}" if run and saved else ""
-                print(f"\ninterrupted{how or ', nothing saved yet'}", flush=True)
+                print(f"\ninterrupted{_how_to_go_on(run) or ', nothing saved yet'}", flush=True)
                 if str(stop) == "SIGUSR1":
                     print(run_again(), flush=True)
+            raise
+        except Exception:  # such as that of a process whose neighbour was killed
+            if self.trainer.is_global_zero and (how := _how_to_go_on(run)):
+                print(f"\nbroken off{how}", flush=True)
             raise
 
     def plain_config(self) -> dict[str, Any]:
@@ -142,3 +144,7 @@ class RunCLI(LightningCLI):
         result = yaml.safe_load(self.parser.dump(self.config, skip_none=False))
         result = with_classes(result, file_path)
         return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}
+
+
+def _how_to_go_on(run: RunFolder | None) -> str:
+    return f"; continue with: pedzoo fit --resume {run.path}" if run and run.last.is_file() else ""

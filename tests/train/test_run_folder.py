@@ -184,12 +184,18 @@ def test_runs_that_cannot_be_written(place: str, capsys: pytest.CaptureFixture[s
 def test_a_full_disk_is_said_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def full(*_: Any, **settings: Any) -> None:
-        raise OSError(28, "No space left on device", "last.ckpt")
+    save = WholeCheckpoints.save_checkpoint
+
+    def full(self: WholeCheckpoints, checkpoint: dict[str, Any], path: Any, **settings: Any) -> None:
+        if checkpoint["epoch"]:
+            raise OSError(28, "No space left on device", "last.ckpt")
+        save(self, checkpoint, path, **settings)
 
     monkeypatch.setattr(WholeCheckpoints, "save_checkpoint", full)
-    assert main(FIT) == 2
-    assert capsys.readouterr().err.endswith("pedzoo: cannot write last.ckpt: No space left on device\n")
+    assert main([*FIT, "--trainer.max_epochs", "2"]) == 2
+    said, error = capsys.readouterr()
+    assert error.endswith("pedzoo: cannot write last.ckpt: No space left on device\n")
+    assert f"broken off; continue with: pedzoo fit --resume {RUN}\n" in said
 
 
 @pytest.fixture
