@@ -11,7 +11,7 @@ from pedzoo.models.base import Forecaster as _Forecaster
 from pedzoo.models.zoo.loading import list_models as _list_models
 from pedzoo.models.zoo.loading import load as _load
 
-dependencies = ["torch", "lightning", "torchrl", "tensordict", "safetensors", "scipy", "yaml"]
+dependencies = ["torch", "torchrl", "tensordict", "jsonargparse", "safetensors", "scipy", "yaml"]
 
 
 def _family(name: str) -> _Callable[..., _Forecaster]:
