@@ -37,6 +37,7 @@ SGAN = ["--config", "sgan", *SHORT]
 PPO = ["--config", "ppo/sgan_goal", "--weights", "sgan_goal.eth_ucy", *SHORT, "--rollout.episodes=2"]
 PPO += ["--model.collection.envs=2", "--model.collection.steps=3", "--model.optimisation.passes=2"]
 PPO += ["--model.optimisation.minibatches=2", "--model.scenarios=[hallway]", "--rollout.scenarios=hallway"]
+PPO += ["--monitor=val/ade", "--monitor_mode=min", "--trainer.check_val_every_n_epoch=1"]
 
 TRAININGS: Mapping[str, list[str]] = {
     "sgan": SGAN,
