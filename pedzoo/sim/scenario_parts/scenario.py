@@ -145,7 +145,9 @@ class Scenario(ABC):
             UserError: No people or too many, or a speed that is too slow or not finite.
         """
         if not 1 <= people <= MOST_PEOPLE:
-            raise UserError(f"people {people:.5g}: expected 1 to {MOST_PEOPLE:,}")
+            # thousands of digits are neither a float nor a text
+            given = people if abs(people) < 10**9 else "beyond all use"
+            raise UserError(f"people {given}: expected 1 to {MOST_PEOPLE:,}")
         if not (SLOWEST <= speed < math.inf and 0 <= speed_std < math.inf):
             raise UserError(
                 f"speed {speed}, speed_std {speed_std}: expected at least {SLOWEST} and 0 (metres per second)"
