@@ -153,6 +153,7 @@ RECIPES = [
     ),
     *(Recipe(f"{half}/sgan_goal", EVERYTHING) for half in CONTROLLER),
     *(Recipe(f"{half}/sgan_goal_map", EVERYTHING) for half in CONTROLLER),
+    *(Recipe(f"{half}/anchor_net_goal_map", EVERYTHING) for half in CONTROLLER),
     *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/sgan_goal_map", fold, seeds=1) for fold in SCENES),
     *(
