@@ -65,24 +65,26 @@ def members(text: str) -> list[Member]:
     shares: list[float | None] = []
     for part in parts(text):
         if not part:
-            raise UserError(f"{text!r}: a policy is missing beside '+': expected orca:share=0.5+go_to_goal")
+            raise UserError(
+                f"{text!r:.200}: a policy is missing beside '+': expected orca:share=0.5+go_to_goal"
+            )
         name, settings = parse(part)
         own = ",".join(f"{key}={value}" for key, value in settings.items() if key != _SHARE)
         policies.append(f"{name}:{own}" if own else name)
         shares.append(_number(part, settings[_SHARE]) if _SHARE in settings else None)
     given = sum(share for share in shares if share is not None)
     if given > 1 + _ROUNDING:
-        raise UserError(f"{text!r}: the shares sum to {given:g}: expected at most 1; make them smaller")
+        raise UserError(f"{text!r:.200}: the shares sum to {given:g}: expected at most 1; make them smaller")
     open_shares = shares.count(None)
     rest = 1 - given
     if not open_shares and rest > _ROUNDING:
         raise UserError(
-            f"{text!r}: the shares sum to {given:g}, and the rest has no policy: leave out one share, which "
-            "then is the rest, or make them larger"
+            f"{text!r:.200}: the shares sum to {given:g}, and the rest has no policy: leave out one share, "
+            "which then is the rest, or make them larger"
         )
     if open_shares and rest <= _ROUNDING:
         without = policies[shares.index(None)]
-        raise UserError(f"{text!r}: nothing is left for {without!r}: make the other shares smaller")
+        raise UserError(f"{text!r:.200}: nothing is left for {without!r:.200}: make the other shares smaller")
     return [
         Member(policy, rest / open_shares if share is None else share)
         for policy, share in zip(policies, shares, strict=True)
@@ -95,7 +97,7 @@ def _number(part: str, text: str) -> float:
     except ValueError:
         share = math.nan
     if not 0 < share < math.inf:
-        raise UserError(f"{part!r}: share {text}: expected a number above 0, at most 1")
+        raise UserError(f"{part!r:.200}: share {text:.200}: expected a number above 0, at most 1")
     return share
 
 
