@@ -30,8 +30,8 @@ STEP_MS = RESULTS / "STEP_MS.json"
 
 CHOICE = {
     "sgan_goal_map.indoor": "people walk around your robot: the default",
-    "social_walker.indoor": "people move most like recorded ones: they also stand and halt",
-    "social_walker.eth_ucy": "the same, trained on recordings alone: slow in buildings and at doors",
+    "social_walker.indoor": "people also halt; they brake and keep company as recorded ones do",
+    "social_walker.eth_ucy": "people move most like recorded ones outdoors; slow in buildings and at doors",
     "sgan_goal_map.zara1": "you forecast with goals and floor plans, as the iGibson paper",
     "sgan.zara1": "you forecast without goals: Social GAN",
     "robot_ppo.mix": "you want a robot with a lidar to compare with",
