@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import Recording, Scene, Split, find_fold, open_fold
+from pedzoo.data.recordings import OWN_FILES, Recording, Scene, Split, find_fold, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
@@ -135,7 +135,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         if not files and any(own.values()):
             given = " and ".join(f"--data.{name}" for name, value in own.items() if value)
             raise UserError(f"{given} given without --data.files: the fold {fold!r} has its own")
-        self.fold = "files" if files else fold
+        self.fold = OWN_FILES if files else fold
         self.obs_len, self.pred_len = obs_len, pred_len
         self.goal: GoalProtocol = goal
         self.keep_people: KeptPeople = keep_people
@@ -152,7 +152,7 @@ class TrajectoryDataModule(L.LightningDataModule):
     @property
     def protocol(self) -> dict:
         """Settings of the data on which every number made with them depends."""
-        own = {"clock": "true"} if self.fold == "files" else {}  # always resampled to a real 0.4 s
+        own = {"clock": "true"} if self.fold == OWN_FILES else {}  # always resampled to a real 0.4 s
         return {key: self.hparams[key] for key in PROTOCOL} | {"fold": self.fold} | own
 
     def setup(self, stage: str | None = None) -> None:

@@ -18,6 +18,9 @@ from pedzoo.maps.grid import OccupancyGrid, home_of
 
 Split = Literal["train", "val", "test"]
 
+OWN_FILES = "files"
+"""What the fold of people's own recordings is called in a protocol."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -186,6 +189,11 @@ def open_fold(fold: str, root: str | None, clock: TimeBase) -> OpenFold:
     Raises:
         UserError: No dataset has it, or the dataset's class lacks something or does not find its files.
     """
+    if fold == OWN_FILES:
+        raise UserError(
+            f"fold {fold!r} is somebody's own recordings, as of weights that were trained on them: name "
+            "files, --data.files a.csv,b.csv --data.dt 0.1, or a fold, --data.fold zara1"
+        )
     if result := find_fold(fold):
         return OpenFold(DATASETS.get(result.dataset), result.name, root, clock)
     dataset = name_of(fold) if names_code(fold) else ""

@@ -43,12 +43,17 @@ ELSEWHERE += [
         "fit --config closed_loop/sgan_goal_map",  # tests/train/test_configs.py
         "fit --config closed_loop/sgan_goal_map --weights social_vrnn.eth_ucy",  # train/test_in_the_loop.py
         "fit --config closed_loop/sgan_goal_map --weights sgan_goal.zara1 --model.walking.walls 30",
+        "fit --config closed_loop/sgan_goal_map "  # train/test_in_the_loop.py
+        "--weights runs/open_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt "
+        "--data.files a.csv,b.csv --data.dt 0.1 --data.map plan.yaml",
+        "rollout runs/closed_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt --scenario door",
         "fit --config closed_loop/social_walker --data.fold zara1",
         "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/train/test_ppo.py
         "fit --config robot/ppo",  # tests/train/test_configs.py
         "fit --config robot/ppo --model.robot diff_drive",
         "fit --config robot/crowd",
         "fit --config robot/rooms --model.people social_force:preset=indoor",
+        "fit --config robot/rooms --model.people sgan_goal_map.indoor",
         "evaluate orca:radius=0.3 sgan_goal_map.indoor --suite door,goals --keep_episodes 3 "
         "--json results.json",  # tests/eval/test_episodes.py
         "report results.json runs -o report.html",  # tests/viz/test_report.py

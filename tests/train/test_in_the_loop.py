@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import lightning as L
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -211,6 +212,25 @@ def test_fit_twice_one_epoch_is_fit_two() -> None:
         pairs = list(zip(leaves(one[key]), leaves(two[key]), strict=True))
         assert len(pairs) > 20
         assert all(torch.equal(a, b) if isinstance(a, Tensor) else a == b for a, b in pairs)
+
+
+def test_a_controller_of_your_own_recordings(capsys: pytest.CaptureFixture[str]) -> None:
+    """As docs/own.md has it: the files are named in both halves; without them the fold is none."""
+    folder = Path(pedzoo.__file__).parent / "data" / "embedded"
+    tracks = np.loadtxt(folder / "plaza_test.csv", delimiter=",", skiprows=1)
+    tracks[:, 0] *= 4  # recorded at 0.1 s
+    np.savetxt("a.csv", tracks, "%g", ",", header="frame,agent,x,y", comments="")
+    files = ["--data.files", "a.csv", "--data.dt", "0.1", "--data.map", str(folder / "plaza.yaml")]
+    short = ["--trainer.max_epochs", "1", *QUICK[QUICK.index("--trainer.limit_train_batches") :]]
+    assert main(["fit", "--config", "open_loop/sgan_goal_map", *files, *short, *STILL]) == 0
+    weights = "runs/open_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt"
+    onwards = ["fit", "--config", CONFIG, "--weights", weights]
+    assert main([*onwards, *short]) == 2
+    assert "--data.files a.csv,b.csv" in capsys.readouterr().err
+    quick = [word for word in QUICK if word not in ("--data.fold", "embedded")]
+    assert main([*onwards, *files, *quick, *STILL, "--trainer.max_epochs", "1"]) == 0
+    after = pedzoo.load("runs/closed_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt")
+    assert after.walking_safety and after.needs == {"goal", "map"}
 
 
 @pytest.mark.parametrize("weights", ["sgan_goal.zara1", "social_vrnn.zara1"])
