@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -61,7 +61,15 @@ class Waits(Suite):
         return super().rows(unit, tell)
 """
 
-pytestmark = [pytest.mark.usefixtures("elsewhere")]
+pytestmark = [pytest.mark.usefixtures("elsewhere", "hangups")]
+
+
+@pytest.fixture(name="hangups")
+def processes_that_hear_hangups() -> Iterator[None]:
+    """Let processes that a test starts hear SIGHUP: below ``nohup`` they would inherit that it is ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 def run(code: list[str], **variables: str) -> subprocess.CompletedProcess[str]:
@@ -158,7 +166,11 @@ def test_an_evaluation_whose_terminal_was_closed_goes_on() -> None:
     ) as process:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGHUP)  # workers, too
-        said, errors = process.communicate(timeout=200)
+        try:
+            said, errors = process.communicate(timeout=100)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)  # else the block waits for ever
+            raise
     assert process.returncode == 129, errors
     assert f"is kept in {journal}: the same command goes on from there" in said
     assert errors.endswith("pedzoo: ended by SIGHUP\n") and "Traceback" not in errors
