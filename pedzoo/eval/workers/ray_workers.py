@@ -4,6 +4,7 @@ import os
 import sys
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import ray  # pyright: ignore[reportMissingImports]  # optional
 from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
@@ -31,7 +32,7 @@ class RayActors:
             except ConnectionError:
                 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
                 ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
-        self._actors = []
+        self._actors: list[Any] = []  # Ray's types of actors differ from call to call
         if (processors := int(ray.cluster_resources().get("CPU", 0))) < count:
             self.end()
             raise UserError(f"workers {count}: the Ray cluster has {processors} processors")
