@@ -1,6 +1,5 @@
 """The closed-loop evaluation: policies on suites of cases, in parts that are kept, resumed and shared out."""
 
-import math
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
@@ -21,6 +20,7 @@ from pedzoo.eval.workers.journal import Journal, Rows
 from pedzoo.eval.workers.pool import Backend, finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter
 from pedzoo.metrics.closed_loop import NAMES, named
+from pedzoo.sim.arrival import check_deadline
 from pedzoo.sim.make import physics_class
 
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
@@ -246,8 +246,7 @@ def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
     if options.deadline is not None:
         if any("robot" in suite.accepted_options for suite in suites):
             raise UserError("deadline: robots have their own times: leave it or robots out")
-        if not 0 < options.deadline < math.inf:
-            raise UserError(f"deadline {options.deadline}: expected a number of seconds above 0")
+        check_deadline(options.deadline)
     for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
             own = [

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.sim.motion import MotionInput
@@ -64,6 +67,16 @@ def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor, seconds: float | No
     """
     ways, least = limits(seconds)
     return clock.unsqueeze(1) + torch.clamp(ways * way / pref_speed, min=least)
+
+
+def check_deadline(seconds: float | None) -> None:
+    """Check the seconds that people are given for every goal, None for the usual ones.
+
+    Raises:
+        UserError: They are no time.
+    """
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise UserError(f"deadline {seconds}: expected a number of seconds above 0")
 
 
 def limits(seconds: float | None) -> tuple[float, float]:

@@ -7,7 +7,6 @@ not move people: it takes the blending and the scene batch from here.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +20,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, limited
 from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.arrival import deadline, planned
+from pedzoo.sim.arrival import check_deadline, deadline, planned
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.physics_parts.base import Physics
@@ -91,8 +90,7 @@ def rules_of(
         UserError: A deadline that is no time, or one for people of recordings, who have their own.
     """
     scenario, script = prepared.scenario, prepared.script
-    if deadline is not None and not 0 < deadline < math.inf:
-        raise UserError(f"deadline {deadline}: expected a number of seconds above 0")
+    check_deadline(deadline)
     if deadline is not None and script is not None:
         raise UserError(f"deadline {deadline}: people of recordings have the time that they took there")
     guidance, leave = partial(_guidance, prepared), scenario.finished == "leave"

@@ -16,7 +16,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import overall_bar
     from pedzoo.cli.words import whole_numbers
-    from pedzoo.core.errors import UserError, need
+    from pedzoo.core.errors import UserError
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import SUITES
     from pedzoo.eval.evaluate import SUITE_NAMES, Evaluation, evaluate
@@ -117,7 +117,6 @@ def run(argv: list[str]) -> int:
         check_outputs(json=options.json)
         return redo(options.policies, options.data.root, options.workers, options.json)
     if options.plot:
-        need("video", "--plot")
         from pedzoo.viz.trajectories import check_plot_path
 
         check_plot_path(options.plot)

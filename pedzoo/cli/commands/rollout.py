@@ -14,7 +14,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.core.errors import UserError, need
+    from pedzoo.core.errors import UserError
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import METRICS, SCENARIOS
     from pedzoo.eval.comparison import Comparison
@@ -61,7 +61,6 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
-        need("video", "--plot")
         from pedzoo.viz.trajectories import check_plot_path
 
         check_plot_path(options.plot)
