@@ -126,7 +126,7 @@ class RunCLI(LightningCLI):
                 yield
             finally:
                 if run:
-                    run.end()
+                    run.end()  # before Slurm hears of it: another run of the job may begin at once
         except SystemExit as error:
             stop = error.__context__
             if isinstance(stop, KeyboardInterrupt) and self.trainer.is_global_zero:
@@ -134,7 +134,7 @@ class RunCLI(LightningCLI):
                 if str(stop) == "SIGUSR1":
                     print(run_again(), flush=True)
             raise
-        except Exception:  # such as that of a process whose neighbour was killed
+        except Exception:  # raised again; such as that of a process whose neighbour was killed
             if self.trainer.is_global_zero and (how := _how_to_go_on(run)):
                 print(f"\nbroken off{how}", flush=True)
             raise

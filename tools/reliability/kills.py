@@ -110,6 +110,11 @@ def outcome(run: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
     return torch.load(run / "checkpoints" / "last.ckpt")["state_dict"], rows_of(run / "metrics.csv")
 
 
+def runs_in(folder: Path) -> list[Path]:
+    """Return the runs of the trainings in a folder, the one that was written last at the end."""
+    return sorted(folder.glob("runs/*/*"), key=lambda path: path.stat().st_mtime)
+
+
 def whole(words: list[str], folder: Path) -> tuple[Path, float]:
     """Return the run of a training that nobody kills, and how many seconds it trained."""
     training = Training(words, folder)
@@ -136,8 +141,7 @@ def killed(words: list[str], folder: Path, seconds: float, draw: np.random.Gener
             return result | {"wrong": (folder / "said.txt").read_text()[-2000:]}
         else:
             break
-        runs = sorted(folder.glob("runs/*/*"), key=lambda path: path.stat().st_mtime)
-        saved = [run for run in runs if (run / "checkpoints" / "last.ckpt").is_file()]
+        saved = [run for run in runs_in(folder) if (run / "checkpoints" / "last.ckpt").is_file()]
         asked = ["--resume", str(saved[-1].relative_to(folder))] if saved else words
     return result
 
@@ -167,8 +171,7 @@ def main() -> None:
             while len(done) < options.trainings:
                 draw = np.random.default_rng([len(done), *kind.encode()])
                 result = killed(words, home / "killed", seconds, draw)
-                runs = sorted((home / "killed").glob("runs/*/*"), key=lambda path: path.stat().st_mtime)
-                result["wrong"] = result["wrong"] or difference(runs[-1], expected)
+                result["wrong"] = result["wrong"] or difference(runs_in(home / "killed")[-1], expected)
                 done.append(result)
                 write_whole(STATE, f"{json.dumps(state, indent=1)}\n".encode())
                 print(kind, result, flush=True)

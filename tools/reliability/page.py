@@ -38,13 +38,13 @@ def read(file: Path) -> Figures:
     if file.stem.startswith("fuzz"):
         return {"fuzz": state}
     if file.stem.startswith("kills"):
-        return {"kills": {kind: told(done) for kind, done in state.items()}}
+        return {"kills": {kind: summed(done) for kind, done in state.items()}}
     if file.stem.startswith("long_run"):
         return {"long": {name: grown(rows, LONG[name]) for name, rows in state.items() if rows}}
     raise SystemExit(f"{file}: expected fuzz, kills or long_run .json")
 
 
-def told(done: list[dict[str, Any]]) -> dict[str, Any]:
+def summed(done: list[dict[str, Any]]) -> dict[str, Any]:
     """Return how many trainings and kills there were, and what became of them."""
     sums = {name: sum(one[name] for one in done) for name in ("kills", "not ended by itself")}
     return {"trainings": len(done), **sums, "wrong": [one["wrong"] for one in done if one["wrong"]]}
