@@ -143,7 +143,7 @@ CONTROLLER = ("open_loop", "closed_loop")
 RECIPES = [
     *(Recipe(config, EVERYTHING) for config in CONFIGS),
     *(Recipe(config, fold) for config in CONFIGS for fold in SCENES),
-    Recipe("sgan_goal_destination"),
+    *(Recipe("sgan_goal_destination", fold) for fold in SCENES),
     *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan_pool") for fold in SCENES),
     *(Recipe(config, fold, pred_len) for pred_len in (12, 8) for config in ANCHORED for fold in SCENES),
     *(
@@ -156,6 +156,7 @@ RECIPES = [
     *(Recipe(f"{half}/anchor_net_goal_map", EVERYTHING) for half in CONTROLLER),
     *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/sgan_goal_map", fold, seeds=1) for fold in SCENES),
+    *(Recipe(f"{half}/anchor_net_goal_map", fold, seeds=1) for half in CONTROLLER for fold in SCENES),
     *(
         Recipe(f"closed_loop/{config}", fold)
         for config in ("social_walker", "social_walker_indoor")
