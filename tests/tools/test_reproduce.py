@@ -209,6 +209,9 @@ def test_forecasts_stand_beside_published_rows_and_targets() -> None:
         {"name": "anchor_net", "case": case | {"fold": fold}, "seeds": [metrics(fold), metrics(fold, 0.02)]}
         for fold in FOLDS
     ]
+    to_zara1 = {"fold": "zara1", "goal": "destination", "pred_len": "8"}
+    for name, ade in (("anchor_net_goal", 0.21), ("sgan_goal", 0.2)):
+        training.append({"name": name, "case": to_zara1, "seeds": [{"ade_m": ade, "fde_m": 0.4}]})
     mean = {"min_ade_20_agent_m": 0.18, "min_fde_20_agent_m": 0.34, "miss_rate_20": 0.25}
     training.append({"name": "anchor_net", "case": case | {"fold": "mean"}, "seeds": [mean, mean]})
     report = {
@@ -224,6 +227,8 @@ def test_forecasts_stand_beside_published_rows_and_targets() -> None:
     assert said["anchor_net", "mean"] == ["0.180 / 0.340 (2 seeds)", "short by 0.005"]
     assert said["anchor_net", "without eth"] == ["0.110 / 0.210 (2 seeds)", "met"]
     assert said["anchors", "mean"] == ["-", "not measured"]
+    beside_sgan = [row[2:] for row in targets.rows if row[1] == "8 -> 8, destination"]
+    assert beside_sgan == [["zara1", "0.200 / 0.400", "0.210 / 0.400 (1 seeds)", "short by 0.010"]]
     ours, *others = published.rows
     assert ours[:3] == ["anchor_net", "0.500 / 0.900", "0.100 / 0.200"]
     assert ours[-3:] == ["0.180 / 0.340", "0.100 / 0.200", "none"]
