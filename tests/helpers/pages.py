@@ -36,3 +36,14 @@ def files(page: str) -> dict[str, str]:
 def snippets(page: str) -> list[str]:
     """Return the Python code that is not a file."""
     return [code for code in blocks(page, "python") if code not in files(page).values()]
+
+
+def sentences(text: str) -> list[str]:
+    """Return the sentences of a page's prose; a piece of code counts as one word, a Python file as none.
+
+    Code blocks and tables are left out: they are no sentences, and most tables are generated.
+    """
+    prose = re.sub(r"```.*?```|^[|#][^\n]*|<!--.*?-->", "\n", text, flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"`[\w/]+\.py`,?", "", prose)
+    prose = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r"`[^`]*`", "code", prose))
+    return [" ".join(one.split()) for one in re.split(r"(?<=[.?!])\s+|\n\s*\n|\n\s*(?=[-*] |\d+\. )", prose)]

@@ -227,11 +227,3 @@ def test_the_glossary_names_files_and_is_in_order() -> None:
     for row in rows:
         assert len(row) == 4 and named(row[3]), f"{row[0]}: expected word, meaning, unit or shape, files"
     assert [name for name in named(page) if not (ROOT / "pedzoo" / name).is_file()] == []
-
-
-@pytest.mark.parametrize("page", ["glossary", "walks"])
-def test_sentences_are_short(page: str) -> None:
-    text = walks() if page == "walks" else (ROOT / "docs" / "glossary.md").read_text()
-    plain = re.sub(r"`[^`]*`,?", "", text)  # names of files are no words
-    sentences = re.split(r"(?<=[.?!])\s+|\n\s*\n|\n(?=[\d|*#-])|\s\|\s", plain)
-    assert [one for one in sentences if len(re.findall(r"[^\W_]+", one)) > 25] == []
