@@ -62,7 +62,7 @@ def fail(job: str) -> None:
     if job == "exit":
         sys.exit(7)
     if job == "long":
-        time.sleep(100)
+        time.sleep(20)
 
 
 def pause(seconds: float) -> int:

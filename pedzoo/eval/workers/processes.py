@@ -106,10 +106,9 @@ class _Context(SpawnContext):
 
 
 def _begin(payload: bytes) -> None:
-    """Prepare a worker; it ends in good order when it is terminated or its parent is gone."""
+    """Prepare a worker; it ends when its parent is gone."""
     global _payload
     _payload = payload
-    signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_follow_parent, daemon=True).start()
     for library in ("OMP", "MKL", "OPENBLAS"):
         os.environ[f"{library}_NUM_THREADS"] = "1"
@@ -117,6 +116,9 @@ def _begin(payload: bytes) -> None:
 
 @cache
 def _worker() -> Any:
+    """Return the worker; from now on the process ends in good order when it is terminated."""
+    # not in `_begin`: the executor prints what is raised there, and a process without a job has nothing to tidy
+    signal.signal(signal.SIGTERM, _leave)
     from pedzoo.eval.workers.jobs import Worker  # imports torch, which reads the variables above
 
     return Worker(_payload)
