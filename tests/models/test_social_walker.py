@@ -13,7 +13,7 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.geometry import rotate
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.architectures.social_walker import BRAKING, HALT_PERIOD, SocialWalker
-from pedzoo.models.blocks.people.style import jitter_of, kinks_of, style_of
+from pedzoo.models.blocks.people.style import held_of, jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.models.zoo.loading import load
 from tests.helpers.batches import changed, make_batch
@@ -156,6 +156,24 @@ def test_jitter_is_that_of_the_smaller_changes() -> None:
     style = style_of(bent)
     assert float(kinks_of(style)) == pytest.approx(0.5 / 6, abs=1e-5)
     assert float(jitter_of(style)) == pytest.approx(0.0, abs=1e-6)
+
+
+@torch.no_grad()
+def test_velocities_are_held_as_often_as_in_the_first_steps() -> None:
+    """Before training; one person holds five of six velocities, the other three."""
+    model = drawn(style_prior=True, halts=False)
+    model.head.weight.zero_()
+    step = torch.tensor([[[0.5, 0.5, 0.5, 0.5, 0.6, 0.6, 0.6], [0.5, 0.5, 0.6, 0.6, 0.7, 0.7, 0.8]]])
+    steps = torch.stack((step, torch.zeros_like(step)), -1)
+    history = torch.nn.functional.pad(steps.cumsum(2), (0, 0, 1, 0)) + torch.tensor([0.0, 9.0])
+    batch = changed(make_batch((2,), padding=0.0), history=history, goal=history[:, :, -1] + 50.0)
+    batch = changed(batch, desired_velocity=torch.ones(1, 2, 2), pref_speed=torch.full((1, 2, 1), 1.3))
+    first = model.sample(batch, 4000, 1, torch.Generator().manual_seed(0))[:, :, :, 0]
+    held = ((first - steps[:, None, :, -1]).norm(dim=-1) < 0.003).double().mean((0, 1))
+    shares = held_of(style_of(history))[0]
+    assert shares.tolist() == pytest.approx([5 / 6, 3 / 6])
+    usual = shares / 3 + shares.mean() * 2 / 3  # seven steps say little: the crowd counts twice
+    torch.testing.assert_close(held, usual.double(), atol=0.03, rtol=0)
 
 
 def halting(raised: float) -> SocialWalker:

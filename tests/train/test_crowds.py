@@ -88,6 +88,20 @@ def test_a_recording_becomes_a_table(crowd: RecordedCrowd) -> None:
     np.testing.assert_allclose(crowd.exit[LATE], own.xy[rows][-1], atol=1e-5)
 
 
+def test_a_crowd_that_is_annotated_anew(crowd: RecordedCrowd) -> None:
+    deviation = torch.full((len(crowd.first),), 0.05)
+    deviation[0] = 0.0
+    anew = crowd.annotated_anew(deviation, torch.Generator().manual_seed(0))
+    error = (anew.xy - crowd.xy)[1:][crowd.there[1:]]
+    assert float(error.std()) == pytest.approx(0.05, rel=0.15) and abs(float(error.mean())) < 0.01
+    assert torch.equal(anew.xy[0], crowd.xy[0]) and not anew.xy[~crowd.there].any()
+    assert torch.equal(anew.head[LATE], anew.xy[LATE, 12:20])
+    assert torch.equal(anew.start[LATE], anew.xy[LATE, 19])
+    walked = anew.head[LATE].diff(dim=0).norm(dim=1).sum() / (7 * STEP_SECONDS)
+    assert float(anew.pref_speed[LATE]) == pytest.approx(float(walked))
+    assert anew.pref_speed[0] == crowd.pref_speed[0] and torch.equal(anew.goal, crowd.goal)
+
+
 def test_an_excerpt_has_all_people_who_are_there_meanwhile(crowd: RecordedCrowd) -> None:
     early, late = excerpts(crowd, [0], 3), excerpts(crowd, [0], 10)
     assert early.xy.shape == (1, 5, 11, 2)  # before number 1 comes

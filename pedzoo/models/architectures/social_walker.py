@@ -20,7 +20,7 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.situation import RAYS, WALLS, Situation
-from pedzoo.models.blocks.people.style import STYLE_DIM, jitter_of, kinks_of
+from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kinks_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
@@ -42,6 +42,8 @@ class WalkerArchitecture:
         companions: Whether it sees companions.
         lasting_halts: Whether halts last for some seconds, and begin by braking; else each is one step.
         groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
+        style_prior: Whether velocities are held as often, and places jitter as much, as in people's first
+            steps before training; else people differ in that only as far as the network has learned.
     """
 
     hidden_dim: int = 64
@@ -54,7 +56,11 @@ class WalkerArchitecture:
     companions: bool = True
     lasting_halts: bool = False
     groups: bool = False
+    style_prior: bool = False
 
+
+GATE_NOISE = 1.7
+"""Spread of the chance by which velocities are held, in units of the gate."""
 
 HELD_STANDING = 4.5
 """Of the gate, for people who stand: before training they set out in 7 % of steps."""
@@ -162,7 +168,9 @@ class SocialWalker(Forecaster):
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
 
         step = z[..., -EVERY_STEP - JITTER : -JITTER]
-        kinks, jitter = ((of(style) / STEP_SECONDS).unsqueeze(-1) for of in (kinks_of, jitter_of))
+        # seven steps say little of one person: the crowd counts twice
+        usual = torch.lerp(style, crowd, 2 / 3) if a.style_prior else style
+        kinks, jitter = (size.unsqueeze(-1) / STEP_SECONDS for size in (kinks_of(style), jitter_of(usual)))
         moves = change
         result = past[:, :, -1]
         if a.step_noise:
@@ -172,7 +180,8 @@ class SocialWalker(Forecaster):
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
             late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
             setting_out = -HELD_STANDING * stands
-            gate = ((out[..., 15] + 2 + 1.7 * step[..., 0] + late + setting_out) / 0.2).sigmoid()
+            often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) if a.style_prior else 2
+            gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
         result = result + moves
@@ -236,6 +245,10 @@ def _braked(velocity: Tensor) -> Tensor:
     """Return velocities (..., 2), m/s, after a step of braking; 0 for people who can stand by then."""
     speed = (velocity.square().sum(-1, keepdim=True) + 1e-8).sqrt()
     return velocity * (1 - BRAKING / speed.clamp_min(BRAKING))
+
+
+def _normal_quantile(share: Tensor) -> Tensor:
+    return math.sqrt(2) * torch.erfinv(2 * share.clamp(0.03, 0.97) - 1)
 
 
 def _hard(gate: Tensor) -> Tensor:

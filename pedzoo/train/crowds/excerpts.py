@@ -8,10 +8,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from pedzoo.core.geometry import identity_pose, move_to_scene
-from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
+from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.people import LONGEST, people_of
+from pedzoo.sim.scenario_parts.scenario import SLOWEST
 
 
 class RecordedCrowd(NamedTuple):
@@ -86,6 +87,23 @@ class RecordedCrowd(NamedTuple):
     def frames(self) -> int:
         """F."""
         return self.xy.shape[1]
+
+    def annotated_anew(self, deviation: Tensor, random: torch.Generator) -> "RecordedCrowd":
+        """Return the crowd as if its positions had been marked less exactly.
+
+        Goals stay. How people began to walk, and the speed that they like, are those of the new positions.
+
+        Args:
+            deviation: Standard deviation of each person's white noise (P,), metres.
+            random: Draws it.
+        """
+        noise = deviation.view(-1, 1, 1) * torch.randn(self.xy.shape, generator=random)
+        xy = torch.where(self.there.unsqueeze(2), self.xy + noise, self.xy)
+        rows = (self.first.unsqueeze(1) + torch.arange(OBS_LEN)).minimum(self.last.unsqueeze(1))
+        head = xy[torch.arange(len(xy)).unsqueeze(1), rows]
+        liked = (head.diff(dim=1).norm(dim=2).mean(1) / STEP_SECONDS).clamp_min(SLOWEST)
+        pref_speed = torch.where(self.walks & (deviation > 0), liked, self.pref_speed)
+        return self._replace(xy=xy, head=head, start=head[:, -1], pref_speed=pref_speed)
 
 
 class Excerpts(NamedTuple):

@@ -1,5 +1,6 @@
 """Training a walker on whole recorded crowds, and beside them in scenarios."""
 
+import math
 from typing import Any, cast
 
 import torch
@@ -51,6 +52,7 @@ class CrowdModule(ForecastModule):
         course_weight: float = 1.0,
         safety: bool | None = None,
         judge_lr: float = 1e-3,
+        annotation_noise: float = 0.0,
         **options: Any,
     ) -> None:
         """Take a generator and what it is compared by.
@@ -70,6 +72,8 @@ class CrowdModule(ForecastModule):
             course_weight: Weight of the loss in scenarios.
             safety: Whether the safety layer is on in training; None: as the model says.
             judge_lr: Learning rate of the judges.
+            annotation_noise: In half of the updates positions have white noise of a standard deviation of up
+                to so many metres, as recordings have that were marked less exactly; 0 for never.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -83,11 +87,14 @@ class CrowdModule(ForecastModule):
                 f"course_every {course_every}, course_steps {course_steps}, max_segments {max_segments}: "
                 "expected at least 1, and before at least one number from 0"
             )
+        if not 0 <= annotation_noise < math.inf:
+            raise UserError(f"annotation_noise {annotation_noise}: expected metres, at least 0")
         self.automatic_optimization = False
         self.likeness, self.walking = likeness, walking or LoopLosses()
         self.steps, self.before, self.scenes, self.walks = steps, before, scenes, samples_walked
         self.course_every, self.course_steps = course_every, course_steps
         self.max_segments, self.course_weight, self.judge_lr = max_segments, course_weight, judge_lr
+        self.annotation_noise = annotation_noise
         self._walker = (Walker(generator, safety=safety),)  # in a tuple: registered already
         self.courses = CourseSampler(courses, self.seed) if courses else None
         self._crowds: list[RecordedCrowd] = []
@@ -153,6 +160,8 @@ class CrowdModule(ForecastModule):
         """Return the terms of excerpts of one recording."""
         while True:
             crowd = self._crowds[int(torch.multinomial(self._shares, 1, generator=random))]
+            if self.annotation_noise and float(torch.rand(1, generator=random)) < 0.5:
+                crowd = self._annotated_anew(crowd, random)
             before = self.before[int(torch.randint(len(self.before), (1,), generator=random))]
             steps = before + self.steps
             people = float(crowd.there.sum()) / crowd.frames
@@ -167,6 +176,12 @@ class CrowdModule(ForecastModule):
         key = torch.randint(2**62, (self.walks * scenes,), generator=random)
         walk = walked_on(self.walker, real.repeated(self.walks), self._planner, key, before)
         return self.likeness(walk, real, self.walks, before, judges, random)
+
+    def _annotated_anew(self, crowd: RecordedCrowd, random: torch.Generator) -> RecordedCrowd:
+        """Return a crowd with noise, of one order of magnitude; people differ by a factor of 1.3 or so."""
+        usual = self.annotation_noise * 10 ** -float(torch.rand(1, generator=random))
+        of_person = (0.3 * torch.randn(len(crowd.first), generator=random)).exp()
+        return crowd.annotated_anew(usual * of_person, random)
 
     def _in_scenario(self) -> dict[str, Tensor]:
         """Return the terms of a segment."""

@@ -55,3 +55,8 @@ def kinks_of(style: Tensor) -> Tensor:
 def jitter_of(style: Tensor) -> Tensor:
     """Return the mean of the smaller half of their second differences (...,), metres."""
     return (1.5 * style[..., 5] - _FINE_CENTRE).exp() - _FINEST
+
+
+def held_of(style: Tensor) -> Tensor:
+    """Return the share of their velocities that are held (...,)."""
+    return (style[..., 3] + 0.5) / 2
