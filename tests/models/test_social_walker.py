@@ -167,13 +167,28 @@ def test_velocities_are_held_as_often_as_in_the_first_steps() -> None:
     steps = torch.stack((step, torch.zeros_like(step)), -1)
     history = torch.nn.functional.pad(steps.cumsum(2), (0, 0, 1, 0)) + torch.tensor([0.0, 9.0])
     batch = changed(make_batch((2,), padding=0.0), history=history, goal=history[:, :, -1] + 50.0)
-    batch = changed(batch, desired_velocity=torch.ones(1, 2, 2), pref_speed=torch.full((1, 2, 1), 1.3))
+    along, speed = torch.tensor([1.0, 0.0]).expand(1, 2, 2), steps[:, :, -1, :1] / STEP_SECONDS
+    batch = changed(batch, desired_velocity=along, pref_speed=speed)  # they walk as they want
     first = model.sample(batch, 4000, 1, torch.Generator().manual_seed(0))[:, :, :, 0]
     held = ((first - steps[:, None, :, -1]).norm(dim=-1) < 0.003).double().mean((0, 1))
     shares = held_of(style_of(history))[0]
     assert shares.tolist() == pytest.approx([5 / 6, 3 / 6])
     usual = shares / 3 + shares.mean() * 2 / 3  # seven steps say little: the crowd counts twice
     torch.testing.assert_close(held, usual.double(), atol=0.03, rtol=0)
+
+
+@torch.no_grad()
+def test_velocities_away_from_the_way_are_hardly_held() -> None:
+    model = drawn(style_prior=True, halts=False)
+    model.head.weight.zero_()
+    steps = torch.tensor([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.0]]).view(1, 3, 1, 2).expand(1, 3, 7, 2)
+    history = torch.nn.functional.pad(steps.cumsum(2), (0, 0, 1, 0)) + 30 * torch.arange(3.0).view(1, 3, 1, 1)
+    along = torch.tensor([1.0, 0.0]).expand(1, 3, 2)
+    places = {"history": history, "goal": history[:, :, -1] + 50 * along, "desired_velocity": along}
+    batch = changed(make_batch((3,), padding=0.0), **places, pref_speed=torch.full((1, 3, 1), 1.25))
+    first = model.sample(batch, 2000, 1, torch.Generator().manual_seed(0))[:, :, :, 0]
+    held = ((first - steps[:, None, :, -1]).norm(dim=-1) < 0.003).double().mean((0, 1))
+    assert held[0] > 0.9 and held[1] < 0.5 and held[2] > 0.9  # along the way, back, standing
 
 
 def halting(raised: float) -> SocialWalker:

@@ -21,6 +21,7 @@ GOALS: dict[str, GoalProtocol] = {
     "sgan": "none", "sgan_pool": "none", "social_vrnn": "none", "sgan_goal_destination": "destination",
     "closed_loop/social_walker": "destination",
     "closed_loop/social_walker_indoor": "destination",
+    "closed_loop/social_walker_styled": "destination",
     "anchors": "none", "anchor_mlp": "none", "anchor_net": "none",
     "anchor_net_goal_destination": "destination",
 }  # fmt: skip
@@ -159,7 +160,7 @@ RECIPES = [
     *(Recipe(f"{half}/anchor_net_goal_map", fold, seeds=1) for half in CONTROLLER for fold in SCENES),
     *(
         Recipe(f"closed_loop/{config}", fold)
-        for config in ("social_walker", "social_walker_indoor")
+        for config in ("social_walker", "social_walker_indoor", "social_walker_styled")
         for fold in (EVERYTHING, *SCENES)
     ),
 ]

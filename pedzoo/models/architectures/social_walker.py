@@ -62,6 +62,9 @@ class WalkerArchitecture:
 GATE_NOISE = 1.7
 """Spread of the chance by which velocities are held, in units of the gate."""
 
+ASTRAY, LOOKING_UP = 0.3, 3.0
+"""Velocities farther off what people want, in units of their speed, are held the more rarely; of the gate."""
+
 HELD_STANDING = 4.5
 """Of the gate, for people who stand: before training they set out in 7 % of steps."""
 
@@ -180,7 +183,10 @@ class SocialWalker(Forecaster):
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
             late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
             setting_out = -HELD_STANDING * stands
-            often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) if a.style_prior else 2
+            often: Tensor | float = 2.0
+            if a.style_prior:
+                astray = (_length(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0) * (1 - stands)
+                often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) + LOOKING_UP * astray
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
@@ -243,8 +249,13 @@ class SocialWalker(Forecaster):
 
 def _braked(velocity: Tensor) -> Tensor:
     """Return velocities (..., 2), m/s, after a step of braking; 0 for people who can stand by then."""
-    speed = (velocity.square().sum(-1, keepdim=True) + 1e-8).sqrt()
+    speed = _length(velocity).unsqueeze(-1)
     return velocity * (1 - BRAKING / speed.clamp_min(BRAKING))
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """Return lengths (...,) whose gradient is finite at 0."""
+    return (vectors.square().sum(-1) + 1e-8).sqrt()
 
 
 def _normal_quantile(share: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
 """Metadata of weights about their training; the rest is in the card."""
 
 
-WHOLE_WALKS = ("social_walker", "social_walker_indoor")
+WHOLE_WALKS = ("social_walker", "social_walker_indoor", "social_walker_styled")
 """Configs that train on whole crowds from the start."""
 
 
@@ -96,14 +96,16 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     ``open_loop/sgan_goal_map`` come ``.controller_open_zara1`` and, of all scenes, ``.controller_open``; of
     ``closed_loop/sgan_goal_map`` likewise ``.indoor_zara1`` and ``.indoor``; of ``ppo/sgan_goal``
     ``sgan_goal.eth_ucy_ppo``. ``closed_loop/social_walker`` has no open-loop half, and always walks to
-    destinations: ``social_walker.zara1``; trained in buildings, too, ``social_walker.indoor_zara1``.
+    destinations: ``social_walker.zara1``; trained in buildings, too, ``social_walker.indoor_zara1``; and of
+    ``closed_loop/social_walker_styled`` come ``social_walker.styled_zara1`` and ``social_walker.styled``.
     """
     folder, _, config = config.rpartition("/")
     whole_walks = config in WHOLE_WALKS
     fold = find_fold(protocol["fold"])
     tag, whole = (fold.name, fold.whole) if fold else (protocol["fold"], False)
     if folder == "closed_loop" and config != "social_walker":
-        tag = "indoor" if whole else f"indoor_{tag}"
+        kind = "styled" if config.endswith("_styled") else "indoor"
+        tag = kind if whole else f"{kind}_{tag}"
     elif folder and not whole_walks:
         open_loop = "controller_open" if whole else f"controller_open_{tag}"
         tag = open_loop if folder == "open_loop" else f"{tag}_{folder}"
@@ -113,7 +115,8 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
         tag += f"_pred{protocol['pred_len']}"
     if protocol["clock"] != ("true" if folder or whole else "benchmark"):
         tag += f"_{protocol['clock']}"
-    return f"{config.removesuffix('_destination').removesuffix('_indoor')}.{tag}"
+    architecture = config.removesuffix("_destination").removesuffix("_indoor").removesuffix("_styled")
+    return f"{architecture}.{tag}"
 
 
 def _write(
