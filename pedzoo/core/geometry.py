@@ -77,6 +77,13 @@ def turn_to_map(vectors: Tensor, pose: Tensor) -> Tensor:
     return torch.stack((turned[..., 0], turned[..., 1] * pose[..., 1]), dim=-1)
 
 
+def turn_matrix(pose: Tensor) -> Tensor:
+    """Return the matrices (N, 2, 2) of `turn_to_map` for poses (N, 4)."""
+    angle, mirror = pose[:, 0], pose[:, 1]
+    c, s = angle.cos(), angle.sin()
+    return torch.stack((c, s, -s * mirror, c * mirror), dim=-1).view(-1, 2, 2)
+
+
 def move_to_scene(points: Tensor, pose: Tensor) -> Tensor:
     """Move map-frame positions (B, ..., 2) into the scene of ``pose`` (B, 4)."""
     return turn_to_scene(points, pose) + _align(pose, points)[..., 2:]
