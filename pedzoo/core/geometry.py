@@ -13,14 +13,14 @@ def rotate(vectors: Tensor, direction: Tensor) -> Tensor:
     """Turn ``vectors`` (..., 2) by the angle of the unit vectors ``direction`` (..., 2)."""
     c, s = direction.unbind(-1)
     x, y = vectors.unbind(-1)
-    return torch.stack((c * x - s * y, s * x + c * y), dim=-1)
+    return torch.stack((torch.addcmul(c * x, s, y, value=-1), torch.addcmul(c * y, s, x)), dim=-1)
 
 
 def unrotate(vectors: Tensor, direction: Tensor) -> Tensor:
     """Turn ``vectors`` (..., 2) back by the angle of ``direction`` (..., 2): the inverse of `rotate`."""
     c, s = direction.unbind(-1)
     x, y = vectors.unbind(-1)
-    return torch.stack((c * x + s * y, c * y - s * x), dim=-1)
+    return torch.stack((torch.addcmul(c * x, s, y), torch.addcmul(c * y, s, x, value=-1)), dim=-1)
 
 
 def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:

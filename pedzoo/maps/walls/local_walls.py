@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pedzoo.core.geometry import turn_matrix
 from pedzoo.core.machine import compiles
 from pedzoo.maps.walls.constants import INTO, WALL
 from pedzoo.maps.walls.nearest_boxes import CANDIDATES
@@ -50,22 +51,14 @@ class LocalWalls:
     def around(cls, walls: Walls, row: Tensor, pose: Tensor) -> LocalWalls:
         """Return the walls as N entries on maps ``row`` (N,) in poses (N, 4) see them."""
         row = row % walls.place.shape[1]
-        xx, xy, yx, yy, shift_x, shift_y = walls.affine.index_select(1, row)
-        angle, mirror, right, up = pose.double().unbind(1)
+        pose = pose.double()
         # pose and map together are one affine from the scene to cells; see `pedzoo.core.geometry.move_to_map`
-        c, s = angle.cos(), angle.sin()
-        d, e = c * mirror, s * mirror
-        home_x, home_y = c * right + s * up, d * up - e * right
-        frame = (
-            xx * c - xy * e,
-            yx * c - yy * e,
-            xx * s + xy * d,
-            yx * s + yy * d,
-            shift_x - xx * home_x - xy * home_y,
-            shift_y - yx * home_x - yy * home_y,
-            walls.side.index_select(0, row),
-        )
-        return cls(walls, torch.stack(frame), walls.place.index_select(1, row))
+        affine = walls.affine.index_select(1, row).t()
+        axes = affine[:, :4].view(-1, 2, 2).bmm(turn_matrix(pose))
+        shift = torch.baddbmm(affine[:, 4:, None], axes, pose[:, 2:, None], alpha=-1)
+        side = walls.side.index_select(0, row)[None]
+        frame = torch.cat((axes.permute(2, 1, 0).flatten(0, 1), shift[..., 0].t(), side))
+        return cls(walls, frame, walls.place.index_select(1, row))
 
     def select(self, index: Tensor) -> LocalWalls:
         """Return the walls as some of the N entries see them."""
