@@ -60,7 +60,7 @@ def opposed(ahead: Tensor) -> Tensor:
 
 def identity_pose(scenes: int, device: torch.device | None = None) -> Tensor:
     """Return the scene poses (B, 4) that leave every scene where its floor plan is."""
-    return torch.tensor([0.0, 1.0, 0.0, 0.0], device=device).repeat(scenes, 1)
+    return torch.tensor([[0.0, 1.0, 0.0, 0.0]], device=device).expand(scenes, 4).contiguous()
 
 
 def turn_to_scene(vectors: Tensor, pose: Tensor) -> Tensor:

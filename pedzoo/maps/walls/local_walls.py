@@ -139,13 +139,13 @@ class LocalWalls:
         away = torch.stack([torch.addcmul(axis[0] * scaled[0], axis[1], scaled[1]) for axis in axes])
         return distance.clamp_max(walls.limit) * sign, away
 
-    def half_planes(self, points: Tensor, within: Tensor) -> tuple[Tensor, Tensor]:
-        """Return distances to walls (*K, B, A) at points (2, *K, B, A), and what the walls leave free nearby.
+    def half_planes(self, points: Tensor, within: Tensor) -> Tensor:
+        """Return distances to walls at points (2, *K, B, A), and what the walls leave free: (4, *K, B, A).
 
-        The latter are half-planes (3, *K, B, A). Places p with n p > c are free: c, then x and y of n, which
-        is where the distance grows. A wall farther away than ``within`` (B, A), metres, may be any distance
-        above that away, with n = 0. That is what the compiled loops for single precision on the CPU say.
-        No gradient flows.
+        First comes the distance, then a half-plane. Places p with n p > c are free: c, then x and y of n,
+        which is where the distance grows. A wall farther away than ``within`` (B, A), metres, may be any
+        distance above that away, with n = 0. That is what the compiled loops for single precision on the CPU
+        say. No gradient flows.
         """
         shape = points.shape
         points = points.detach().reshape(2, -1, *shape[-2:])
@@ -157,8 +157,7 @@ class LocalWalls:
         else:
             gap, away = self.look(points, edges=False)
             result = torch.cat((torch.stack((gap, (points * away).sum(0) - gap)), away))
-        result = result.view(4, *shape[1:])
-        return result[0], result[1:]
+        return result.view(4, *shape[1:])
 
     @torch.no_grad()
     def cast(self, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
