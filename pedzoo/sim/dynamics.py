@@ -140,4 +140,5 @@ def integrate(
 def _kept_off(place: Tensor, wall: Tensor) -> Tensor:
     """Return places (2, B, A) moved straight into what walls (4, B, A) leave free: `LocalWalls.half_planes`."""
     normal = wall[2:]
-    return torch.addcmul(place, (wall[1] - (place * normal).sum(0)).clamp_min(0), normal)
+    along = place * normal
+    return torch.addcmul(place, (wall[1] - (along[0] + along[1])).relu(), normal)

@@ -133,13 +133,13 @@ def contacts_of(path: Tensor, gap: Tensor | None, present: Tensor, radius: Tenso
         present: Which agents are there (B, A) bool.
         radius: Of their bodies (B, A), metres.
     """
-    wall = torch.zeros_like(path[0, :, 0], dtype=torch.bool)
-    if gap is not None:
+    if gap is None:
+        wall = torch.zeros_like(path[0, :, 0], dtype=torch.bool)
+    else:
         wall = (gap.amin(1) < radius) & present
     both = radius.unsqueeze(1) + radius.unsqueeze(2)
-    valid = present.unsqueeze(1) & present.unsqueeze(2)
-    valid = valid & ~torch.eye(radius.shape[1], dtype=torch.bool, device=radius.device)
-    least, others = torch.where(valid, both * both, -1.0), -1
+    least, others = torch.where(present.unsqueeze(1) & present.unsqueeze(2), both * both, -1.0), -1
+    least.diagonal(dim1=1, dim2=2).fill_(-1.0)  # no agent touches itself
     if len(radius) > radius.shape[1]:  # the longer dimension comes last: long runs of numbers
         path, least, others = path.mT.contiguous(), least.permute(1, 2, 0).contiguous(), -2
     parts = path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1)
