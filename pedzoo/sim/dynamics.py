@@ -138,7 +138,7 @@ def integrate(
 
 
 def _kept_off(place: Tensor, wall: Tensor) -> Tensor:
-    """Return places (2, B, A) moved straight into what walls (4, B, A) leave free: `LocalWalls.half_planes`."""
+    """Return places (2, B, A) moved straight out of walls (4, B, A), which `LocalWalls.half_planes` gives."""
     normal = wall[2:]
     along = place * normal
     return torch.addcmul(place, (wall[1] - (along[0] + along[1])).relu(), normal)

@@ -105,7 +105,7 @@ class _Arrivals(TorchFunctionMode):
 
 
 def _in_place(name: str) -> bool:
-    """Return whether an operation writes its first argument: ``add_`` does, ``__iand__`` too, ``__and__`` not."""
+    """Return whether an operation writes its first argument: ``add_`` and ``__iand__`` do."""
     return name.endswith("_") and (not name.startswith("__") or name.startswith("__i"))
 
 

@@ -72,7 +72,7 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
 
 
 def _ranks(batch: TensorDictBase, waits: Tensor) -> Tensor | None:
-    """Return a number of every agent (B, A); None on the CPU where nobody waits: only two who wait need it."""
+    """Return a number of every agent (B, A), which two who wait need; None on the CPU where none waits."""
     if waits.device.type == "cpu" and not bool(waits.any()):
         return None
     return randomness.uniform(randomness.join(scene_keys(batch), "rank", ids_of(batch)))

@@ -189,7 +189,8 @@ class Controller:
         if comes or decide:
             guidance = online_goals.guide(agents, position)
             if comes or velocities:
-                given = _of(people, velocities) | {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
+                given = _of(people, velocities)
+                given |= {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
                 moving = guidance.desired_velocity.index_put(
                     (agents.rows(given),), as_points(given, "velocity").float()
                 )
@@ -226,7 +227,7 @@ class Controller:
         return agents._replace(trace=torch.where(decides[:, None, None], trace, agents.trace))
 
     def _batch(self, agents: Roster, velocity: Tensor, guidance: Guidance, clock: CallerClock) -> TensorDict:
-        """Return the scene batch (1,) of N agents at ``velocity`` (N, 2), as the environment would observe it."""
+        """Return the scene batch (1,) of N agents at ``velocity`` (N, 2), m/s, as the environment does."""
         size = (1, len(agents.row))
         all_known = torch.ones(size, dtype=torch.bool)
         # the caller's way with others is not known: they go on as they do

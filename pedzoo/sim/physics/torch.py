@@ -51,8 +51,8 @@ class Torch(Physics):
             return self._moved(state, inputs)
         # hundreds of short operations: not to track them at all saves a sixth
         with torch.inference_mode():
-            motion = self._moved(state, inputs)
-        return Motion(*(value if value is None else value.clone() for value in motion))
+            trace, agent_contact, wall_contact, reached, *_ = self._moved(state, inputs)
+        return Motion(trace.clone(), agent_contact.clone(), wall_contact.clone(), reached.clone())
 
     def _moved(self, state: State, inputs: MotionInput) -> Motion:
         """Return the motion; contacts come from the distances that the path has looked up already."""
