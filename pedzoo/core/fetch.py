@@ -115,7 +115,7 @@ def fetch(
             target.parent.mkdir(parents=True, exist_ok=True)
             for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
                 try:
-                    os.replace(_whole(url, target, sha256, Expected(size, limit), token), target)
+                    os.replace(_whole(url, target, sha256, ExpectedLength(size, limit), token), target)
                     return target
                 except _RefusedError as error:
                     said.append(f"{url}: {error}")
@@ -154,10 +154,10 @@ def _alone(target: Path) -> Iterator[None]:
         lock.release()
 
 
-def _whole(url: str, target: Path, sha256: str | None, expected: Expected, token: str | None) -> Path:
+def _whole(url: str, target: Path, sha256: str | None, expected: ExpectedLength, token: str | None) -> Path:
     """Try at one address until all of the file has come, and return where it is."""
     part = target.with_name(f".{target.name}.part")
-    clock = Clock(time.monotonic(), _length(part))
+    clock = DownloadTimer(time.monotonic(), _length(part))
     mixed, furthest, waits = part.exists(), 0, iter(WAITS)
     while True:
         if sha256 is None:
@@ -182,7 +182,7 @@ def _whole(url: str, target: Path, sha256: str | None, expected: Expected, token
         mixed = False  # some of it was left by an earlier download: once more, all from here
 
 
-class Expected(NamedTuple):
+class ExpectedLength(NamedTuple):
     """What is known of a file's length: itself, or the largest that is taken."""
 
     size: int | None
@@ -196,7 +196,7 @@ class Expected(NamedTuple):
             raise _RefusedError(f"has {length} bytes, and at most {self.limit} are read of such a file")
 
 
-class Clock(NamedTuple):
+class DownloadTimer(NamedTuple):
     """When a download began, and how much of the file was there then."""
 
     began: float
@@ -218,7 +218,7 @@ def _length(part: Path) -> int:
     return part.stat().st_size if part.exists() else 0
 
 
-def _stream(url: str, part: Path, expected: Expected, clock: Clock, token: str | None) -> None:
+def _stream(url: str, part: Path, expected: ExpectedLength, clock: DownloadTimer, token: str | None) -> None:
     """Ask once for what a file lacks, and append it to ``part`` or begin it anew."""
     import requests  # takes 0.1 s: only downloads pay for it
     import urllib3
@@ -243,7 +243,9 @@ def _stream(url: str, part: Path, expected: Expected, clock: Clock, token: str |
         raise (_RefusedError if final else _BrokeOffError)(_root(error)) from error
 
 
-def _read(answer: requests.Response, part: Path, start: int, expected: Expected, clock: Clock) -> None:
+def _read(
+    answer: requests.Response, part: Path, start: int, expected: ExpectedLength, clock: DownloadTimer
+) -> None:
     from tqdm import tqdm
 
     size = expected.size

@@ -12,7 +12,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.episodes import without_plans
-from pedzoo.eval.results import Shown
+from pedzoo.eval.results import SuiteColumns
 from pedzoo.eval.suite import EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
@@ -219,11 +219,11 @@ class Evaluation:
         }
 
     @property
-    def shown(self) -> dict[str, Shown]:
+    def shown(self) -> dict[str, SuiteColumns]:
         """What tables show of each suite."""
         more = self._columns
         return {
-            suite.name: Shown(
+            suite.name: SuiteColumns(
                 suite.headline,
                 list(dict.fromkeys((*suite.columns, *more))),
                 suite.counted,

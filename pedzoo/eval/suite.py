@@ -8,8 +8,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
 from pedzoo.eval.episodes import packed_episodes
-from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.scenario_cache import prepared
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
@@ -230,7 +230,7 @@ class Suite(ABC):
         for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
-        return [result | kept(unit, *parts[0])]
+        return [result | kept_episodes(unit, *parts[0])]
 
 
 def walked(
@@ -256,7 +256,7 @@ def walked(
             env.physics.close()
 
 
-def kept(unit: WorkUnit, rollout: Rollout, env: PedestrianEnv) -> dict[str, Any]:
+def kept_episodes(unit: WorkUnit, rollout: Rollout, env: PedestrianEnv) -> dict[str, Any]:
     """Return what a row keeps of the first episodes, nothing where none were asked for.
 
     Args:

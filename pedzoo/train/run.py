@@ -169,7 +169,7 @@ class RunFolder:
         self, config: dict[str, Any], argv: list[str], monitor: str | None, mode: str
     ) -> list[Callback]:
         """Return the callbacks that write the records and, unless ``monitor`` is None, checkpoints."""
-        result: list[Callback] = [Record(self, config, argv), WholeMetrics(self._metrics, self.goes_on)]
+        result: list[Callback] = [RunRecorder(self, config, argv), WholeMetrics(self._metrics, self.goes_on)]
         if monitor is None:
             return result
         common: dict[str, Any] = {"dirpath": self.last.parent, "enable_version_counter": False}
@@ -197,7 +197,7 @@ class WholeCheckpoints(TorchCheckpointIO):
         write_whole(Path(path), buffer.getbuffer())
 
 
-class Record(Callback):
+class RunRecorder(Callback):
     """Writes configuration and versions."""
 
     def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:

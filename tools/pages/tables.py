@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pedzoo.core.paths import CARD
-from pedzoo.eval.unseen import for_fold
+from pedzoo.eval.trained_on import for_fold
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.library import load_plan
 from pedzoo.models.zoo.card import ModelCard, read_card

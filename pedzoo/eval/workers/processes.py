@@ -117,7 +117,7 @@ def _begin(payload: bytes) -> None:
 @cache
 def _worker() -> Any:
     """Return the worker; from now on the process ends in good order when it is terminated."""
-    # not in `_begin`: the executor prints what is raised there, and a process without a job has nothing to tidy
+    # not in `_begin`: the executor prints what is raised there, and a process without a job tidies nothing
     signal.signal(signal.SIGTERM, _leave)
     from pedzoo.eval.workers.jobs import Worker  # imports torch, which reads the variables above
 

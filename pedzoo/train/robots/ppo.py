@@ -19,7 +19,7 @@ from pedzoo.policies.robots.attention import Attention
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.rl.objective import advantages, clipped
-from pedzoo.train.robots.acting import Mean, Value, actor
+from pedzoo.train.robots.actor_critic import Mean, Value, actor
 from pedzoo.train.robots.crossing import SETTINGS, CrossingEnv
 from pedzoo.train.robots.experience import Gatherer, ends, rated, walked_once
 from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of

@@ -35,7 +35,7 @@ def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
     not quite where they left: they reach it by leaving.
     """
     assert prepared.script is not None
-    script = AsRecorded.of(prepared.script)
+    script = RecordedScript.of(prepared.script)
     fine, physics = substeps(prepared.fastest_agent), Compiled(prepared.bank)
     planned = kernel.rules_of(prepared, TRACE_PER_STEP, fine)
     episodes = Episodes(prepared, "recorded", physics, planned)
@@ -45,11 +45,11 @@ def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
         yield _walked(prepared.scenario, script, physics, rules, start)
 
 
-class AsRecorded(Script):
+class RecordedScript(Script):
     """The script in which no policy takes an agent over: people come and go as they really did."""
 
     @classmethod
-    def of(cls, script: Script) -> AsRecorded:
+    def of(cls, script: Script) -> RecordedScript:
         """Return the script of the same people."""
         return cls(script.people, script.xy, script.occupants, script.scenes)
 
