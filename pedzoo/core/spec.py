@@ -106,7 +106,7 @@ def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: 
         registry: Where the name is looked up.
         what: A text as `parse` takes it, or a name with values.
         base: The class that it must be a subclass of.
-        given: Arguments from elsewhere; the settings of ``what`` count more.
+        given: Further arguments; the settings of ``what`` override them.
 
     Raises:
         UserError: An unknown name or setting, or a value of the wrong type.

@@ -1,4 +1,4 @@
-"""What people read of an evaluation: the same tables on a terminal and on a page."""
+"""The tables of an evaluation, for a terminal and for a page of Markdown."""
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -152,7 +152,7 @@ def cell(row: Mapping[str, Any], key: str) -> str:
 
 
 def case_label(row: Mapping[str, Any]) -> str:
-    """Return what tells a row from others of its suite."""
+    """Return what distinguishes a row within its suite."""
     case = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
     if {"people", "goals"} <= case.keys():  # as in Table II
         case["people"] = f"{case['people']}/{case.pop('goals')}"
@@ -160,11 +160,11 @@ def case_label(row: Mapping[str, Any]) -> str:
 
 
 _NO_CASE = ("suite", "physics", "weights", SEEN)
-"""What does not tell cases of a suite from each other."""
+"""Keys that do not distinguish the cases of a suite."""
 
 
 def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the policies with what tables call them: an interrupted one has means of fewer cases."""
+    """Return the policies with their labels in tables, which mark those with means of fewer cases."""
     cases: dict[str, int] = {}
     for row in summary:
         cases[row["table"]] = max(row["cases"], cases.get(row["table"], 0))

@@ -144,9 +144,9 @@ def bodies_of(scenes: TensorDictBase) -> Fleet:
 def tracked(velocity: Tensor, heading: Tensor, bodies: Fleet) -> Tensor:
     """Return actions (B, R, 2) by which robots follow ``velocity`` (B, R, 2), m/s, over the ground.
 
-    Holonomic robots just do. Robots on wheels turn towards it at `TURN_GAIN`. They drive the slower the
-    farther they face away (cos^3), not at all beyond 90 degrees. So they follow late what was decided for a
-    disc that moves in any direction: such a policy is a baseline, and not at its best.
+    Holonomic robots follow it exactly. Robots on wheels turn towards it at `TURN_GAIN`. They drive slower the
+    farther they face away (cos^3), and stand beyond 90 degrees. So they lag behind velocities that were
+    decided for a disc: a policy of discs is a weaker baseline on wheels.
     """
     own = unrotate(velocity, direction_of(heading))
     speed = torch.linalg.vector_norm(velocity, dim=-1)

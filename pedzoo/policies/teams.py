@@ -148,11 +148,11 @@ class Teams(Policy):
     process, and stays for the episode.
 
     All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy does
-    not move any other agent. Policies do all of the avoidance of agents that they do not move: where two
-    teams meet, both do all of it.
+    not move any other agent. A policy takes on all of the avoidance of agents that it does not move. Where
+    two teams meet, both do.
 
     The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
-    people who are new or just taken over it is asked at once; later these decide with their team. In
+    people who are new or just taken over it is asked at once; later they decide with their team. In
     between, velocities blend over steps of 0.1 s.
 
     Attributes:

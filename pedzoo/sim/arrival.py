@@ -14,10 +14,10 @@ from pedzoo.sim.motion import MotionInput
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 LEAST_SECONDS = 20.0
-"""Seconds that every agent has for a goal, at least."""
+"""Least time limit for a goal, seconds."""
 
 WAYS = 4.0
-"""And so many times as long as the way to it takes at the speed that they like."""
+"""Time limit for a goal, divided by the time that its path takes at the preferred speed."""
 
 
 def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:

@@ -28,8 +28,8 @@ _AT_ONCE = 64
 def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
     """Yield the first ``scenes`` of a scenario with a script, as people really walked in them.
 
-    On the same slots and trace as any rollout of them. ``controlled`` are the people that a policy would
-    have, for as long as it would have them if it walked as they did: until they come within 0.3 m of their
+    Slots and trace are those of any rollout of them. ``controlled`` are the people that a policy would
+    move, for as long as it would move them if it walked as they did: until they come within 0.3 m of their
     goal. From there on they have ``reached`` it. Others meet them until they really leave, so people may
     stand about at the exit where no policy controls an agent. Some never come so near, because the goal is
     not quite where they left: they reach it by leaving.

@@ -30,7 +30,7 @@ PANEL = (3.4, 1.6)
 """Inches."""
 
 RARE = 0.05
-"""Share of episodes below which an outcome is not told in the first table."""
+"""Share of episodes below which the first table leaves an outcome out."""
 
 
 class Figure4(Walked):

@@ -37,7 +37,7 @@ SCORED = (
 )
 
 TRIVIAL = {"none": "constant_velocity", "window_end": "bent_line"}
-"""What stands beside a row of the paper: the best of the untrained predictors that are told as much."""
+"""What stands beside a row of the paper: the best untrained predictor with the same inputs."""
 
 
 def table1_pages(report: Mapping[str, Any]) -> list[ResultTable]:

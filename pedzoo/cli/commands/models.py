@@ -28,7 +28,7 @@ COLUMNS = {
 """Keys of a row and what the table calls them."""
 
 EXPLAINED = """\
-fold: the scene that the model did not see (eth_ucy: it saw all); goal: what it is told of where people go
+fold: the scene that the model did not see (eth_ucy: it saw all); goal: what it knows of where people go
 (window_end leaks the forecast's last position); steps: that it forecasts, of 0.4 s; ade and fde: metres, of
 the most likely forecast on the fold's test windows (eth_ucy: validation windows), best of 20 per scene; door
 success: share of people who get through. All of a model: pedzoo info NAME"""

@@ -27,7 +27,7 @@ ROBOT_EPISODES = 20
 SAMPLES, SEED = 20, 0
 
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
-"""How far errors of forecasts may be off, as a share or in metres: other machines round otherwise."""
+"""Tolerances of forecast errors, as a share and in metres: machines round differently."""
 
 
 class RepeatedReport(NamedTuple):
@@ -82,7 +82,7 @@ def measure(
         name: What the rows are called; None for ``model``.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         progress: Called with what is done, its parts done and parts in all.
-        tell: Told what cannot be measured here.
+        tell: Called with what cannot be measured here.
 
     Raises:
         UserError: There is no such model.

@@ -1,4 +1,4 @@
-"""What people read of a score: its tables."""
+"""The tables of a score."""
 
 from __future__ import annotations
 

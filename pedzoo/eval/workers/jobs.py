@@ -1,4 +1,4 @@
-"""What runs inside a worker: jobs arrive once, and the number of a job brings back its outcome."""
+"""The inside of a worker: it receives all jobs once, then does them by number."""
 
 import traceback
 import warnings

@@ -23,7 +23,7 @@ ROBOTS = "robot_"
 
 
 class ZooEntry(NamedTuple):
-    """A model that was found.
+    """A model of the zoo or of a file: its card, and where that is.
 
     Attributes:
         card: Its card.

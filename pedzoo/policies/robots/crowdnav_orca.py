@@ -28,7 +28,7 @@ class CrowdnavOrca:
         Args:
             time_step: Seconds for which the velocities are held.
             neighbor_dist: Metres between centres from which on people are ignored.
-            max_neighbors: So many nearest people are heeded.
+            max_neighbors: So many nearest people count.
             time_horizon: Seconds for which velocities are safe.
             margin: Metres by which all radii are longer than they are.
             safety_space: Further metres, which CrowdNav's users tune.

@@ -55,7 +55,7 @@ class Layout(NamedTuple):
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
         group: Number of the company that an agent walks in (B, A) long, -1 for alone; None: all are.
         drive: How bodies move (B, A) long: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` of `pedzoo.core.bodies`;
-            None for holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
+            None for holonomic ones. Like the next two, read where `Scenario.wheels` says so.
         acceleration: Greatest change of speed (B, A), m/s^2; None for any.
         turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
         track: Distance between the wheels (B, A), metres; None for 1.

@@ -1,4 +1,4 @@
-"""What robots lived through, and how good it was."""
+"""The experience of robots: their decisions, with rewards and advantages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 class Gatherer:
     """B scenes in which a policy gathers decisions; the scenes go on from one gathering to the next.
 
-    TorchRL's collectors keep the whole scene batch of every decision. This keeps what robots sense.
+    TorchRL's collectors store the whole scene batch of every decision. This stores the robots' observations.
     """
 
     def __init__(self, env: RobotEnv | CrossingEnv, seed: int) -> None:
@@ -94,7 +94,7 @@ def rated(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> Ten
 
 
 def ends(then: TensorDictBase) -> dict[str, Tensor]:
-    """Return as which shares of the episodes that ended in decisions (...) there were success and so on."""
+    """Return the shares of success, contacts and so on among the episodes that ended in decisions (...)."""
     robots = cast("TensorDictBase", then["robots"])
     info, over = cast("TensorDictBase", robots["info"]), robots["done"][..., 0] & robots["info", "active"]
     flags = {"success": info["success"], "collision": touched(info), "timeout": info["timeout"]}

@@ -55,7 +55,7 @@ def loop_cases(
     Args:
         asked: The sizes that are asked about.
         most: More people than this are left out.
-        kinds: By name, what ``build`` takes and what the reader is told about it.
+        kinds: By name, what ``build`` takes and its description for the reader.
         note: What is included; ``{about}`` stands for what is said of the kind.
         build: Takes what is asked about, and the kind's value.
         section: Other questions are left out.
