@@ -1,4 +1,4 @@
-"""What several commands write: results as tables and as JSON."""
+"""Output that commands share: results as tables and as JSON."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def write_text(file: str | Path, text: str) -> None:
 
 
 def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[], None]) -> None:
-    """Write a report and print it: what took long to find is in the file before anything is printed.
+    """Write a report, then print it: an error in printing does not lose the report.
 
     Args:
         report: What `write_json` takes.

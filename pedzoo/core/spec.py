@@ -131,7 +131,7 @@ def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
         raise UserError(
             f"{kind} {name!r:.200}: {error}; its settings: {', '.join(types) or 'none'}"
         ) from error
-    return made(cls, arguments)
+    return make_ungrouped(cls, arguments)
 
 
 def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
@@ -230,7 +230,7 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def made(cls: type, given: Mapping[str, Any]) -> Any:
+def make_ungrouped(cls: type, given: Mapping[str, Any]) -> Any:
     """Return an instance of a class with settings that are named without their groups."""
     own, given = setting_groups(cls), grouped(cls, given)
     return cls(**{key: _changed(own[key], value) if key in own else value for key, value in given.items()})

@@ -70,7 +70,7 @@ def act(scenes: TensorDictBase, decision: Tensor) -> None:
 
 
 @torch.no_grad()
-def rated(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> TensorDict:
+def with_advantages(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> TensorDict:
     """Return decisions (N, R) with advantages, of mean 0 and deviation 1 over those that count, and values.
 
     Args:
@@ -93,7 +93,7 @@ def rated(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> Ten
     return cast("TensorDict", lived.select("robots").flatten(0, 1))
 
 
-def ends(then: TensorDictBase) -> dict[str, Tensor]:
+def outcome_shares(then: TensorDictBase) -> dict[str, Tensor]:
     """Return the shares of success, contacts and so on among the episodes that ended in decisions (...)."""
     robots = cast("TensorDictBase", then["robots"])
     info, over = cast("TensorDictBase", robots["info"]), robots["done"][..., 0] & robots["info", "active"]
