@@ -1,6 +1,6 @@
 """Mistakes that are refused before anything heavy is imported: options, names, settings and files.
 
-What is checked here the command itself checks, too, so that everything of which this is not certain passes.
+The command checks all of it again. So a doubtful case passes here.
 """
 
 import json

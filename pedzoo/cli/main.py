@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from pedzoo import __version__
-from pedzoo.cli.signals import Ended, exit_code, heard
+from pedzoo.cli.signals import EndedBySignal, exit_code, heard
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, missing_extra
 from pedzoo.core.paths import config_names, weight_files
@@ -48,7 +48,10 @@ def main(argv: list[str] | None = None) -> int:
             raise
         return _refused(refusal)
     except KeyboardInterrupt as stop:
-        print(f"pedzoo: {f'ended by {stop}' if isinstance(stop, Ended) else 'interrupted'}", file=sys.stderr)
+        print(
+            f"pedzoo: {f'ended by {stop}' if isinstance(stop, EndedBySignal) else 'interrupted'}",
+            file=sys.stderr,
+        )
         return exit_code(stop)
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -53,7 +53,7 @@ def need(extra: str, what: str) -> None:
 
 
 def missing_extra(error: ModuleNotFoundError) -> UserError | None:
-    """Return the line for an import that failed for want of an extra, or None where it is no extra's."""
+    """Return the message for a failed import of a package of an extra; None for any other import."""
     module = (error.name or "").partition(".")[0]
     for extra, modules in EXTRAS.items():
         if module in modules:

@@ -1,7 +1,7 @@
-"""Limits of what files and servers may ask for: beyond all real use, and checked before memory is taken.
+"""Limits of the sizes of input files and downloads: above all real use, and checked before memory is taken.
 
-A small file can ask for much: references that multiply, pictures of one colour, frame numbers far apart. What
-exceeds a limit is refused with the limit and a way out.
+A small file can expand to a large one: references that multiply, pictures of one colour, frame numbers far
+apart. The error of a file above a limit names the limit and a remedy.
 """
 
 from pathlib import Path
@@ -42,7 +42,7 @@ MOST_VALUES = 1_000_000
 """Values of a config."""
 
 _NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
-"""What reading values ends in that are not what they say they are, such as the 99th of a month."""
+"""Errors of values that do not fit their form, such as a date on the 99th of a month."""
 
 
 def check_limit(value: float, limit: float, what: str, unit: str, remedy: str) -> None:

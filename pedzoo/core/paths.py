@@ -1,4 +1,4 @@
-"""Where things are: shipped configs and checkpoints, the user's data and cache."""
+"""Folders and files: shipped configs and checkpoints, the user's data and cache."""
 
 import os
 from collections.abc import Iterator
@@ -72,7 +72,7 @@ def data_home() -> Path:
 
 
 PARTS = ".*.part*"
-"""Pattern of what a process that was killed leaves beside the file that it was writing."""
+"""Pattern of the unfinished files that a killed process leaves behind."""
 
 
 def write_whole(path: Path, data: bytes | memoryview) -> None:

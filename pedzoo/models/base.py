@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import flat, made
+from pedzoo.core.spec import flat, make_ungrouped
 from pedzoo.core.types import GoalProtocol
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Forecaster(nn.Module):
     @classmethod
     def of(cls, **settings: Any) -> Self:
         """Return a model of settings that are named without their groups, as files of weights have them."""
-        return made(cls, settings)
+        return make_ungrouped(cls, settings)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None

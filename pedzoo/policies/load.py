@@ -18,7 +18,7 @@ from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.local_planner import load_local_planner
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.robot_policy import AsPedestrian, Planned, RobotPolicy
+from pedzoo.policies.robot_policy import LocalPlannerPolicy, PedestrianRobotPolicy, RobotPolicy
 from pedzoo.policies.robot_weights import load_robot_weights
 from pedzoo.policies.teams import Crowd, Teams
 
@@ -161,10 +161,10 @@ def load_robot_policy(name: str) -> RobotPolicy:
             return trained
         if not any(map(is_policy, parts(name))):
             raise unknown("robot policy", spec.name, (*list_robot_policies(), *list_policies()))
-        return AsPedestrian(load_policy(name))
+        return PedestrianRobotPolicy(load_policy(name))
     if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
         return build(ROBOT_POLICIES, name, RobotPolicy)
-    return Planned(load_local_planner(name, ROBOT_SECONDS))
+    return LocalPlannerPolicy(load_local_planner(name, ROBOT_SECONDS))
 
 
 def _is_pedestrian(file: str) -> bool:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pedzoo.core.paths import CARD
-from pedzoo.eval.unseen import for_fold
+from pedzoo.eval.trained_on import for_fold
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.library import load_plan
 from pedzoo.models.zoo.card import ModelCard, read_card
@@ -271,9 +271,9 @@ def filled(page: str) -> str:
     text = (ROOT / page).read_text()
     for name, make in PAGES[page].items():
         begin, end = f"<!-- {name}: python -m tools.pages.tables -->\n", f"<!-- end of {name} -->"
-        before, found, rest = text.partition(begin)
+        before, marker, rest = text.partition(begin)
         _, closed, after = rest.partition(end)
-        if not found or not closed:
+        if not marker or not closed:
             raise SystemExit(f"{page}: expected the markers {begin.strip()} and {end}")
         text = f"{before}{begin}\n{make().strip()}\n\n{end}{after}"
     return text

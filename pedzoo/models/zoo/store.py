@@ -11,7 +11,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, shipped
 from pedzoo.core.registry import MODELS, names_code
-from pedzoo.models.zoo.address import Place, download, is_address, kept_models, place
+from pedzoo.models.zoo.address import ModelAddress, download, is_address, kept_models, place
 from pedzoo.models.zoo.card import ModelCard, is_name, read_card
 from pedzoo.models.zoo.layout import card_files, name_of_files, weights_beside
 
@@ -22,8 +22,8 @@ ROBOTS = "robot_"
 """How the names of weights begin that move robots, not people."""
 
 
-class Entry(NamedTuple):
-    """A model that was found.
+class ZooEntry(NamedTuple):
+    """A model of the zoo or of a file: its card, and where that is.
 
     Attributes:
         card: Its card.
@@ -33,10 +33,10 @@ class Entry(NamedTuple):
 
     card: ModelCard
     path: Path
-    place: Place | None = None
+    place: ModelAddress | None = None
 
 
-def find(name: str) -> Entry | None:
+def find(name: str) -> ZooEntry | None:
     """Return the model of a name; its card is fetched where it must, its weights are not.
 
     Args:
@@ -55,7 +55,7 @@ def find(name: str) -> Entry | None:
         raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
 
 
-def _found(name: str) -> Entry | None:
+def _found(name: str) -> ZooEntry | None:
     if is_address(name):
         return _fetched(name)
     if is_file(name):
@@ -78,7 +78,7 @@ def is_file(name: str) -> bool:
     return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
 
 
-def weights_of(entry: Entry) -> Path:
+def weights_of(entry: ZooEntry) -> Path:
     """Return the weights of a model, checked against its card, and downloaded where they are not there.
 
     Raises:
@@ -150,7 +150,7 @@ def _folders() -> list[Path]:
     return [shipped("checkpoints"), *(Path(source).expanduser() for source in _sources(address=False))]
 
 
-def _by_name(name: str) -> Entry | None:
+def _by_name(name: str) -> ZooEntry | None:
     for folder in _folders():
         if file := card_files(folder).get(name):
             return _named(file)
@@ -171,16 +171,16 @@ def _by_name(name: str) -> Entry | None:
     return None
 
 
-def _only_one(folder: Path) -> Entry:
+def _only_one(folder: Path) -> ZooEntry:
     if (own := folder / CARD).is_file():
-        return Entry(read_card(own), own)
+        return ZooEntry(read_card(own), own)
     if len(cards := card_files(folder)) != 1:
         remedy = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
         raise UserError(f"folder {str(folder)!r} is not that of one model: {remedy}")
     return _named(*cards.values())
 
 
-def _fetched(name: str) -> Entry:
+def _fetched(name: str) -> ZooEntry:
     """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
     where = place(name)
     path = download(where.cards, f"{where.folder}/{where.model}.yaml")
@@ -191,7 +191,7 @@ def _fetched(name: str) -> Entry:
         raise UserError(f"{name}: {error}") from error
 
 
-def _named(path: Path) -> Entry:
+def _named(path: Path) -> ZooEntry:
     """Return the model of a card's file, which must be named after it, or its folder must."""
     card = read_card(path)
     if card.name != name_of_files(path):
@@ -199,4 +199,4 @@ def _named(path: Path) -> Entry:
         raise UserError(
             f"model card {str(path)!r} is of {card.name!r}: the {what} must have the model's name"
         )
-    return Entry(card, path)
+    return ZooEntry(card, path)

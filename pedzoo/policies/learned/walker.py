@@ -16,10 +16,10 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
+from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.safety import safe
 from pedzoo.policies.learned.same_spot import led_apart
-from pedzoo.policies.named import NamedPolicy
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
