@@ -4,7 +4,7 @@ The command checks all of it again. So a doubtful case passes here.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from pedzoo.core.registry import (
     names_code,
 )
 from pedzoo.core.spec import name_of, parse, unquoted
-from pedzoo.models.zoo.store import ROBOTS, find, is_file, names, no_model
+from pedzoo.models.zoo.store import ROBOTS, find, is_file, no_model
 from pedzoo.policies.crowd_names import members, parts
 from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 
@@ -130,12 +130,11 @@ def _check_policy(text: str, command: str = "rollout") -> None:
         elif command == "evaluate" and (spec.name in ROBOT_POLICIES.names() or spec.name.startswith(ROBOTS)):
             continue
         else:
-            others = (*POLICIES.names(), *known()["baselines"], *_people())
-            check_model(spec.name, "policy", others)
+            check_model(spec.name, "policy", POLICIES.names())
             _check_known("walker", "", spec.name, renamed.new_settings(settings))
 
 
-def check_model(name: str, kind: str = "model", others: tuple[str, ...] = ()) -> None:
+def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> None:
     """Refuse the name of a model that there is not, or of a file; a class in a file is not looked for."""
     name = name_of(name)
     if is_file(name):
@@ -143,11 +142,7 @@ def check_model(name: str, kind: str = "model", others: tuple[str, ...] = ()) ->
             raise UserError(f"no checkpoint at {name!r}")
         _check_file(kind, f"{name.partition('.py:')[0]}.py" if names_code(name) else name)
     elif name not in MODELS.names() and "://" not in name and find(name) is None:
-        raise unknown(kind, name, others) if others else no_model(name, known()["baselines"])
-
-
-def _people() -> list[str]:
-    return [name for name in names() if not name.startswith(ROBOTS)]
+        raise no_model(name, [*others, *known()["baselines"]], kind)
 
 
 def _check_settings(registry: Registry, name: str, settings: dict[str, str]) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
 from pedzoo.core.spec import build, make, parse
@@ -113,7 +113,7 @@ def _one_policy(name: str) -> Policy | Walker:
         kind, cls, more = "walker", Walker, {"model": load_model(model)}
         spec = spec._replace(settings=settings)
     else:
-        raise unknown("policy", spec.name, list_policies())
+        raise no_model(spec.name, [*POLICIES.names(), *baselines()], "policy")
     return make(cls, kind, spec, **more)
 
 
@@ -160,7 +160,8 @@ def load_robot_policy(name: str) -> RobotPolicy:
         if (trained := load_robot_weights(name)) is not None:
             return trained
         if not any(map(is_policy, parts(name))):
-            raise unknown("robot policy", spec.name, (*list_robot_policies(), *list_policies()))
+            known = [*ROBOT_POLICIES.names(), *POLICIES.names(), *baselines()]
+            raise no_model(spec.name, known, "robot policy")
         return PedestrianRobotPolicy(load_policy(name))
     if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
         return build(ROBOT_POLICIES, name, RobotPolicy)

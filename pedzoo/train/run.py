@@ -176,7 +176,7 @@ class RunFolder:
         best = ModelCheckpoint(filename=self.best.stem, monitor=monitor, mode=mode, **common)
         # Apart from the best one, so that it is written after every epoch, validated or not.
         last = ModelCheckpoint(filename=self.last.stem, save_on_train_epoch_end=True, **common)
-        return [*result, best, last]
+        return [*result, ValidatesLast(), best, last]
 
 
 def finish_wandb(succeeded: bool) -> None:
@@ -195,6 +195,19 @@ class WholeCheckpoints(TorchCheckpointIO):
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
         write_whole(Path(path), buffer.getbuffer())
+
+
+class ValidatesLast(Callback):
+    """Validates the last of ``max_epochs``, too, whatever ``check_val_every_n_epoch`` says.
+
+    A training that ends by steps, time or early stopping has no last epoch that is known beforehand.
+    """
+
+    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Let Lightning validate this epoch, if it is the last one."""
+        last = trainer.current_epoch + 1 == trainer.max_epochs
+        if last and trainer.check_val_every_n_epoch is not None:
+            trainer.check_val_every_n_epoch = 1
 
 
 class RunRecorder(Callback):

@@ -123,7 +123,9 @@ def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> User
         others: Names that would do as well, besides those of models.
         kind: What was expected.
     """
-    known, others = names(), list(others)
+    # robots walk among people, and are none
+    known = [one for one in names() if kind != "policy" or not one.startswith(ROBOTS)]
+    others = list(others)
     near = get_close_matches(name, [*others, *known], n=1)
     families = [f"{one.partition('.')[0]}." for one in (name, *near)]
     family = next(filter(None, ([one for one in known if one.startswith(stem)] for stem in families)), [])

@@ -63,7 +63,7 @@ class Pictures:
         import cv2
 
         env, state = self._env, self._env.state
-        bodies = Bodies.of(state)
+        bodies = Bodies.seen(state)
         if scene not in self._cameras:
             there = state.mask[scene]
             seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))

@@ -116,6 +116,7 @@ class Torch(Physics):
             self._radius(people)[scene],
             size,
             self.framed(people, scene, size, camera),
+            people.scene(scene).stance,
         )
 
 

@@ -22,6 +22,7 @@ from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, Owned
 from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
+from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.state import State
 
 REACH = 5.0
@@ -37,6 +38,7 @@ class Bodies(NamedTuple):
         map_id: Floor plan of each scene (B, 1) long, -1 for none.
         pose: How each scene lies on its floor plan (B, 4).
         radius: Of the bodies (B, A), metres; None for that of the backend.
+        stance: How agents stand, for pictures; None where it is not known.
     """
 
     position: Tensor
@@ -44,6 +46,7 @@ class Bodies(NamedTuple):
     map_id: Tensor
     pose: Tensor
     radius: Tensor | None = None
+    stance: Stance | None = None
 
     @classmethod
     def of(cls, state: State) -> Bodies:
@@ -52,7 +55,15 @@ class Bodies(NamedTuple):
 
     def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
-        return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
+        radius = None if self.radius is None else self.radius[[number]]
+        stance = None if self.stance is None else self.stance.scene(number)
+        position, mask, map_id, pose = (value[[number]] for value in self[:4])
+        return Bodies(position, mask, map_id, pose, radius, stance)
+
+    @classmethod
+    def seen(cls, state: State) -> Bodies:
+        """Return those of a state, and how they stand: for pictures."""
+        return cls.of(state)._replace(stance=Stance.of(state))
 
 
 class Physics(ABC):

@@ -17,7 +17,7 @@ def picture_of(
     """Return the picture (H, W, 3) uint8 RGB of a scene, of ``size`` width and height in pixels."""
     import cv2
 
-    bodies, there = Bodies.of(state), state.mask[scene]
+    bodies, there = Bodies.seen(state), state.mask[scene]
     seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
     open_floor = int(state.map_id[scene]) < 0
     camera = Camera().around(seen, size) if open_floor else None
