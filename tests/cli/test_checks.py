@@ -88,6 +88,14 @@ def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
     check(line.split()[0], line.split()[1:])
 
 
+def test_odd_values_of_a_config_are_left_to_its_reader(tmp_path):
+    from pedzoo.cli.checks import check
+
+    config = tmp_path / "odd.yaml"
+    config.write_text("monitor: 2026-11-99")
+    check("fit", ["--config", str(config)])
+
+
 def test_pages_and_known_options_are_those_of_the_parsers():
     code = (  # a process of its own: options of subclasses that tests define are not shipped
         "import json; from tools.pages import command_pages as made;"
