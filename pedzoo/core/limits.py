@@ -9,11 +9,6 @@ from typing import Any
 
 import yaml
 
-try:  # libyaml's: `pedzoo models` reads all cards
-    from yaml import CSafeLoader as SafeLoader
-except ImportError:
-    from yaml import SafeLoader
-
 from pedzoo.core.errors import UserError
 
 LARGEST_CARD = 2_000_000
@@ -122,7 +117,10 @@ def read_mapping(path: Path, what: str, expected: str) -> dict[Any, Any]:
     return settings
 
 
-class _Loader(SafeLoader):
+_SAFE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
+
+
+class _Loader(_SAFE):
     """The safe loader, with whole numbers of at most `MOST_DIGITS`."""
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:

@@ -33,7 +33,7 @@ SECONDS, MEMORY = 1.0, 1e9
 """Of the processor, and bytes more than before, that a reader may take, once it is warm."""
 
 HANGS = 30
-"""Seconds after which a reader is stopped."""
+"""Seconds of the processor after which a reader is stopped."""
 
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _FILES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.truncate")
@@ -171,13 +171,13 @@ def _watched(folder: Path) -> Iterator[list[str]]:
     """Yield a list that gets what is done outside a folder; stop what hangs."""
     global _heard
     _listen()
-    signal.signal(signal.SIGALRM, _stop)
-    signal.setitimer(signal.ITIMER_REAL, HANGS)
+    signal.signal(signal.SIGPROF, _stop)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     _heard, done = [], []
     try:
         yield done
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         heard, _heard = _heard, None
         done += [deed for deed in heard if str(folder) not in deed]
 

@@ -165,7 +165,9 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         raise UserError(f"{source!r}: {name}: {error}") from error
     try:
         return _made(cls, init, name)
-    except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes
+    except UserError:
+        raise
+    except (TypeError, ValueError, ArithmeticError, RuntimeError) as error:  # other kinds, impossible sizes
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
 
