@@ -52,7 +52,9 @@ def page(state: State, goals: Goals) -> str:
         for name, one in ((name, grown(runs)) for name, runs in state["long"].items())
     ]
     parts = {"suite": suite, "fuzz": fuzz, "kills": kills, "long": long}
-    return TEXT.format(goal=goal, **{name: "\n".join(lines) for name, lines in parts.items()})
+    return TEXT.format(
+        goal=goal, **{name: "\n".join(lines or ["| not yet |"]) for name, lines in parts.items()}
+    )
 
 
 def wrong(state: State) -> list[str]:
