@@ -4,19 +4,19 @@ The command checks all of it again. So a doubtful case passes here.
 """
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
 from pedzoo.cli.words import given, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, need, unknown
-from pedzoo.core.paths import find_config
+from pedzoo.core.limits import load_yaml, read_text
+from pedzoo.core.paths import expanded, find_config
 from pedzoo.core.registry import (
     MODELS,
     PHYSICS,
@@ -89,9 +89,9 @@ def _model_class(command: str, argv: list[str]) -> str:
     while command in _TRAININGS and name:
         file = find_config(name)
         try:
-            settings = yaml.safe_load(file.read_text())
+            settings = load_yaml(read_text(file), references=True)
             path, base = settings.get("model", {}).get("class_path"), settings.get("base")
-        except (yaml.YAMLError, UnicodeDecodeError, AttributeError):
+        except (UserError, AttributeError):
             return ""  # the command says what is wrong with it
         if path or not isinstance(base, str):
             return path if isinstance(path, str) else ""
@@ -194,7 +194,7 @@ def _check_run(option: str, text: str) -> None:
 
 
 def _check_file(what: str, text: str) -> None:
-    if not Path(text).expanduser().exists():
+    if not os.path.exists(expanded(text)):
         raise UserError(f"{what}: no file {text!r}")
 
 

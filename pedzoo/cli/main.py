@@ -5,6 +5,7 @@ Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one li
 143, 129 or 138 ended by SIGTERM, SIGHUP or Slurm's SIGUSR1.
 """
 
+import errno
 import os
 import sys
 from importlib import import_module
@@ -56,6 +57,10 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return _refused(UserError(f"{error.filename!r:.100}: no file has so long a name"))
 
 
 def _refused(error: UserError) -> int:

@@ -19,6 +19,11 @@ def shipped(folder: str) -> Path:
     return inside if inside.is_dir() else _PACKAGE.parent / folder
 
 
+def expanded(path: str | Path) -> Path:
+    """Return a path with ``~`` written out; of a user whom nobody knows it stays, and no file is there."""
+    return Path(os.path.expanduser(path))
+
+
 def weight_files() -> dict[str, Path]:
     """Return the files of all shipped weights by name, in alphabetical order."""
     return {path.parent.name: path for path in sorted(shipped("checkpoints").glob(f"*/{WEIGHTS}"))}
@@ -54,7 +59,7 @@ def data_root(root: str | None) -> Path:
         if (downloaded := data_home()).is_dir():
             return downloaded
         raise UserError(f"no recordings found: {how}; `--data.fold embedded` needs none")
-    path = Path(given).expanduser()
+    path = expanded(given)
     if not path.is_dir():
         raise UserError(f"data root {given!r} is not a folder: {how}; `--data.fold embedded` needs none")
     return path
@@ -63,7 +68,7 @@ def data_root(root: str | None) -> Path:
 def cache_home() -> Path:
     """Return the folder for downloads: ``PEDZOO_HOME``, or the user's cache."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo").expanduser()
+    return expanded(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo")
 
 
 def data_home() -> Path:

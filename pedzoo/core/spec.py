@@ -153,7 +153,7 @@ def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
         if written:
             return parser.parse_args([f"--value={value}"]).value
         return parser.parse_object({"value": [value]}).value[0]
-    except ArgumentError as error:
+    except (ArgumentError, OverflowError) as error:  # the latter: a number with hundreds of digits
         shown = value if written else repr(value)
         raise UserError(f"{where:.200}={shown:.200}: expected {_short(hint)}") from error
 

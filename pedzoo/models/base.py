@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
@@ -186,3 +187,9 @@ def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:
 def arguments(scope: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments of an ``__init__`` from its ``locals()``, to be kept as ``config``."""
     return {key: value for key, value in scope.items() if key not in ("self", "__class__")}
+
+
+@cache
+def has_parameters(model: type[Forecaster]) -> bool:
+    """Return whether an architecture has something to train, as it is built without settings."""
+    return any(True for _ in model().parameters())

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import CARD, shipped
+from pedzoo.core.paths import CARD, expanded, shipped
 from pedzoo.core.registry import MODELS, names_code
 from pedzoo.models.zoo.address import ModelAddress, download, is_address, kept_models, place
 from pedzoo.models.zoo.card import ModelCard, is_name, read_card
@@ -60,7 +60,7 @@ def _found(name: str) -> ZooEntry | None:
         return _fetched(name)
     if is_file(name):
         return None
-    path = Path(name).expanduser()
+    path = expanded(name)
     if path.name == name:
         if is_name(name) and (result := _by_name(name)):
             return result
@@ -149,7 +149,7 @@ def _sources(address: bool) -> list[str]:
 
 
 def _folders() -> list[Path]:
-    return [shipped("checkpoints"), *(Path(source).expanduser() for source in _sources(address=False))]
+    return [shipped("checkpoints"), *(expanded(source) for source in _sources(address=False))]
 
 
 def _by_name(name: str) -> ZooEntry | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.limits import load_yaml, read_mapping
+from pedzoo.core.paths import expanded
 from pedzoo.core.spec import Spec, SpecText, parse, unquoted
 
 KEYS = ("people", "map", "speed", "speed_std")
@@ -34,7 +35,7 @@ def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
     spec = parse(scenario) if isinstance(scenario, str) else scenario
     if not spec.name.endswith((".yaml", ".yml")):
         return spec
-    file = Path(spec.name).expanduser()
+    file = expanded(spec.name)
     settings = _read(file)
     for key, value in spec.settings.items():
         settings[key] = load_yaml(unquoted(value)) if isinstance(spec, SpecText) else value
